@@ -1,0 +1,80 @@
+"""The compiled numeric core: one job a file, float32, no Python objects.
+
+`function` marks code that only other kernels call. `kernel` marks an entry point that loops over
+worlds with `prange`: compiled on first use, cached on disk, parallel from two worlds on.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import sys
+import types
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numba
+from numba.core import event
+
+# IEEE arithmetic (no fastmath): a case gives the same bits on any number of worlds or threads.
+function = numba.njit(error_model="numpy", forceinline=True)
+
+_PACKAGE = Path(__file__).resolve().parent.parent
+_CORE_SOURCES = [*sorted(_PACKAGE.glob("kernels/*.py")), _PACKAGE / "reward.py"]
+
+
+class kernel:
+    """Compile a loop over worlds in a serial and a parallel version and pick by the batch.
+
+    One world runs serially: that is faster, and a process that never ran a parallel kernel may
+    still fork (Gymnasium's `AsyncVectorEnv`). The first argument of a kernel is the number of
+    pieces its parallel loop is cut into.
+    """
+
+    def __init__(self, source: Callable[..., Any]) -> None:
+        self.__doc__ = source.__doc__
+        self.serial = _compile(source, "serial", parallel=False)
+        self.parallel = _compile(source, "parallel", parallel=True)
+
+    def __call__(self, worlds: int, *arguments: Any) -> Any:
+        """Run over `worlds` worlds, the other arguments as the kernel's source declares them."""
+        if worlds == 1:
+            return self.serial(1, *arguments)
+        return self.parallel(min(worlds, 8 * numba.get_num_threads()), *arguments)
+
+
+def _compile(source: Callable[..., Any], variant: str, parallel: bool) -> Any:
+    copy = types.FunctionType(source.__code__, source.__globals__, source.__name__)
+    copy.__module__ = source.__module__
+    copy.__qualname__ = f"{source.__qualname__}_{variant}"  # Numba names its cache file by this.
+    dispatcher = numba.njit(cache=True, parallel=parallel, error_model="numpy")(copy)
+    # Numba looks only at the entry point's own file when it decides whether a cached kernel is
+    # still good; the stamp below covers every file the kernel may be built from.
+    dispatcher._cache._cache_file._source_stamp = _stamp(Path(source.__code__.co_filename))
+    return dispatcher
+
+
+def _stamp(file: Path) -> str:
+    digest = hashlib.sha256()
+    for path in [*_CORE_SOURCES, file]:
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+class _Announcer(event.Listener):
+    """Say once that a kernel is being compiled, so that nobody wonders at the pause."""
+
+    said = False
+
+    def on_start(self, event: Any) -> None:
+        """Numba begins to compile (a kernel found in the cache does not come here)."""
+        name = str(event.data["dispatcher"].py_func.__module__)
+        if not self.said and name.startswith(("mrsan", "samarl")):
+            _Announcer.said = True
+            print("Compiling the simulator (once, some 20 s) ...", file=sys.stderr, flush=True)
+
+    def on_end(self, event: Any) -> None:
+        """Nothing to say."""
+
+
+event.register("numba:compile", _Announcer())

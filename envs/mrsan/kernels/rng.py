@@ -1,0 +1,71 @@
+"""Counter-based random numbers: a pure function of (case, episode, stream, agent, step).
+
+No generator state exists, so an episode is the same to the last bit whatever the batch size, the
+number of threads or the order in which worlds are stepped. The mixer is SplitMix64's finaliser
+(Steele, Lea and Flood, "Fast splittable pseudorandom number generators", 2014).
+"""
+
+import math
+
+import numpy as np
+
+from mrsan.kernels import function
+
+# Streams: what a number is used for.
+START = 0
+HUMAN_TRAITS = 1
+HUMAN_COUNT = 2
+HUMAN_GOAL = 3
+GOAL_CHANGE = 4
+NOISE = 5
+MISSED = 6
+
+_GOLDEN = np.uint64(0x9E3779B97F4A7C15)
+_MIX_1 = np.uint64(0xBF58476D1CE4E5B9)
+_MIX_2 = np.uint64(0x94D049BB133111EB)
+_S27, _S30, _S31, _S40 = np.uint64(27), np.uint64(30), np.uint64(31), np.uint64(40)
+_AGENT_SHIFT, _STEP_SHIFT, _STREAM_SHIFT = np.uint64(8), np.uint64(24), np.uint64(56)
+_UNIT = np.float32(2.0**-24)
+_TWO_PI = np.float32(2.0 * math.pi)
+_TINY = np.float32(1e-12)
+_MINUS_TWO = np.float32(-2.0)
+
+
+@function
+def _mix(x):
+    x = (x ^ (x >> _S30)) * _MIX_1
+    x = (x ^ (x >> _S27)) * _MIX_2
+    return x ^ (x >> _S31)
+
+
+@function
+def episode_key(case, episode):
+    """The 64-bit key of one episode of one case."""
+    return _mix(_mix(np.uint64(case) + _GOLDEN) + np.uint64(episode) * _GOLDEN)
+
+
+@function
+def uniform(key, stream, agent, step, draw):
+    """A number in [0, 1). Up to 2^16 agents, 2^32 steps and 256 draws per stream are distinct."""
+    counter = (
+        (np.uint64(stream) << _STREAM_SHIFT)
+        | (np.uint64(step) << _STEP_SHIFT)
+        | (np.uint64(agent) << _AGENT_SHIFT)
+        | np.uint64(draw)
+    )
+    return np.float32(_mix(key + _mix(counter + _GOLDEN)) >> _S40) * _UNIT
+
+
+@function
+def uniform_between(low, high, key, stream, agent, step, draw):
+    """A number in [low, high)."""
+    return low + (high - low) * uniform(key, stream, agent, step, draw)
+
+
+@function
+def normal(key, stream, agent, step, draw):
+    """A standard normal number (Box-Muller; uses draws `draw` and `draw + 1`)."""
+    radius = math.sqrt(
+        _MINUS_TWO * math.log(max(uniform(key, stream, agent, step, draw), _TINY))
+    )
+    return radius * math.cos(_TWO_PI * uniform(key, stream, agent, step, draw + 1))

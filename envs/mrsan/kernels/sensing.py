@@ -1,0 +1,139 @@
+"""What a robot knows: itself, and those within its field of view, in its own body frame."""
+
+import math
+
+import numpy as np
+from numba import prange
+
+from mrsan.kernels import function, kernel, rng
+
+_ZERO = np.float32(0.0)
+_FULL_CIRCLE = np.float32(-1.0)  # the cosine of half a field of view of 360 degrees
+
+
+@kernel
+def observe(chunks, worlds, state, p, ego, humans, humans_visible, robots, robots_visible):
+    """Write the observation of every robot in some worlds, every element of it.
+
+    Args:
+        chunks: number of pieces the loop over worlds is cut into.
+        worlds: [E] bool, the worlds to observe.
+        state: the worlds.
+        p: the scenario's parameters.
+        ego: [E, N, 11], see `mrsan.world.EGO_FEATURES`.
+        humans: [E, N, M, 5], see `mrsan.world.OTHER_FEATURES`; zero where not visible.
+        humans_visible: [E, N, M] bool.
+        robots: [E, N, N - 1, 5], the other robots in the order of their numbers.
+        robots_visible: [E, N, N - 1] bool.
+    """
+    total, n, m = ego.shape[0], ego.shape[1], humans.shape[2]
+    for chunk in prange(chunks):
+        # Arrays and numbers out of the tuples first: Numba copies a tuple wherever it goes.
+        position, velocity = state.robot_position, state.robot_velocity
+        heading, goal, clock = state.robot_heading, state.robot_goal, state.clock
+        human_position, human_velocity = state.human_position, state.human_velocity
+        human_radius, human_count, keys = state.human_radius, state.human_count, state.key
+        robot_radius, robot_speed = p.robot_radius, p.robot_speed
+        limit, cos_half_fov, occlusion = p.sensing_range, p.cos_half_fov, p.occlusion
+        missed, position_noise, velocity_noise = (
+            p.missed_detection,
+            p.position_noise,
+            p.velocity_noise,
+        )
+        noisy = position_noise > _ZERO or velocity_noise > _ZERO
+        steps = np.float32(p.time_limit_steps)
+        for e in range(chunk * total // chunks, (chunk + 1) * total // chunks):
+            if not worlds[e]:
+                continue
+            key, step = keys[e], clock[e]
+            for i in range(n):
+                cos, sin = math.cos(heading[e, i]), math.sin(heading[e, i])
+                x, y = position[e, i, 0], position[e, i, 1]
+                vx, vy = velocity[e, i, 0], velocity[e, i, 1]
+                gx, gy = goal[e, i, 0] - x, goal[e, i, 1] - y
+                ego[e, i, 0], ego[e, i, 1] = cos * gx + sin * gy, cos * gy - sin * gx
+                ego[e, i, 2], ego[e, i, 3] = cos * vx + sin * vy, cos * vy - sin * vx
+                ego[e, i, 4], ego[e, i, 5] = -(cos * x + sin * y), -(cos * y - sin * x)
+                ego[e, i, 6], ego[e, i, 7] = cos, sin
+                ego[e, i, 8], ego[e, i, 9] = robot_radius, robot_speed
+                ego[e, i, 10] = np.float32(step) / steps
+                for j in range(m + n):
+                    if j == m + i:
+                        continue
+                    slot, seen = j, True
+                    if j < m:
+                        dx, dy = human_position[e, j, 0] - x, human_position[e, j, 1] - y
+                        ux, uy = human_velocity[e, j, 0] - vx, human_velocity[e, j, 1] - vy
+                        radius = human_radius[e, j]
+                        seen = j < human_count[e]
+                    else:
+                        k = j - m
+                        dx, dy = position[e, k, 0] - x, position[e, k, 1] - y
+                        ux, uy = velocity[e, k, 0] - vx, velocity[e, k, 1] - vy
+                        radius = robot_radius
+                        slot = k if k < i else k - 1
+                    distance = math.sqrt(dx * dx + dy * dy)
+                    ahead, left = cos * dx + sin * dy, cos * dy - sin * dx
+                    along, across = cos * ux + sin * uy, cos * uy - sin * ux
+                    seen = seen and distance <= limit
+                    if cos_half_fov > _FULL_CIRCLE:
+                        seen = seen and ahead >= distance * cos_half_fov
+                    if seen and occlusion:
+                        seen = not (
+                            _is_hidden(
+                                human_position[e], human_radius[e], human_count[e], j, x, y, dx, dy
+                            )
+                            or _is_hidden_by_robot(position[e], robot_radius, i, j - m, dx, dy)
+                        )
+                    if seen and missed > _ZERO:
+                        draw = rng.uniform(key, rng.MISSED, i * 128 + j, step, 0)
+                        seen = draw >= missed
+                    if seen and noisy:
+                        agent = i * 128 + j
+                        ahead += position_noise * rng.normal(key, rng.NOISE, agent, step, 0)
+                        left += position_noise * rng.normal(key, rng.NOISE, agent, step, 2)
+                        along += velocity_noise * rng.normal(key, rng.NOISE, agent, step, 4)
+                        across += velocity_noise * rng.normal(key, rng.NOISE, agent, step, 6)
+                    if not seen:
+                        ahead = left = along = across = radius = _ZERO
+                    if j < m:
+                        humans_visible[e, i, slot] = seen
+                        humans[e, i, slot, 0], humans[e, i, slot, 1] = ahead, left
+                        humans[e, i, slot, 2], humans[e, i, slot, 3] = along, across
+                        humans[e, i, slot, 4] = radius
+                    else:
+                        robots_visible[e, i, slot] = seen
+                        robots[e, i, slot, 0], robots[e, i, slot, 1] = ahead, left
+                        robots[e, i, slot, 2], robots[e, i, slot, 3] = along, across
+                        robots[e, i, slot, 4] = radius
+
+
+@function
+def _is_hidden(position, radius, count, j, x, y, dx, dy):
+    """Whether a human other than `j` stands on the line of sight from (x, y) to (dx, dy)."""
+    for k in range(count):
+        if k != j and _blocks(position[k, 0] - x, position[k, 1] - y, radius[k], dx, dy):
+            return True
+    return False
+
+
+@function
+def _is_hidden_by_robot(position, radius, i, j, dx, dy):
+    """Whether a robot other than `i` and `j` stands on the line of sight from `i`."""
+    for k in range(position.shape[0]):
+        x, y = position[k, 0] - position[i, 0], position[k, 1] - position[i, 1]
+        if k != i and k != j and _blocks(x, y, radius, dx, dy):
+            return True
+    return False
+
+
+@function
+def _blocks(x, y, radius, dx, dy):
+    """Whether a disc at (x, y) covers the line of sight to something beyond it at (dx, dy)."""
+    squared = dx * dx + dy * dy
+    across = x * dy - y * dx
+    return (
+        x * dx + y * dy > _ZERO
+        and x * x + y * y < squared
+        and across * across < radius * radius * squared
+    )

@@ -1,0 +1,56 @@
+"""Social forces (Helbing and Molnar, 1995): a pull to the goal, a push from everyone near."""
+
+import math
+
+import numpy as np
+
+from mrsan.kernels import function
+
+_ZERO = np.float32(0.0)
+_TINY = np.float32(1e-6)
+
+
+@function
+def social_force_velocity(
+    agents,
+    count,
+    i,
+    preferred_x,
+    preferred_y,
+    max_speed,
+    relaxation_time,
+    strength,
+    reach,
+    time_step,
+):
+    """New velocity of agent `i` among the first `count` rows `[px, py, vx, vy, radius]`.
+
+    Args:
+        agents: [A, 5] position, velocity and radius (m, m/s).
+        count: number of rows of `agents` in use.
+        i: the row of the agent that decides.
+        preferred_x: preferred velocity, x (m/s).
+        preferred_y: preferred velocity, y (m/s).
+        max_speed: speed limit (m/s).
+        relaxation_time: how fast the preferred velocity is taken up (s).
+        strength: the push at contact (m/s^2).
+        reach: the distance over which the push falls by 1/e (m).
+        time_step: length of a step (s).
+    """
+    ax = (preferred_x - agents[i, 2]) / relaxation_time
+    ay = (preferred_y - agents[i, 3]) / relaxation_time
+    for j in range(count):
+        if j == i:
+            continue
+        dx, dy = agents[i, 0] - agents[j, 0], agents[i, 1] - agents[j, 1]
+        distance = max(math.sqrt(dx * dx + dy * dy), _TINY)
+        gap = distance - agents[i, 4] - agents[j, 4]
+        push = strength * math.exp(-gap / reach)
+        ax += push * dx / distance
+        ay += push * dy / distance
+    vx = agents[i, 2] + ax * time_step
+    vy = agents[i, 3] + ay * time_step
+    speed = math.sqrt(vx * vx + vy * vy)
+    if speed > max_speed:
+        vx, vy = vx * max_speed / speed, vy * max_speed / speed
+    return vx, vy

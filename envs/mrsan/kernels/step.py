@@ -1,0 +1,234 @@
+"""One step of every world: people move, robots move, contacts, arrival, reward, time limit."""
+
+import math
+
+import numpy as np
+from numba import prange
+
+from mrsan.kernels import function, kernel, rng
+from mrsan.kernels.contact import closest_approach
+from mrsan.kernels.kinematics import brake, next_velocity
+from mrsan.kernels.orca import orca_velocity
+from mrsan.kernels.social_force import social_force_velocity
+from mrsan.kernels.spawn import draw_goal
+from mrsan.reward import step_reward
+
+ORCA = 0
+SOCIAL_FORCE = 1
+STILL = 2
+
+HIT_HUMAN = 1
+HIT_ROBOT = 2
+
+_ZERO = np.float32(0.0)
+_HALF = np.float32(0.5)
+_FAR = np.float32(np.inf)
+
+
+@kernel
+def advance(chunks, state, action, p, reward):
+    """Move every world that has not ended by one time step, in place.
+
+    Args:
+        chunks: number of pieces the loop over worlds is cut into.
+        state: the worlds.
+        action: [E, N, A] in [-1, 1].
+        p: the scenario's parameters.
+        reward: [E, N], written; zero in worlds that had ended.
+    """
+    total, robots = reward.shape
+    people = state.human_radius.shape[1]
+    for chunk in prange(chunks):
+        agents = np.empty((people + robots, 5), np.float32)
+        chosen = np.empty((people, 2), np.float32)
+        neighbors = np.empty((p.max_neighbors, 2), np.float32)
+        lines = np.empty((p.max_neighbors, 4), np.float32)
+        projected = np.empty((p.max_neighbors, 4), np.float32)
+        moved = np.empty((robots, 2), np.float32)
+        gap = np.empty(robots, np.float32)
+        for e in range(chunk * total // chunks, (chunk + 1) * total // chunks):
+            if state.terminated[e] or state.truncated[e]:
+                reward[e, :] = _ZERO
+                continue
+            _choose_human_velocities(state, e, p, agents, chosen, neighbors, lines, projected)
+            _move_robots(state, e, action, p, moved)
+            _move_humans(state, e, chosen, p)
+            _find_contacts(state, e, p, moved, gap)
+            state.clock[e] += 1
+            _settle(state, e, p, moved, gap, reward)
+
+
+@function
+def _choose_human_velocities(state, e, p, agents, chosen, neighbors, lines, projected):
+    """What each human wants to do next, all decided on the same state."""
+    position, velocity, goal = state.human_position, state.human_velocity, state.human_goal
+    radius, preferred_speed = state.human_radius, state.human_speed
+    robot_position, robot_velocity = state.robot_position, state.robot_velocity
+    count = state.human_count[e]
+    if p.crowd == STILL:
+        chosen[:count, :] = _ZERO
+        return
+    rows = count
+    for j in range(count):
+        agents[j, 0], agents[j, 1] = position[e, j, 0], position[e, j, 1]
+        agents[j, 2], agents[j, 3] = velocity[e, j, 0], velocity[e, j, 1]
+        agents[j, 4] = radius[e, j] + p.human_safety_space
+    if p.robots_visible:
+        for i in range(robot_position.shape[1]):
+            agents[rows, 0], agents[rows, 1] = robot_position[e, i, 0], robot_position[e, i, 1]
+            agents[rows, 2], agents[rows, 3] = robot_velocity[e, i, 0], robot_velocity[e, i, 1]
+            agents[rows, 4] = p.robot_radius + p.human_safety_space
+            rows += 1
+    key, step = state.key[e], state.clock[e]
+    change_time = step > 0 and step % p.goal_change_steps == 0
+    for j in range(count):
+        x, y, speed = position[e, j, 0], position[e, j, 1], preferred_speed[e, j]
+        dx, dy = goal[e, j, 0] - x, goal[e, j, 1] - y
+        renew = dx * dx + dy * dy < radius[e, j] * radius[e, j]
+        if change_time and not renew:
+            renew = rng.uniform(key, rng.GOAL_CHANGE, j, step, 0) < p.goal_change_probability
+        if renew:
+            goal[e, j, 0], goal[e, j, 1] = draw_goal(
+                x, y, key, j, step, p.circle_radius, p.spawn_jitter * speed, p.goal_distance
+            )
+            dx, dy = goal[e, j, 0] - x, goal[e, j, 1] - y
+        scale = speed / math.sqrt(dx * dx + dy * dy)
+        if p.crowd == ORCA:
+            chosen[j, 0], chosen[j, 1] = orca_velocity(
+                agents,
+                rows,
+                j,
+                dx * scale,
+                dy * scale,
+                speed,
+                p.neighbor_distance,
+                p.max_neighbors,
+                p.time_horizon,
+                p.time_step,
+                neighbors,
+                lines,
+                projected,
+            )
+        else:
+            chosen[j, 0], chosen[j, 1] = social_force_velocity(
+                agents,
+                rows,
+                j,
+                dx * scale,
+                dy * scale,
+                speed,
+                p.relaxation_time,
+                p.force_strength,
+                p.force_range,
+                p.time_step,
+            )
+
+
+@function
+def _move_robots(state, e, action, p, moved):
+    """SAMARL, Eq. 1-3, with the records of the drive; `moved` receives the displacements."""
+    position, velocity = state.robot_position, state.robot_velocity
+    headings, arrived, acceleration = state.robot_heading, state.arrived, state.robot_acceleration
+    jerk_sum, path_length, driven_steps = state.jerk_sum, state.path_length, state.driven_steps
+    dt, wall = p.time_step, p.arena_radius - p.robot_radius
+    for i in range(moved.shape[0]):
+        x, y, vx, vy = position[e, i, 0], position[e, i, 1], velocity[e, i, 0], velocity[e, i, 1]
+        if arrived[e, i]:
+            new_vx, new_vy, heading = brake(vx, vy, headings[e, i], p)
+        else:
+            new_vx, new_vy, heading = next_velocity(vx, vy, headings[e, i], action[e, i], p)
+        if p.instant_velocity:
+            new_x, new_y = x + new_vx * dt, y + new_vy * dt
+        else:
+            new_x = x + _HALF * (vx + new_vx) * dt  # Eq. 1
+            new_y = y + _HALF * (vy + new_vy) * dt
+        distance = math.sqrt(new_x * new_x + new_y * new_y)
+        if distance > wall:
+            new_x, new_y = new_x * wall / distance, new_y * wall / distance
+            new_vx = new_vy = _ZERO
+        dx, dy = new_x - x, new_y - y
+        if not arrived[e, i]:
+            ax, ay = (new_vx - vx) / dt, (new_vy - vy) / dt
+            jx = (ax - acceleration[e, i, 0]) / dt
+            jy = (ay - acceleration[e, i, 1]) / dt
+            acceleration[e, i, 0], acceleration[e, i, 1] = ax, ay
+            jerk_sum[e, i] += math.sqrt(jx * jx + jy * jy)
+            path_length[e, i] += math.sqrt(dx * dx + dy * dy)
+            driven_steps[e, i] += 1
+        moved[i, 0], moved[i, 1] = dx, dy
+        position[e, i, 0], position[e, i, 1] = new_x, new_y
+        velocity[e, i, 0], velocity[e, i, 1] = new_vx, new_vy
+        headings[e, i] = heading
+
+
+@function
+def _move_humans(state, e, chosen, p):
+    position, velocity = state.human_position, state.human_velocity
+    for j in range(state.human_count[e]):
+        for k in range(2):
+            velocity[e, j, k] = chosen[j, k]
+            position[e, j, k] += chosen[j, k] * p.time_step
+
+
+@function
+def _find_contacts(state, e, p, moved, gap):
+    """Collisions during the step, and `gap`: surface distance to the nearest human after it."""
+    position, arrived, collision = state.robot_position, state.arrived, state.collision
+    human_position, human_velocity = state.human_position, state.human_velocity
+    human_radius, closest_human = state.human_radius, state.closest_human
+    count, dt, robot_radius = state.human_count[e], p.time_step, p.robot_radius
+    robots = moved.shape[0]
+    for i in range(robots):
+        gap[i] = _FAR
+        if arrived[e, i]:  # parked: it hits nobody, and who walks into it does not count
+            continue
+        x, y, closest = position[e, i, 0], position[e, i, 1], closest_human[e, i]
+        for j in range(count):
+            dx, dy = human_position[e, j, 0] - x, human_position[e, j, 1] - y
+            radii = human_radius[e, j] + robot_radius
+            before_x = dx - human_velocity[e, j, 0] * dt + moved[i, 0]
+            before_y = dy - human_velocity[e, j, 1] * dt + moved[i, 1]
+            approach = closest_approach(before_x, before_y, dx, dy) - radii
+            closest = min(closest, approach)
+            gap[i] = min(gap[i], math.sqrt(dx * dx + dy * dy) - radii)
+            if approach < _ZERO:
+                collision[e, i] = HIT_HUMAN
+        closest_human[e, i] = closest
+        for k in range(robots):
+            if k == i or collision[e, i] != 0:
+                continue
+            dx, dy = position[e, k, 0] - x, position[e, k, 1] - y
+            before_x, before_y = dx - moved[k, 0] + moved[i, 0], dy - moved[k, 1] + moved[i, 1]
+            if closest_approach(before_x, before_y, dx, dy) < robot_radius + robot_radius:
+                collision[e, i] = HIT_ROBOT
+        if gap[i] < p.discomfort_distance:
+            state.close_steps[e, i] += 1
+
+
+@function
+def _settle(state, e, p, moved, gap, reward):
+    """Arrival, the end of the episode, and the reward of the step that led here."""
+    position, goal = state.robot_position, state.robot_goal
+    arrived, collision = state.arrived, state.collision
+    collided = False
+    newly_arrived = 0
+    all_arrived = True
+    for i in range(moved.shape[0]):
+        hit = collision[e, i] != 0
+        dx, dy = goal[e, i, 0] - position[e, i, 0], goal[e, i, 1] - position[e, i, 1]
+        reached = not hit and math.sqrt(dx * dx + dy * dy) < p.robot_radius
+        newly_arrived += not arrived[e, i] and reached
+        all_arrived = all_arrived and (arrived[e, i] or reached)
+        collided = collided or hit
+    team_arrived = all_arrived and newly_arrived > 0
+    for i in range(moved.shape[0]):
+        hit, driving = collision[e, i] != 0, not arrived[e, i]
+        dx, dy = goal[e, i, 0] - position[e, i, 0], goal[e, i, 1] - position[e, i, 1]
+        distance = math.sqrt(dx * dx + dy * dy)
+        dx, dy = dx + moved[i, 0], dy + moved[i, 1]
+        progress = math.sqrt(dx * dx + dy * dy) - distance
+        reached = driving and not hit and distance < p.robot_radius
+        reward[e, i] = step_reward(hit, reached, team_arrived, driving, gap[i], progress, p)
+        arrived[e, i] = arrived[e, i] or reached
+    state.terminated[e] = collided or all_arrived
+    state.truncated[e] = not state.terminated[e] and state.clock[e] >= p.time_limit_steps

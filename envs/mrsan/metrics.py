@@ -1,0 +1,99 @@
+"""What is measured of an episode: pure functions of what happened."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mrsan.kernels.step import HIT_HUMAN, HIT_ROBOT
+from mrsan.scenario import Scenario
+
+if TYPE_CHECKING:
+    from mrsan.world import State
+
+PERSONAL_SPACE = 0.45  # intimate distance of proxemics, surface to surface, m (SAMARL, Eq. 10)
+
+
+class Outcome(IntEnum):
+    """How an episode ended for one robot."""
+
+    arrived = 0
+    hit_human = HIT_HUMAN
+    hit_robot = HIT_ROBOT
+    timeout = 3  # still on its way at the time limit
+    interrupted = 4  # still on its way when a team-mate collided
+
+
+class Episodes(NamedTuple):
+    """What happened in B episodes of N robots."""
+
+    case: NDArray[np.int64]  # [B]
+    episode: NDArray[np.int64]  # [B]
+    duration: NDArray[np.float64]  # [B] s
+    outcome: NDArray[np.int8]  # [B, N] Outcome
+    path_length: NDArray[np.float64]  # [B, N] driven, m
+    straight_line: NDArray[np.float64]  # [B, N] from start to goal, m
+    time: NDArray[np.float64]  # [B, N] until it arrived or the episode ended, s
+    closest_human: NDArray[np.float64]  # [B, N] smallest surface distance, m; inf: no humans
+    close_share: NDArray[np.float64]  # [B, N] share of its steps within personal space
+    jerk: NDArray[np.float64]  # [B, N] mean norm, m/s^3
+
+    @property
+    def success(self) -> NDArray[np.bool_]:
+        """Every robot reached its goal and nobody collided, [B] (SAMARL's joint success)."""
+        return (self.outcome == Outcome.arrived).all(axis=1)
+
+    @property
+    def hit_human(self) -> NDArray[np.bool_]:
+        """Some robot ran into a human, [B]."""
+        return (self.outcome == Outcome.hit_human).any(axis=1)
+
+    @property
+    def hit_robot(self) -> NDArray[np.bool_]:
+        """Some robot ran into another robot, [B]."""
+        return (self.outcome == Outcome.hit_robot).any(axis=1)
+
+    @property
+    def timeout(self) -> NDArray[np.bool_]:
+        """The time limit came first, [B]."""
+        return (self.outcome == Outcome.timeout).any(axis=1)
+
+
+def episodes_of(state: State, scenario: Scenario, worlds: NDArray[np.bool_]) -> Episodes:
+    """The records of the worlds whose mask `worlds` [E] is set; all of them must have ended."""
+    collision = state.collision[worlds]
+    ended_by_time = state.truncated[worlds][:, None]
+    on_its_way = np.where(ended_by_time, Outcome.timeout, Outcome.interrupted)
+    outcome = np.where(state.arrived[worlds], Outcome.arrived, on_its_way)
+    outcome = np.where(collision != 0, collision, outcome).astype(np.int8)
+    steps = np.maximum(state.driven_steps[worlds], 1)
+    to_goal = state.robot_goal[worlds] - state.robot_start[worlds]
+    return Episodes(
+        case=state.case[worlds].copy(),
+        episode=state.episode[worlds].copy(),
+        duration=state.clock[worlds] * scenario.time_step,
+        outcome=outcome,
+        path_length=state.path_length[worlds].astype(np.float64),
+        straight_line=np.linalg.norm(to_goal.astype(np.float64), axis=-1),
+        time=state.driven_steps[worlds] * scenario.time_step,
+        closest_human=state.closest_human[worlds].astype(np.float64),
+        close_share=state.close_steps[worlds] / steps,
+        jerk=state.jerk_sum[worlds].astype(np.float64) / steps,
+    )
+
+
+def social_score(episodes: Episodes) -> NDArray[np.float64]:
+    """F of each robot in each episode, [B, N], 0 to 100 (our form of SAMARL, Eq. 11).
+
+    F = 100 A (P / 2 + C / 2): A, it arrived; P, the straight line over the path driven; C, half
+    for the closest approach to a human (up to 0.45 m) and half for the share of steps outside
+    everybody's personal space. The paper does not define F: its column is on another scale.
+    """
+    arrived = episodes.outcome == Outcome.arrived
+    path = episodes.straight_line / np.maximum(episodes.path_length, episodes.straight_line)
+    approach = np.clip(episodes.closest_human / PERSONAL_SPACE, 0.0, 1.0)
+    comfort = 0.5 * approach + 0.5 * (1.0 - episodes.close_share)
+    return 100.0 * arrived * (0.5 * path + 0.5 * comfort)

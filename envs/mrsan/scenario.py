@@ -1,0 +1,308 @@
+"""Every number of the simulated world, with its unit and its permitted range."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Any, NamedTuple, get_type_hints
+
+import numpy as np
+
+from mrsan.kernels import kinematics as kinematics_kernel
+from mrsan.kernels import step as step_kernel
+
+
+class ConfigurationError(ValueError):
+    """A number or name that cannot be used; the message says which, and what would be right."""
+
+
+class Crowd(Enum):
+    """How the people move."""
+
+    orca = step_kernel.ORCA
+    social_force = step_kernel.SOCIAL_FORCE
+    still = step_kernel.STILL
+
+
+class Kinematics(Enum):
+    """What an action means to a robot."""
+
+    acceleration_heading = kinematics_kernel.ACCELERATION_HEADING  # SAMARL, Eq. 1-3
+    holonomic = kinematics_kernel.HOLONOMIC  # a velocity in the body frame
+    unicycle = kinematics_kernel.UNICYCLE  # a forward speed and a heading change
+
+
+ACTION_SIZE = {
+    Kinematics.acceleration_heading: 3,
+    Kinematics.holonomic: 2,
+    Kinematics.unicycle: 2,
+}
+
+
+def number(default: Any, low: float, high: float, above: bool = False) -> Any:
+    """A dataclass field that must lie in [low, high], or in (low, high] with `above`."""
+    return field(default=default, metadata={"low": low, "high": high, "above": above})
+
+
+def required(low: float, high: float) -> Any:
+    """A dataclass field without a default that must lie in [low, high]."""
+    return field(metadata={"low": low, "high": high, "above": False})
+
+
+def check_numbers(config: Any, path: str) -> None:
+    """Check every field of a dataclass made with `number` and every enum and switch.
+
+    Args:
+        config: a dataclass instance.
+        path: what its fields are called in messages, such as `scenario`.
+
+    Raises:
+        ConfigurationError: names the first field that is wrong, its value and its range.
+    """
+    hints = get_type_hints(type(config))
+    for f in dataclasses.fields(config):
+        name, value, hint = f"{path}.{f.name}", getattr(config, f.name), hints[f.name]
+        if isinstance(hint, type) and issubclass(hint, Enum):
+            if not isinstance(value, hint):
+                choices = ", ".join(hint.__members__)
+                raise ConfigurationError(f"{name} is {value!r}; it must be one of {choices}")
+        elif hint is bool:
+            if not isinstance(value, bool):
+                raise ConfigurationError(f"{name} is {value!r}; it must be true or false")
+        elif "low" in f.metadata:
+            _check_number(name, value, hint, f.metadata)
+
+
+def _check_number(name: str, value: Any, hint: Any, metadata: Any) -> None:
+    low, high, above = metadata["low"], metadata["high"], metadata["above"]
+    optional = type(None) in getattr(hint, "__args__", ())
+    if optional and value is None:
+        return
+    whole = hint is int or int in getattr(hint, "__args__", ())
+    kind = (int, np.integer) if whole else (int, float, np.integer, np.floating)
+    good = isinstance(value, kind) and not isinstance(value, bool) and math.isfinite(value)
+    if not good or not low <= value <= high or (above and value == low):
+        what = "be a whole number" if whole else "lie"
+        none = " or be null" if optional else ""
+        bracket = "(" if above else "["
+        raise ConfigurationError(
+            f"{name} is {value!r}; it must {what} in {bracket}{low:g}, {high:g}]{none}"
+        )
+
+
+@dataclass
+class Reward:
+    """Weights of SAMARL, Eq. 10."""
+
+    arrival: float = number(10.0, -1e6, 1e6)  # to a robot that reaches its goal
+    team: float = number(5.0, -1e6, 1e6)  # to every robot when the last one arrives
+    collision: float = number(-20.0, -1e6, 1e6)  # to a robot that runs into somebody
+    discomfort: float = number(1.0, 0.0, 1e6)  # w in max(-w / d, limit)
+    discomfort_limit: float = number(-5.0, -1e6, 0.0)
+    discomfort_distance: float = number(0.45, 0.0, 100.0)  # d below which it applies, m
+    progress: float = number(2.0, -1e6, 1e6)  # per metre nearer to the goal
+    literal: bool = False  # the paper's first-match order: the last to arrive gets only `team`
+
+
+@dataclass
+class Scenario:
+    """One multi-robot socially-aware navigation task; the defaults are SAMARL's.
+
+    Construct it, change fields with `dataclasses.replace`; both check every number.
+    """
+
+    # Who is there.
+    robots: int = number(3, 1, 16)
+    humans: int = number(10, 0, 64)
+    humans_min: int | None = number(None, 0, 64)  # drawn per episode up to `humans`; null: always all
+
+    # The place and the clock.
+    circle_radius: float = number(5.0, 2.0, 1000.0)  # everybody starts on this circle, m
+    spawn_jitter: float = number(0.5, 0.0, 2.0)  # +- per coordinate, times the preferred speed, m
+    spawn_clearance: float = number(0.4, 0.0, 10.0)  # surface distance kept between starts, m
+    arena_radius: float | None = number(None, 0.0, 10000.0)  # a round wall for robots, m; null: open
+    time_step: float = number(0.25, 0.01, 1.0)  # s
+    time_limit: float = number(50.0, 0.01, 10000.0)  # s
+
+    # The robots.
+    kinematics: Kinematics = Kinematics.acceleration_heading
+    robot_radius: float = number(0.3, 0.05, 2.0)  # m
+    robot_speed: float = number(1.0, 0.05, 10.0)  # preferred and greatest speed, m/s
+    max_acceleration: float = number(5.0, 0.01, 1000.0)  # m/s^2, SAMARL, Eq. 3
+    max_turn_degrees: float = number(15.0, 0.1, 180.0)  # per step, SAMARL, Eq. 3
+    min_turning_radius: float = number(1.0, 0.001, 100.0)  # m, SAMARL, Eq. 3
+    turn_in_place: bool = True  # at standstill; false: Eq. 3 to the letter
+
+    # What they see.
+    fov_degrees: float = number(360.0, 0.0, 360.0, above=True)  # centred on the heading
+    sensing_range: float = number(10.0, 0.1, 1000.0)  # m
+    occlusion: bool = False  # people and robots hide those behind them
+    position_noise: float = number(0.0, 0.0, 10.0)  # standard deviation, m
+    velocity_noise: float = number(0.0, 0.0, 10.0)  # standard deviation, m/s
+    missed_detection: float = number(0.0, 0.0, 1.0)  # probability per agent and step
+
+    # The people.
+    crowd: Crowd = Crowd.orca
+    robots_visible: bool = False  # do people make way for robots?
+    human_radius_min: float = number(0.3, 0.05, 2.0)  # drawn per person, m
+    human_radius_max: float = number(0.3, 0.05, 2.0)
+    human_speed_min: float = number(1.0, 0.05, 10.0)  # preferred speed, drawn per person, m/s
+    human_speed_max: float = number(1.0, 0.05, 10.0)
+    human_safety_space: float = number(0.25, 0.0, 5.0)  # added to every radius they avoid, m
+    goal_distance: float = number(4.0, 0.0, 1000.0)  # a new goal is at least so far, m
+    goal_change_interval: float = number(5.0, 0.01, 10000.0)  # s
+    goal_change_probability: float = number(0.5, 0.0, 1.0)  # at each interval
+    neighbor_distance: float = number(10.0, 0.1, 1000.0)  # ORCA, m
+    max_neighbors: int = number(10, 1, 80)  # ORCA
+    time_horizon: float = number(5.0, 0.01, 100.0)  # ORCA, s
+    relaxation_time: float = number(0.5, 0.01, 10.0)  # social force, s
+    force_strength: float = number(7.0, 0.0, 1000.0)  # social force at contact, m/s^2
+    force_range: float = number(0.3, 0.01, 10.0)  # social force, m
+
+    reward: Reward = field(default_factory=Reward)
+
+    def __post_init__(self) -> None:
+        """Check every number.
+
+        Raises:
+            ConfigurationError: names the field, its value and what would be right.
+        """
+        check_numbers(self, "scenario")
+        if not isinstance(self.reward, Reward):
+            raise ConfigurationError(f"scenario.reward is {self.reward!r}; it must be a Reward")
+        check_numbers(self.reward, "scenario.reward")
+        for low, high in (
+            ("humans_min", "humans"),
+            ("human_radius_min", "human_radius_max"),
+            ("human_speed_min", "human_speed_max"),
+            ("time_step", "time_limit"),
+            ("goal_distance", "circle_radius"),
+        ):
+            smallest, largest = getattr(self, low), getattr(self, high)
+            if smallest is not None and smallest > largest:
+                raise ConfigurationError(
+                    f"scenario.{low} is {smallest}; it must not exceed scenario.{high} ({largest})"
+                )
+        if self.arena_radius is not None:
+            jitter = math.sqrt(2.0) * self.spawn_jitter * self.robot_speed
+            needed = self.circle_radius + jitter + self.robot_radius
+            if self.arena_radius < needed:
+                raise ConfigurationError(
+                    f"scenario.arena_radius is {self.arena_radius}; it must be null or at least "
+                    f"{needed:.2f}, so that every start and goal lies inside"
+                )
+
+    @property
+    def action_size(self) -> int:
+        """How many numbers in [-1, 1] drive one robot."""
+        return ACTION_SIZE[self.kinematics]
+
+    @property
+    def time_limit_steps(self) -> int:
+        """The time limit in steps."""
+        return round(self.time_limit / self.time_step)
+
+    def parameters(self) -> Parameters:
+        """The scenario as the kernels take it."""
+        f = np.float32
+        return Parameters(
+            humans_min=self.humans if self.humans_min is None else self.humans_min,
+            circle_radius=f(self.circle_radius),
+            spawn_jitter=f(self.spawn_jitter),
+            spawn_clearance=f(self.spawn_clearance),
+            arena_radius=f(np.inf if self.arena_radius is None else self.arena_radius),
+            time_step=f(self.time_step),
+            time_limit_steps=self.time_limit_steps,
+            kinematics=self.kinematics.value,
+            instant_velocity=self.kinematics is not Kinematics.acceleration_heading,
+            robot_radius=f(self.robot_radius),
+            robot_speed=f(self.robot_speed),
+            max_acceleration=f(self.max_acceleration),
+            max_turn=f(math.radians(self.max_turn_degrees)),
+            min_turning_radius=f(self.min_turning_radius),
+            turn_in_place=self.turn_in_place,
+            cos_half_fov=f(math.cos(math.radians(self.fov_degrees / 2))),
+            sensing_range=f(self.sensing_range),
+            occlusion=self.occlusion,
+            position_noise=f(self.position_noise),
+            velocity_noise=f(self.velocity_noise),
+            missed_detection=f(self.missed_detection),
+            crowd=self.crowd.value,
+            robots_visible=self.robots_visible,
+            human_radius_min=f(self.human_radius_min),
+            human_radius_max=f(self.human_radius_max),
+            human_speed_min=f(self.human_speed_min),
+            human_speed_max=f(self.human_speed_max),
+            human_safety_space=f(self.human_safety_space),
+            goal_distance=f(self.goal_distance),
+            goal_change_steps=max(1, round(self.goal_change_interval / self.time_step)),
+            goal_change_probability=f(self.goal_change_probability),
+            neighbor_distance=f(self.neighbor_distance),
+            max_neighbors=self.max_neighbors,
+            time_horizon=f(self.time_horizon),
+            relaxation_time=f(self.relaxation_time),
+            force_strength=f(self.force_strength),
+            force_range=f(self.force_range),
+            reward_none=f(0.0),
+            reward_arrival=f(self.reward.arrival),
+            reward_team=f(self.reward.team),
+            reward_collision=f(self.reward.collision),
+            reward_discomfort=f(self.reward.discomfort),
+            reward_discomfort_limit=f(self.reward.discomfort_limit),
+            discomfort_distance=f(self.reward.discomfort_distance),
+            reward_progress=f(self.reward.progress),
+            reward_literal=self.reward.literal,
+        )
+
+
+class Parameters(NamedTuple):
+    """A scenario in the kernels' units: float32, radians, steps. See `Scenario` for meanings."""
+
+    humans_min: int
+    circle_radius: np.float32
+    spawn_jitter: np.float32
+    spawn_clearance: np.float32
+    arena_radius: np.float32
+    time_step: np.float32
+    time_limit_steps: int
+    kinematics: int
+    instant_velocity: bool
+    robot_radius: np.float32
+    robot_speed: np.float32
+    max_acceleration: np.float32
+    max_turn: np.float32
+    min_turning_radius: np.float32
+    turn_in_place: bool
+    cos_half_fov: np.float32
+    sensing_range: np.float32
+    occlusion: bool
+    position_noise: np.float32
+    velocity_noise: np.float32
+    missed_detection: np.float32
+    crowd: int
+    robots_visible: bool
+    human_radius_min: np.float32
+    human_radius_max: np.float32
+    human_speed_min: np.float32
+    human_speed_max: np.float32
+    human_safety_space: np.float32
+    goal_distance: np.float32
+    goal_change_steps: int
+    goal_change_probability: np.float32
+    neighbor_distance: np.float32
+    max_neighbors: int
+    time_horizon: np.float32
+    relaxation_time: np.float32
+    force_strength: np.float32
+    force_range: np.float32
+    reward_none: np.float32
+    reward_arrival: np.float32
+    reward_team: np.float32
+    reward_collision: np.float32
+    reward_discomfort: np.float32
+    reward_discomfort_limit: np.float32
+    discomfort_distance: np.float32
+    reward_progress: np.float32
+    reward_literal: bool

@@ -1,0 +1,135 @@
+"""The worlds as a batched TorchRL environment."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torchrl.data import Binary, Bounded, Composite, Unbounded
+from torchrl.envs import EnvBase
+
+from mrsan.scenario import Scenario
+from mrsan.world import EGO_FEATURES, OTHER_FEATURES, Observation, World
+
+
+class TorchRLEnv(EnvBase):
+    """E worlds of N robots; batch size [E], the robots under the nested key `agents`.
+
+    Keys: `("agents", "observation", *)` with `ego` [E, N, 11], `humans` [E, N, M, 5], `robots`
+    [E, N, N - 1, 5] and the two visibility masks; `("agents", "driving")` [E, N, 1], False once a
+    robot is parked; `("agents", "action")` [E, N, A]; `("agents", "reward")` [E, N, 1]; `success`
+    [E, 1], all robots have arrived; `done`, `terminated` (a collision, or all arrived) and
+    `truncated` (time limit) [E, 1]. `reset(TensorDict({"case": numbers}, [E]))` plays those cases;
+    without it a world goes on to the next episode of its case. Partial resets use `_reset`.
+
+    Example:
+        >>> env = TorchRLEnv(Scenario(), worlds=64)
+        >>> env.rollout(10)["agents", "observation", "ego"].shape
+        torch.Size([64, 10, 3, 11])
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario | None = None,
+        worlds: int = 1,
+        device: torch.device | str = "cpu",
+        seed: int | None = None,
+        **overrides: Any,
+    ) -> None:
+        """Make E worlds.
+
+        Args:
+            scenario: the task; SAMARL's by default.
+            worlds: E.
+            device: where the tensors of the faces live; the simulation runs on the CPU.
+            seed: world `e` plays case `seed + e`. None: drawn at random.
+            **overrides: fields of the scenario, such as `humans=5`.
+        """
+        super().__init__(device=device, batch_size=torch.Size([worlds]))
+        self.scenario = replace(scenario or Scenario(), **overrides)
+        self.world = World(self.scenario, worlds)
+        self._make_specs()
+        self._cases = np.empty(0, np.int64)
+        self._set_seed(int(np.random.default_rng().integers(2**31)) if seed is None else seed)
+
+    def _make_specs(self) -> None:
+        e, n, m = self.world.worlds, self.scenario.robots, self.scenario.humans
+        ego, other = len(EGO_FEATURES), len(OTHER_FEATURES)
+
+        def floats(*shape: int) -> Unbounded:
+            return Unbounded(shape=(e, n, *shape), dtype=torch.float32, device=self.device)
+
+        def flags(*shape: int) -> Binary:
+            return Binary(shape=(e, *shape), dtype=torch.bool, device=self.device)
+
+        observation = Composite(
+            ego=floats(ego),
+            humans=floats(m, other),
+            humans_visible=flags(n, m),
+            robots=floats(n - 1, other),
+            robots_visible=flags(n, n - 1),
+            shape=(e, n),
+        )
+        agents = Composite(observation=observation, driving=flags(n, 1), shape=(e, n))
+        self.observation_spec = Composite(agents=agents, success=flags(1), shape=(e,))
+        action = Bounded(
+            -1.0, 1.0, (e, n, self.scenario.action_size), dtype=torch.float32, device=self.device
+        )
+        self.action_spec = Composite(agents=Composite(action=action, shape=(e, n)), shape=(e,))
+        self.reward_spec = Composite(
+            agents=Composite(reward=floats(1), shape=(e, n)), shape=(e,)
+        )
+        self.done_spec = Composite(
+            done=flags(1), terminated=flags(1), truncated=flags(1), shape=(e,)
+        )
+
+    def _set_seed(self, seed: int | None) -> None:
+        if seed is None:
+            return
+        self._cases = seed + np.arange(self.world.worlds)
+        self._seeded = True
+
+    def _reset(self, tensordict: TensorDictBase | None, **kwargs: Any) -> TensorDict:
+        mask = np.ones(self.world.worlds, np.bool_)
+        cases = self._cases if self._seeded else None
+        if tensordict is not None:
+            if (reset := tensordict.get("_reset", None)) is not None:
+                mask = reset.reshape(-1).cpu().numpy()
+            if (chosen := tensordict.get("case", None)) is not None:
+                cases = chosen.reshape(-1).cpu().numpy()
+        self._seeded = False
+        observation = self.world.reset(cases=cases, worlds=mask)
+        return self._tensors(observation, self.world.state.terminated, self.world.state.truncated)
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDict:
+        step = self.world.step(tensordict["agents", "action"].detach().cpu().numpy())
+        out = self._tensors(step.observation, step.terminated, step.truncated)
+        out["agents", "reward"] = torch.from_numpy(step.reward[..., None]).to(self.device)
+        return out
+
+    def _tensors(
+        self, observation: Observation, terminated: np.ndarray, truncated: np.ndarray
+    ) -> TensorDict:
+        e, n = self.batch_size[0], self.scenario.robots
+        arrived = self.world.state.arrived
+        seen = {key: torch.from_numpy(value) for key, value in observation._asdict().items()}
+        out = TensorDict(
+            {
+                "agents": TensorDict(
+                    {
+                        "observation": TensorDict(seen, [e, n]),
+                        "driving": torch.from_numpy(~arrived[..., None]),
+                    },
+                    [e, n],
+                ),
+                "success": torch.from_numpy(arrived.all(1, keepdims=True)),
+                "terminated": torch.tensor(terminated[:, None]),
+                "truncated": torch.tensor(truncated[:, None]),
+                "done": torch.from_numpy((terminated | truncated)[:, None]),
+            },
+            [e],
+        )
+        return out.to(self.device)

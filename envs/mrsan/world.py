@@ -1,0 +1,249 @@
+"""E worlds of N robots and M humans in flat arrays.
+
+The letters of every shape in this package: E worlds, N robots, M humans, A numbers per action.
+Units are metres, seconds and radians; positions are in the world frame, observations in the body
+frame of the robot that makes them (x ahead, y to the left).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mrsan.kernels.sensing import observe
+from mrsan.kernels.spawn import begin_episodes
+from mrsan.kernels.step import advance
+from mrsan.metrics import Episodes, episodes_of
+from mrsan.scenario import Scenario
+
+Floats = NDArray[np.float32]
+Bools = NDArray[np.bool_]
+Ints = NDArray[np.integer]
+
+EGO_FEATURES = (
+    "goal_x",  # the goal seen from the robot, m
+    "goal_y",
+    "velocity_x",  # own velocity, m/s
+    "velocity_y",
+    "origin_x",  # the origin of the map seen from the robot (its own position), m
+    "origin_y",
+    "heading_cos",  # the heading in the world frame
+    "heading_sin",
+    "radius",  # m
+    "preferred_speed",  # m/s
+    "time",  # share of the time limit used
+)
+OTHER_FEATURES = ("x", "y", "velocity_x", "velocity_y", "radius")  # relative to the robot
+
+
+class ActionError(ValueError):
+    """An action that cannot be executed; the message says whose and why."""
+
+
+class State(NamedTuple):
+    """Everything that is true of E worlds; the kernels read and write it in place."""
+
+    case: NDArray[np.int64]  # [E]
+    episode: NDArray[np.int64]  # [E] how often the case has been begun again
+    key: NDArray[np.uint64]  # [E] of the random numbers of the episode
+    clock: NDArray[np.int32]  # [E] steps taken
+    terminated: Bools  # [E] somebody collided, or all have arrived
+    truncated: Bools  # [E] the time limit was reached
+    human_count: NDArray[np.int32]  # [E] humans present; the rest of the slots are unused
+    human_position: Floats  # [E, M, 2]
+    human_velocity: Floats  # [E, M, 2]
+    human_goal: Floats  # [E, M, 2]
+    human_radius: Floats  # [E, M]
+    human_speed: Floats  # [E, M] preferred
+    robot_position: Floats  # [E, N, 2]
+    robot_velocity: Floats  # [E, N, 2]
+    robot_heading: Floats  # [E, N]
+    robot_goal: Floats  # [E, N, 2]
+    robot_start: Floats  # [E, N, 2]
+    arrived: Bools  # [E, N]
+    collision: NDArray[np.int8]  # [E, N] 0, or whom it ran into (kernels.step.HIT_*)
+    # What happened so far, while the robot was on its way:
+    robot_acceleration: Floats  # [E, N, 2] of the last step
+    path_length: Floats  # [E, N]
+    closest_human: Floats  # [E, N] smallest surface distance, during steps too
+    driven_steps: NDArray[np.int32]  # [E, N]
+    close_steps: NDArray[np.int32]  # [E, N] that ended nearer than the discomfort distance
+    jerk_sum: Floats  # [E, N] of the norm, m/s^3
+
+    @property
+    def done(self) -> Bools:
+        """Which worlds have ended, [E]."""
+        return self.terminated | self.truncated
+
+
+class Observation(NamedTuple):
+    """What every robot knows. Slots belong to identities; what is not visible is zero."""
+
+    ego: Floats  # [E, N, 11], EGO_FEATURES
+    humans: Floats  # [E, N, M, 5], OTHER_FEATURES
+    humans_visible: Bools  # [E, N, M]
+    robots: Floats  # [E, N, N - 1, 5], the others in the order of their numbers
+    robots_visible: Bools  # [E, N, N - 1]
+
+    def of_worlds(self, worlds: Ints | Bools) -> Observation:
+        """The rows of some worlds, copied."""
+        return Observation(*(array[worlds] for array in self))
+
+
+class Step(NamedTuple):
+    """What one step of all worlds led to."""
+
+    observation: Observation
+    reward: Floats  # [E, N]
+    terminated: Bools  # [E]
+    truncated: Bools  # [E]
+    # With auto-reset, of the worlds that ended in this step, in order (None if there are none):
+    final_observation: Observation | None
+    finished: Episodes | None
+
+
+class World:
+    """E independent worlds, stepped together.
+
+    Example:
+        >>> world = World(Scenario(humans=5), worlds=2)
+        >>> observation = world.reset(cases=[0, 1])
+        >>> step = world.step(np.zeros((2, 3, 3), np.float32))
+        >>> step.reward.shape
+        (2, 3)
+    """
+
+    def __init__(self, scenario: Scenario, worlds: int = 1, auto_reset: bool = False) -> None:
+        """Make room for `worlds` worlds.
+
+        Args:
+            scenario: the numbers of the task.
+            worlds: E.
+            auto_reset: begin the next episode of a world as soon as one ends; `Step` then keeps
+                the last observation and the record of what ended. Without it a world that has
+                ended stands still until it is reset.
+        """
+        if worlds < 1:
+            raise ValueError(f"worlds is {worlds}; it must be at least 1")
+        self.scenario = scenario
+        self.worlds = worlds
+        self.auto_reset = auto_reset
+        self.state = _empty_state(worlds, scenario.robots, scenario.humans)
+        self._parameters = scenario.parameters()
+        self._begun = False
+
+    def reset(
+        self, cases: ArrayLike | None = None, worlds: ArrayLike | None = None
+    ) -> Observation:
+        """Begin an episode in every world, or in some.
+
+        Args:
+            cases: [E] case numbers. None: the next episode of the case each world has.
+            worlds: [E] bool, the worlds to reset. None: all.
+
+        Returns:
+            The observation of all worlds.
+        """
+        mask = np.ones(self.worlds, np.bool_) if worlds is None else np.array(worlds, np.bool_)
+        if cases is not None:
+            numbers = np.asarray(cases)
+            if numbers.shape != (self.worlds,) or not np.issubdtype(numbers.dtype, np.integer):
+                raise ValueError(
+                    f"cases is {cases!r}; it must be {self.worlds} whole numbers, one per world"
+                )
+            if (numbers < 0).any():
+                raise ValueError(f"case is {numbers.min()}; it must be 0 or more")
+            self.state.case[mask] = numbers[mask]
+            self.state.episode[mask] = 0
+        else:
+            self.state.episode[mask] += 1
+        begin_episodes(self.worlds, mask, self.state, self._parameters)
+        self._begun = True
+        return self.observe()
+
+    def observe(self) -> Observation:
+        """What every robot knows now, in fresh arrays."""
+        scenario, others = self.scenario, len(OTHER_FEATURES)
+        robots = (self.worlds, scenario.robots)
+        observation = Observation(
+            ego=np.empty((*robots, len(EGO_FEATURES)), np.float32),
+            humans=np.empty((*robots, scenario.humans, others), np.float32),
+            humans_visible=np.empty((*robots, scenario.humans), np.bool_),
+            robots=np.empty((*robots, scenario.robots - 1, others), np.float32),
+            robots_visible=np.empty((*robots, scenario.robots - 1), np.bool_),
+        )
+        everywhere = np.ones(self.worlds, np.bool_)
+        observe(self.worlds, everywhere, self.state, self._parameters, *observation)
+        return observation
+
+    def step(self, actions: ArrayLike) -> Step:
+        """Move every world by one time step.
+
+        Args:
+            actions: [E, N, A] in [-1, 1]. Those of parked robots and ended worlds are ignored.
+
+        Raises:
+            ActionError: an action is not a number, out of range or of the wrong shape.
+        """
+        if not self._begun:
+            raise RuntimeError("the world has not been reset; call reset() before step()")
+        state = self.state
+        action = self._checked(actions)
+        reward = np.empty(action.shape[:2], np.float32)
+        advance(self.worlds, state, action, self._parameters, reward)
+        observation = self.observe()
+        terminated, truncated = state.terminated.copy(), state.truncated.copy()
+        done = terminated | truncated
+        if not (self.auto_reset and done.any()):
+            return Step(observation, reward, terminated, truncated, None, None)
+        final, finished = observation.of_worlds(done), episodes_of(state, self.scenario, done)
+        state.episode[done] += 1
+        begin_episodes(self.worlds, done, state, self._parameters)
+        observe(self.worlds, done, state, self._parameters, *observation)
+        return Step(observation, reward, terminated, truncated, final, finished)
+
+    def _checked(self, actions: ArrayLike) -> Floats:
+        action = np.ascontiguousarray(actions, np.float32)
+        shape = (self.worlds, self.scenario.robots, self.scenario.action_size)
+        if action.shape != shape:
+            raise ActionError(f"actions have shape {action.shape}; they must have {shape}")
+        if not (np.abs(action) <= 1.0).all():  # also False for NaN
+            e, n = np.argwhere(~(np.abs(action) <= 1.0).all(-1))[0]
+            raise ActionError(
+                f"action of robot {n} in world {e} is {action[e, n].tolist()}; "
+                "every element must lie in [-1, 1]"
+            )
+        return action
+
+
+def _empty_state(e: int, n: int, m: int) -> State:
+    f = np.float32
+    return State(
+        case=np.arange(e, dtype=np.int64),
+        episode=np.full(e, -1, np.int64),
+        key=np.zeros(e, np.uint64),
+        clock=np.zeros(e, np.int32),
+        terminated=np.zeros(e, np.bool_),
+        truncated=np.zeros(e, np.bool_),
+        human_count=np.zeros(e, np.int32),
+        human_position=np.zeros((e, m, 2), f),
+        human_velocity=np.zeros((e, m, 2), f),
+        human_goal=np.zeros((e, m, 2), f),
+        human_radius=np.zeros((e, m), f),
+        human_speed=np.zeros((e, m), f),
+        robot_position=np.zeros((e, n, 2), f),
+        robot_velocity=np.zeros((e, n, 2), f),
+        robot_heading=np.zeros((e, n), f),
+        robot_goal=np.zeros((e, n, 2), f),
+        robot_start=np.zeros((e, n, 2), f),
+        arrived=np.zeros((e, n), np.bool_),
+        collision=np.zeros((e, n), np.int8),
+        robot_acceleration=np.zeros((e, n, 2), f),
+        path_length=np.zeros((e, n), f),
+        closest_human=np.zeros((e, n), f),
+        driven_steps=np.zeros((e, n), np.int32),
+        close_steps=np.zeros((e, n), np.int32),
+        jerk_sum=np.zeros((e, n), f),
+    )

@@ -1,0 +1,77 @@
+"""The interface of everything that drives robots, and how one is built from its YAML file."""
+
+from __future__ import annotations
+
+import dataclasses
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, get_type_hints
+
+import numpy as np
+from hydra.utils import get_class
+from numpy.typing import NDArray
+from omegaconf import MISSING, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from mrsan import ConfigurationError, Observation, Scenario
+from mrsan.scenario import check_numbers
+
+
+@dataclass
+class Agent(ABC):
+    """Drives all robots of E worlds, each from its own observations alone.
+
+    Subclasses are dataclasses: their fields are the knobs of their YAML file in `conf/agent/`.
+    """
+
+    scenario: Scenario
+
+    def __post_init__(self) -> None:
+        """Check every number of the subclass."""
+        check_numbers(self, "agent")
+
+    def reset(self, worlds: NDArray[np.bool_]) -> None:
+        """Forget what was remembered of the worlds [E] in which an episode begins."""
+
+    @abstractmethod
+    def act(self, observation: Observation) -> NDArray[np.float32]:
+        """The action of every robot, [E, N, A] in [-1, 1]."""
+
+
+def build_agent(config: Mapping[str, Any], scenario: Scenario) -> Agent:
+    """Make the agent that a file of `conf/agent/` describes.
+
+    Args:
+        config: `_target_`, the import path of a subclass of `Agent`, and its fields.
+        scenario: the task; agents may know their robots' limits and the clock.
+
+    Raises:
+        ConfigurationError: the class cannot be found or one of its fields is wrong.
+    """
+    values = dict(config)
+    target = values.pop("_target_", None)
+    try:
+        agent_class = get_class(str(target))
+    except Exception as error:
+        reason = str(error).splitlines()[0]
+        raise ConfigurationError(
+            f"agent._target_ is {target!r}; it must be the import path of an Agent ({reason})"
+        ) from error
+    if not issubclass(agent_class, Agent):
+        raise ConfigurationError(f"agent._target_ is {target!r}; it must be a subclass of Agent")
+    hints = get_type_hints(agent_class)
+    knobs = [field for field in dataclasses.fields(agent_class) if field.name != "scenario"]
+    schema = dataclasses.make_dataclass(
+        agent_class.__name__,
+        [(f.name, hints[f.name], dataclasses.field(default=MISSING)) for f in knobs],
+    )
+    try:
+        merged = OmegaConf.merge(OmegaConf.structured(schema), values)
+        fields = OmegaConf.to_container(merged, throw_on_missing=True)
+    except OmegaConfBaseException as error:
+        reason = str(error).splitlines()[0]
+        raise ConfigurationError(f"agent.{getattr(error, 'full_key', '')}: {reason}") from error
+    assert isinstance(fields, dict)
+    agent: Agent = agent_class(scenario=scenario, **fields)
+    return agent

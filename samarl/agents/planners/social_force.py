@@ -1,0 +1,81 @@
+"""Social force as a robot planner."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numba import prange
+from numpy.typing import NDArray
+
+from mrsan import Observation
+from mrsan.kernels import kernel
+from mrsan.kernels.social_force import social_force_velocity
+from mrsan.scenario import required
+from samarl.agents.agent import Agent
+from samarl.agents.planners.tracking import gather, track_velocity
+
+
+@dataclass
+class SocialForce(Agent):
+    """Pulled to the goal, pushed by everybody in view (Helbing and Molnar, 1995)."""
+
+    relaxation_time: float = required(0.01, 10.0)
+    strength: float = required(0.0, 1000.0)
+    reach: float = required(0.01, 10.0)
+
+    def act(self, observation: Observation) -> NDArray[np.float32]:
+        """The velocity that the forces lead to, as far as the robot's limits allow it."""
+        worlds, robots = observation.ego.shape[:2]
+        action = np.empty((worlds, robots, self.scenario.action_size), np.float32)
+        forces = (np.float32(x) for x in (self.relaxation_time, self.strength, self.reach))
+        _social_force(worlds, *observation, self.scenario.parameters(), *forces, action)
+        return action
+
+
+@kernel
+def _social_force(
+    chunks,
+    ego,
+    humans,
+    humans_visible,
+    robots,
+    robots_visible,
+    p,
+    relaxation_time,
+    strength,
+    reach,
+    action,
+):
+    total, none = ego.shape[0], np.float32(0.0)
+    for chunk in prange(chunks):
+        rows = np.empty((1 + humans.shape[2] + robots.shape[2], 5), np.float32)
+        for e in range(chunk * total // chunks, (chunk + 1) * total // chunks):
+            for i in range(ego.shape[1]):
+                count = gather(
+                    ego[e, i],
+                    humans[e, i],
+                    humans_visible[e, i],
+                    robots[e, i],
+                    robots_visible[e, i],
+                    none,
+                    none,
+                    rows,
+                )
+                x, y = ego[e, i, 0], ego[e, i, 1]
+                scale = p.robot_speed / max(math.sqrt(x * x + y * y), np.float32(1e-6))
+                vx, vy = social_force_velocity(
+                    rows,
+                    count,
+                    0,
+                    x * scale,
+                    y * scale,
+                    p.robot_speed,
+                    relaxation_time,
+                    strength,
+                    reach,
+                    p.time_step,
+                )
+                speed = math.sqrt(rows[0, 2] * rows[0, 2] + rows[0, 3] * rows[0, 3])
+                track_velocity(vx, vy, speed, action[e, i], p)

@@ -1,0 +1,51 @@
+"""Straight to the goal, whoever is in the way."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import prange
+from numpy.typing import NDArray
+
+from mrsan import Observation, Scenario
+from mrsan.kernels import kernel
+from samarl.agents.agent import Agent
+from samarl.agents.planners.tracking import track_velocity
+
+
+@dataclass
+class Straight(Agent):
+    """Turns to the goal and drives there at the preferred speed."""
+
+    def act(self, observation: Observation) -> NDArray[np.float32]:
+        """Towards the goal."""
+        return drive_towards(observation, observation.ego[..., 0:2], self.scenario)
+
+
+def drive_towards(
+    observation: Observation, targets: NDArray[np.float32], scenario: Scenario
+) -> NDArray[np.float32]:
+    """The actions [E, N, A] that drive each robot at full speed towards a point.
+
+    Args:
+        observation: of all robots.
+        targets: [E, N, 2] in the body frame (m).
+        scenario: the task.
+    """
+    ego = observation.ego
+    action = np.empty((*ego.shape[:2], scenario.action_size), np.float32)
+    _drive_towards(ego.shape[0], ego, np.ascontiguousarray(targets), scenario.parameters(), action)
+    return action
+
+
+@kernel
+def _drive_towards(chunks, ego, targets, p, action):
+    total = ego.shape[0]
+    for chunk in prange(chunks):
+        for e in range(chunk * total // chunks, (chunk + 1) * total // chunks):
+            for i in range(ego.shape[1]):
+                x, y = targets[e, i, 0], targets[e, i, 1]
+                scale = p.robot_speed / max(np.sqrt(x * x + y * y), np.float32(1e-6))
+                speed = np.sqrt(ego[e, i, 2] ** 2 + ego[e, i, 3] ** 2)
+                track_velocity(x * scale, y * scale, speed, action[e, i], p)

@@ -1,0 +1,71 @@
+"""From a velocity that a planner wants to an action that the robot can execute."""
+
+import math
+
+import numpy as np
+
+from mrsan.kernels import function
+from mrsan.kernels.kinematics import ACCELERATION_HEADING, HOLONOMIC
+
+_ZERO = np.float32(0.0)
+_ONE = np.float32(1.0)
+_TWO = np.float32(2.0)
+_SHARP = np.float32(math.pi / 3)  # beyond this turn the robot stops and turns on the spot
+
+
+@function
+def track_velocity(vx, vy, speed, action, p):
+    """Write the action that brings a robot nearest to a velocity within its limits.
+
+    Args:
+        vx: wanted velocity ahead, in the body frame (m/s).
+        vy: wanted velocity to the left (m/s).
+        speed: the robot's speed now (m/s).
+        action: [A], written.
+        p: the scenario's parameters.
+    """
+    wanted = math.sqrt(vx * vx + vy * vy)
+    if p.kinematics == HOLONOMIC:
+        scale = _ONE / max(wanted, p.robot_speed)
+        action[0], action[1] = vx * scale, vy * scale
+        return
+    turn = math.atan2(vy, vx) if wanted > _ZERO else _ZERO
+    wanted = min(wanted, p.robot_speed)
+    if abs(turn) > _SHARP:
+        wanted = _ZERO
+    limited = min(max(turn / p.max_turn, -_ONE), _ONE)
+    if p.kinematics == ACCELERATION_HEADING:
+        if not p.turn_in_place and wanted == _ZERO and turn != _ZERO:
+            wanted = p.robot_speed / _TWO  # it cannot turn without driving
+        push = (wanted - speed) / (p.max_acceleration * p.time_step)
+        action[0], action[1], action[2] = min(max(push, -_ONE), _ONE), _ZERO, limited
+    else:
+        action[0], action[1] = _TWO * wanted / p.robot_speed - _ONE, limited
+
+
+@function
+def gather(ego, humans, humans_visible, robots, robots_visible, human_margin, robot_margin, rows):
+    """List the robot itself and everybody it sees as rows `[px, py, vx, vy, radius]`.
+
+    Positions and velocities are in the body frame but not relative to the robot's motion, which
+    is row 0. The margins are added to the radii of humans and robots. Returns how many rows.
+    """
+    rows[0, 0] = rows[0, 1] = _ZERO
+    rows[0, 2], rows[0, 3], rows[0, 4] = ego[2], ego[3], ego[8]
+    count = 1
+    for j in range(humans.shape[0]):
+        if humans_visible[j]:
+            _add(rows, count, humans[j], ego, human_margin)
+            count += 1
+    for j in range(robots.shape[0]):
+        if robots_visible[j]:
+            _add(rows, count, robots[j], ego, robot_margin)
+            count += 1
+    return count
+
+
+@function
+def _add(rows, count, other, ego, margin):
+    rows[count, 0], rows[count, 1] = other[0], other[1]
+    rows[count, 2], rows[count, 3] = other[2] + ego[2], other[3] + ego[3]
+    rows[count, 4] = other[4] + margin

@@ -1,0 +1,74 @@
+"""What all commands share: their configuration and how they report an error."""
+
+from __future__ import annotations
+
+import functools
+import os
+import sys
+from collections.abc import Callable
+from typing import Any, NoReturn
+
+import hydra
+from hydra.core.config_store import ConfigStore
+from hydra.errors import HydraException
+from omegaconf import DictConfig
+from omegaconf.errors import OmegaConfBaseException
+
+from mrsan import ActionError, ConfigurationError, Scenario
+from samarl.evaluation.files import find_folder
+from samarl.evaluation.runner import Evaluation
+
+
+def register_schemas() -> None:
+    """Let Hydra check types and names against the dataclasses."""
+    store = ConfigStore.instance()
+    store.store(group="scenario", name="schema", node=Scenario)
+    store.store(group="evaluation", name="schema", node=Evaluation)
+
+
+def run_command(
+    task: Callable[[DictConfig], Any], config_name: str, **schemas: type
+) -> None:
+    """Run a Hydra task; a mistake of the user's ends in one line and exit code 2.
+
+    Args:
+        task: what to do with the composed configuration.
+        config_name: the primary file in `conf/`.
+        **schemas: dataclasses that the configuration names in its defaults.
+    """
+    os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra raises instead of printing; it is said below.
+    if os.getcwd() not in sys.path:
+        sys.path.append(os.getcwd())  # a user's own agents live where the command is run
+    register_schemas()
+    for name, schema in schemas.items():
+        ConfigStore.instance().store(name=name, node=schema)
+    decorate = hydra.main(
+        version_base="1.3", config_path=str(find_folder("conf")), config_name=config_name
+    )
+
+    @functools.wraps(task)
+    def checked(config: DictConfig) -> Any:
+        # Reported here, not outside: Hydra would print a second line about the failed job.
+        try:
+            return task(config)
+        except (ConfigurationError, ActionError, OmegaConfBaseException) as error:
+            _fail(error)
+
+    try:
+        decorate(checked)()
+    except (HydraException, OmegaConfBaseException) as error:
+        _fail(error)
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        sys.exit(130)
+
+
+def _fail(error: Exception) -> NoReturn:
+    """Say in one line what is wrong and leave with exit code 2."""
+    message = f"{error}\n{error.__cause__ or ''}".split("Config search path:")[0]
+    key = getattr(error, "full_key", None)
+    if key and key not in message:
+        message = f"{key}: {message}"
+    lines = [line.strip().removesuffix(":") for line in message.splitlines() if line.strip()]
+    print("error: " + "; ".join(lines), file=sys.stderr)
+    sys.exit(2)

@@ -1,0 +1,91 @@
+"""`samarl-evaluate`: one agent over fixed cases, or a sweep of them."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from pathlib import Path
+from typing import Any
+
+from hydra.core.hydra_config import HydraConfig
+from hydra.types import RunMode
+from omegaconf import DictConfig, OmegaConf
+
+from mrsan import Episodes, Outcome, Scenario, social_score
+from samarl.agents import build_agent
+from samarl.cli import run_command
+from samarl.evaluation.files import code_version, write_atomically, write_json
+from samarl.evaluation.runner import Evaluation, run_cases
+from samarl.evaluation.summary import Row, summarise
+from samarl.evaluation.table import rows_as_markdown
+
+
+def main() -> None:
+    """Entry point."""
+    run_command(evaluate, "config")
+
+
+def evaluate(config: DictConfig) -> Row:
+    """Play the cases, write `row.json` and `episodes.jsonl`, print the row.
+
+    A cell of a sweep that was finished before with the same configuration and code is not played
+    again.
+    """
+    scenario, evaluation = objects(config)
+    hydra = HydraConfig.get()
+    folder = Path(hydra.runtime.output_dir)
+    finished = folder / "row.json"
+    marker = {"config": _plain(config), "commit": code_version()}
+    if hydra.mode == RunMode.MULTIRUN and finished.exists():
+        known = json.loads(finished.read_text())
+        if {key: known.get(key) for key in marker} == marker:
+            print(f"finished before: {folder}")
+            row: Row = known["row"]
+            return row
+    agent = build_agent(config.agent, scenario)
+    name = str(hydra.runtime.choices.agent)
+    episodes = run_cases(agent, scenario, evaluation.numbers(), evaluation.batch, name)
+    command = shlex.join(["samarl-evaluate", *hydra.overrides.task])
+    seed = int(evaluation.numbers()[0])
+    row = summarise(episodes, scenario, name, command, marker["commit"], seed)
+    write_atomically(folder / "episodes.jsonl", episodes_as_jsonl(episodes))
+    write_json(finished, {"row": row, **marker})  # last: it marks the cell as finished
+    print(rows_as_markdown([row]))
+    print(f"written to {folder}")
+    return row
+
+
+def objects(config: DictConfig) -> tuple[Scenario, Evaluation]:
+    """The checked scenario and evaluation of a composed configuration."""
+    scenario = OmegaConf.to_object(config.scenario)
+    evaluation = OmegaConf.to_object(config.evaluation)
+    assert isinstance(scenario, Scenario)
+    assert isinstance(evaluation, Evaluation)
+    return scenario, evaluation
+
+
+def episodes_as_jsonl(episodes: Episodes) -> str:
+    """One JSON object per episode; lists hold one element per robot."""
+    scores = social_score(episodes)
+    lines = []
+    for b in range(len(episodes.case)):
+        record: dict[str, Any] = {
+            "case": int(episodes.case[b]),
+            "success": bool(episodes.success[b]),
+            "duration": float(episodes.duration[b]),
+            "outcome": [Outcome(value).name for value in episodes.outcome[b]],
+            "social_score": scores[b].round(2).tolist(),
+        }
+        for key in ("path_length", "straight_line", "time", "closest_human", "close_share", "jerk"):
+            values = getattr(episodes, key)[b].tolist()
+            record[key] = [round(value, 4) if value < float("inf") else None for value in values]
+        lines.append(json.dumps(record))
+    return "\n".join(lines) + "\n"
+
+
+def _plain(config: DictConfig) -> Any:
+    return json.loads(json.dumps(OmegaConf.to_container(config, resolve=True), default=str))
+
+
+if __name__ == "__main__":
+    main()

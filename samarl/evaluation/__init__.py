@@ -1,0 +1,1 @@
+"""Agents over fixed cases: episode records, summaries with intervals, tables."""

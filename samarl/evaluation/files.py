@@ -1,0 +1,65 @@
+"""Files that are either whole or not there, and where they come from."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import samarl
+
+
+def write_atomically(path: Path, text: str) -> None:
+    """Write a text file so that a reader never sees half of it."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    unfinished = path.with_name(path.name + ".part")
+    unfinished.write_text(text, encoding="utf-8")
+    os.replace(unfinished, path)
+
+
+def write_json(path: Path, content: Any) -> None:
+    """Write JSON, one element of a top-level list per line."""
+    if isinstance(content, list):
+        text = "[\n" + ",\n".join(json.dumps(item) for item in content) + "\n]\n"
+    else:
+        text = json.dumps(content, indent=1) + "\n"
+    write_atomically(path, text)
+
+
+def find_folder(name: str) -> Path:
+    """A folder of the project (`conf`, `results`): in the installed package or beside the source."""
+    installed = Path(samarl.__file__).parent / name
+    return installed if installed.is_dir() else Path(samarl.__file__).parents[1] / name
+
+
+def code_version() -> str:
+    """The commit of the code that runs, `-dirty` if changed since; without git, the version."""
+    source = Path(samarl.__file__).parent
+    try:
+        commit = _git(source, "rev-parse", "--short=10", "HEAD")
+        tracked = _git(source, "ls-files", "--error-unmatch", "__init__.py")
+        changed = _git(source, "status", "--porcelain", "--", ":/", ":!/results", ":!/README.md")
+    except (OSError, subprocess.CalledProcessError):
+        return samarl.__version__
+    if not tracked:
+        return samarl.__version__
+    return commit + ("-dirty" if changed else "")
+
+
+def machine() -> str:
+    """The machine in words: processor, cores, Python."""
+    name = platform.processor() or platform.machine()
+    if Path("/proc/cpuinfo").exists():
+        for line in Path("/proc/cpuinfo").read_text().splitlines():
+            if line.startswith("model name"):
+                name = line.split(":", 1)[1].strip()
+                break
+    return f"{name}, {os.cpu_count()} cores, Python {platform.python_version()}"
+
+
+def _git(folder: Path, *arguments: str) -> str:
+    command = ["git", "-C", str(folder), *arguments]
+    return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()

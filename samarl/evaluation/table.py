@@ -1,0 +1,88 @@
+"""The table as Markdown, beside the paper's figures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from samarl.evaluation.summary import Row
+
+Column = tuple[float, int, int]  # field of view in degrees, humans, robots
+
+# SAMARL, Table I: success rate in % (500 cases). Its social score is on another scale than ours.
+PAPER_SUCCESS: dict[Column, dict[str, int]] = {
+    (90.0, 10, 3): {
+        "ORCA": 25, "CADRL": 55, "SAMARL-PPO": 72, "SAMARL-SRNN": 81, "SAMARL": 93,
+    },
+    (90.0, 10, 5): {
+        "ORCA": 21, "CADRL": 54, "SAMARL-PPO": 71, "SAMARL-SRNN": 82, "SAMARL": 89,
+    },
+    (360.0, 10, 5): {
+        "ORCA": 23, "CADRL": 63, "SAMARL-PPO": 72, "SAMARL-SRNN": 87, "SAMARL": 95,
+    },
+}  # fmt: skip
+PAPER_NAME = {"orca": "ORCA"}  # what the paper calls our rows
+
+
+def column_of(row: Row) -> Column:
+    """The column a row belongs to."""
+    return row["fov_degrees"], row["humans"], row["robots"]
+
+
+def as_text(header: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
+    """A Markdown table whose columns line up, the first to the left and the rest to the right."""
+    widths = [max(len(cells[i]) for cells in [header, *lines]) for i in range(len(header))]
+
+    def line(cells: Sequence[str]) -> str:
+        first = cells[0].ljust(widths[0])
+        rest = [cell.rjust(width) for cell, width in zip(cells[1:], widths[1:], strict=True)]
+        return f"| {' | '.join([first, *rest])} |"
+
+    rule = "|" + "|".join(["-" * (widths[0] + 2), *("-" * (w + 1) + ":" for w in widths[1:])]) + "|"
+    return "\n".join([line(header), rule, *(line(cells) for cells in lines)])
+
+
+def rows_as_markdown(rows: Sequence[Row]) -> str:
+    """All rows with what is measured of each."""
+    header = (
+        "method", "FOV", "humans", "robots", "success % [95 %]", "social score", "hit human %",
+        "hit robot %", "timeout %", "path m", "time s", "paper's success %",
+    )  # fmt: skip
+    return as_text(header, [_cells(row) for row in rows])
+
+
+def _cells(row: Row) -> list[str]:
+    paper = PAPER_SUCCESS.get(column_of(row), {}).get(PAPER_NAME.get(row["method"], ""))
+    return [
+        row["method"],
+        f"{row['fov_degrees']:g}°",
+        str(row["humans"]),
+        str(row["robots"]),
+        f"{row['success_rate']:.1f} [{row['success_low']:.1f}, {row['success_high']:.1f}]",
+        f"{row['social_score']:.1f}",
+        f"{row['human_collision_rate']:.1f}",
+        f"{row['robot_collision_rate']:.1f}",
+        f"{row['timeout_rate']:.1f}",
+        "-" if row["path_length"] is None else f"{row['path_length']:.1f}",
+        "-" if row["time_to_goal"] is None else f"{row['time_to_goal']:.1f}",
+        "" if paper is None else str(paper),
+    ]
+
+
+def table1_as_markdown(rows: Sequence[Row]) -> str:
+    """Table I: success and social score, a line per method, the paper's methods below ours."""
+    columns = list(dict.fromkeys(column_of(row) for row in rows))
+    methods = list(dict.fromkeys(row["method"] for row in rows))
+    cells = {(row["method"], column_of(row)): row for row in rows}
+    header = ["success % / social score", *(f"{f:g}° {h}h {r}r" for f, h, r in columns)]
+    lines = []
+    for method in methods:
+        found = [cells.get((method, column)) for column in columns]
+        lines.append(
+            [method]
+            + ["" if r is None else f"{r['success_rate']:.1f} / {r['social_score']:.1f}" for r in found]
+        )
+    for name in next(iter(PAPER_SUCCESS.values())):
+        figures = [PAPER_SUCCESS.get(column, {}).get(name) for column in columns]
+        if any(figure is not None for figure in figures):
+            lines.append([f"paper: {name}"] + ["" if f is None else f"{f} / -" for f in figures])
+    return as_text(header, lines)

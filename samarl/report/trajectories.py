@@ -1,0 +1,112 @@
+"""The paths of one episode as a picture, with the time along them."""
+
+from __future__ import annotations
+
+import io
+import os
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Circle
+
+from mrsan import Outcome
+from samarl.evaluation.recording import Recording
+
+# Okabe and Ito's colours, told apart by colour-blind readers too.
+ROBOT_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+_HUMAN_SHADES = LinearSegmentedColormap.from_list("humans", ["#e4e4e4", "#777777"])
+_CONTACT = "#C00000"
+_MARK_SECONDS = 3.0  # between the discs along a path
+
+
+def save_trajectories(recording: Recording, path: Path, title: str) -> None:
+    """Write the picture as PNG (or what the file's ending says), atomically."""
+    figure = Figure(figsize=(6.4, 6.9), dpi=130, layout="constrained")
+    draw_trajectories(figure.add_subplot(), recording, title)
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format=path.suffix.removeprefix(".") or "png")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    unfinished = path.with_name(path.name + ".part")
+    unfinished.write_bytes(buffer.getvalue())
+    os.replace(unfinished, path)
+
+
+def draw_trajectories(axes: Axes, recording: Recording, title: str) -> None:
+    """Draw robots with the seconds along their paths, goals, humans and contacts."""
+    steps_per_mark = max(1, round(_MARK_SECONDS / recording.scenario.time_step))
+    for j in range(recording.human_position.shape[1]):
+        _draw_human(axes, recording, j, steps_per_mark)
+    for i in range(recording.robot_position.shape[1]):
+        _draw_robot(axes, recording, i, steps_per_mark)
+    outcomes = [Outcome(value).name.replace("_", " ") for value in recording.episodes.outcome[0]]
+    axes.set_title(
+        f"{title}\n" + ", ".join(f"robot {i}: {name}" for i, name in enumerate(outcomes)),
+        fontsize=10,
+    )
+    axes.set_aspect("equal")
+    axes.set_xlabel("x (m)")
+    axes.set_ylabel("y (m)")
+    axes.grid(color="#f0f0f0", zorder=0)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.autoscale_view()
+    axes.legend(handles=_legend(), loc="upper center", bbox_to_anchor=(0.5, -0.09), ncols=5,
+                frameon=False, fontsize=8, handletextpad=0.4, columnspacing=1.2)  # fmt: skip
+
+
+def _draw_human(axes: Axes, recording: Recording, j: int, every: int) -> None:
+    path = recording.human_position[:, j]
+    last = len(path) - 1
+    segments = np.stack([path[:-1], path[1:]], axis=1)
+    shades = LineCollection(list(segments), cmap=_HUMAN_SHADES, linewidths=1.2, zorder=1)
+    shades.set_array(np.arange(last))
+    axes.add_collection(shades)
+    radius = float(recording.human_radius[j])
+    for t in sorted({*range(0, last, every), last}):
+        shade = _HUMAN_SHADES(t / max(last, 1))
+        axes.add_patch(
+            Circle(tuple(path[t]), radius, facecolor=shade if t == last else "none",
+                   edgecolor=shade, linewidth=0.8, zorder=2)
+        )  # fmt: skip
+
+
+def _draw_robot(axes: Axes, recording: Recording, i: int, every: int) -> None:
+    colour = ROBOT_COLOURS[i % len(ROBOT_COLOURS)]
+    path, heading = recording.robot_position[:, i], recording.robot_heading[:, i]
+    last = int(recording.driving[:, i].sum())
+    last = min(last, len(path) - 1)
+    radius = recording.scenario.robot_radius
+    goal = recording.robot_goal[i]
+    axes.plot(*path[: last + 1].T, color=colour, linewidth=2.0, zorder=4)
+    axes.plot(*goal, marker="*", markersize=15, color=colour, markeredgecolor="white", zorder=3)
+    marks = [t for t in range(0, last, every) if last - t > every // 2]
+    for t in [*marks, last]:
+        axes.add_patch(
+            Circle(tuple(path[t]), radius, facecolor="white" if t != last else colour,
+                   edgecolor=colour, linewidth=1.4, zorder=5)
+        )  # fmt: skip
+        axes.text(*path[t], f"{t * recording.scenario.time_step:g}", fontsize=6.5, ha="center",
+                  va="center", color="white" if t == last else colour, zorder=6)  # fmt: skip
+        nose = path[t] + radius * np.array([np.cos(heading[t]), np.sin(heading[t])])
+        tip = path[t] + 1.6 * radius * np.array([np.cos(heading[t]), np.sin(heading[t])])
+        axes.plot(*np.stack([nose, tip]).T, color=colour, linewidth=1.6, zorder=5)
+    if recording.episodes.outcome[0, i] in (Outcome.hit_human, Outcome.hit_robot):
+        axes.plot(*path[-1], marker="x", markersize=20, markeredgewidth=3, color=_CONTACT, zorder=7)
+
+
+def _legend() -> list[Line2D]:
+    plain = {"linestyle": "none", "color": "black"}
+    return [
+        Line2D([], [], marker="o", markerfacecolor="white", markersize=9, label="robot, at second",
+               **plain),
+        Line2D([], [], marker="*", markersize=10, label="its goal", **plain),
+        Line2D([], [], color="#999999", linewidth=1.2, label="human (later is darker)"),
+        Line2D([], [], marker="o", linestyle="none", color="#777777", markersize=9,
+               label="human at the end"),
+        Line2D([], [], marker="x", linestyle="none", color=_CONTACT, markersize=9,
+               markeredgewidth=2, label="contact"),
+    ]  # fmt: skip
