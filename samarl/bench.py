@@ -98,7 +98,9 @@ def _scenario(column: Any) -> Scenario:
     try:
         return Scenario(**column)
     except TypeError as error:
-        raise ConfigurationError(f"columns has {column}; its keys must be those of scenario") from error
+        raise ConfigurationError(
+            f"columns has {column}; its keys must be those of scenario"
+        ) from error
 
 
 def _load_agent(name: str) -> dict[str, Any]:
@@ -113,7 +115,9 @@ def _load_agent(name: str) -> dict[str, Any]:
 
 def _command(name: str, scenario: Scenario, evaluation: Evaluation) -> str:
     words = ["samarl-evaluate", f"agent={name}"]
-    words += [f"scenario.{key}={getattr(scenario, key):g}" for key in ("fov_degrees", "humans", "robots")]
+    words += [
+        f"scenario.{key}={getattr(scenario, key):g}" for key in ("fov_degrees", "humans", "robots")
+    ]
     if evaluation.cases != Evaluation.cases:
         words.append(f"evaluation.cases={evaluation.cases}")
     return shlex.join(words)

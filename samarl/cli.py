@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import os
 import sys
@@ -11,7 +12,7 @@ from typing import Any, NoReturn
 import hydra
 from hydra.core.config_store import ConfigStore
 from hydra.errors import HydraException
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from mrsan import ActionError, ConfigurationError, Scenario
@@ -26,9 +27,7 @@ def register_schemas() -> None:
     store.store(group="evaluation", name="schema", node=Evaluation)
 
 
-def run_command(
-    task: Callable[[DictConfig], Any], config_name: str, **schemas: type
-) -> None:
+def run_command(task: Callable[[DictConfig], Any], config_name: str, **schemas: type) -> None:
     """Run a Hydra task; a mistake of the user's ends in one line and exit code 2.
 
     Args:
@@ -50,6 +49,7 @@ def run_command(
     def checked(config: DictConfig) -> Any:
         # Reported here, not outside: Hydra would print a second line about the failed job.
         try:
+            _refuse_unknown_keys(config, "")
             return task(config)
         except (ConfigurationError, ActionError, OmegaConfBaseException) as error:
             _fail(error)
@@ -58,14 +58,33 @@ def run_command(
         decorate(checked)()
     except (HydraException, OmegaConfBaseException) as error:
         _fail(error)
+    except ValueError as error:
+        if not str(error).startswith("Config group override"):
+            raise
+        _fail(error)
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         sys.exit(130)
 
 
+def _refuse_unknown_keys(config: DictConfig, path: str) -> None:
+    """`+key=value` adds keys that no schema knows."""
+    kind = OmegaConf.get_type(config)
+    known = {f.name for f in dataclasses.fields(kind)} if dataclasses.is_dataclass(kind) else None
+    for key in map(str, config):
+        if known is not None and key not in known:
+            choices = ", ".join(sorted(known))
+            raise ConfigurationError(f"{path}{key} is not known; it must be one of {choices}")
+        node = config._get_node(key)
+        if isinstance(node, DictConfig) and not node._is_none():
+            _refuse_unknown_keys(node, f"{path}{key}.")
+
+
 def _fail(error: Exception) -> NoReturn:
     """Say in one line what is wrong and leave with exit code 2."""
-    message = f"{error}\n{error.__cause__ or ''}".split("Config search path:")[0]
+    message = str(error).split("Config search path:")[0]
+    if error.__cause__ and str(error.__cause__) not in message:
+        message += f"\n{error.__cause__}"
     key = getattr(error, "full_key", None)
     if key and key not in message:
         message = f"{key}: {message}"

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 import shlex
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import MISSING, DictConfig, OmegaConf
 
 from mrsan import Episodes, Outcome, Scenario, social_score
 from samarl.agents import build_agent
@@ -20,9 +21,18 @@ from samarl.evaluation.summary import Row, summarise
 from samarl.evaluation.table import rows_as_markdown
 
 
+@dataclass
+class Config:
+    """Schema of `conf/config.yaml`."""
+
+    scenario: Any = MISSING
+    agent: Any = MISSING
+    evaluation: Any = MISSING
+
+
 def main() -> None:
     """Entry point."""
-    run_command(evaluate, "config")
+    run_command(evaluate, "config", config_schema=Config)
 
 
 def evaluate(config: DictConfig) -> Row:
@@ -84,7 +94,10 @@ def episodes_as_jsonl(episodes: Episodes) -> str:
 
 
 def _plain(config: DictConfig) -> Any:
-    return json.loads(json.dumps(OmegaConf.to_container(config, resolve=True), default=str))
+    """What decides the result: all of the configuration but the batch size."""
+    content = json.loads(json.dumps(OmegaConf.to_container(config, resolve=True), default=str))
+    del content["evaluation"]["batch"]
+    return content
 
 
 if __name__ == "__main__":

@@ -35,7 +35,7 @@ def as_spaces(scenario: Scenario) -> tuple[spaces.Dict, spaces.Box]:
         return spaces.Box(0, 1, shape, np.int8)
 
     features, others = len(OTHER_FEATURES), scenario.robots - 1
-    entries = {
+    entries: dict[str, spaces.Space[Any]] = {
         "ego": floats(len(EGO_FEATURES)),
         "humans": floats(scenario.humans, features),
         "humans_visible": flags(scenario.humans),
@@ -89,7 +89,10 @@ class GymnasiumEnv(gymnasium.Env[dict[str, Array], Array]):
     `reset(seed=s)` plays case `s`; without a seed the next episode of it.
     """
 
-    metadata: dict[str, Any] = {"render_modes": []}
+    metadata = {"render_modes": []}  # noqa: RUF012 (as Gymnasium declares it)
+
+    observation_space: spaces.Space[Any]
+    action_space: spaces.Space[Any]
 
     def __init__(self, scenario: Scenario | None = None, **overrides: Any) -> None:
         """Make a world of `scenario` (SAMARL's with one robot) with `overrides` of its fields."""
@@ -109,9 +112,7 @@ class GymnasiumEnv(gymnasium.Env[dict[str, Array], Array]):
         observation = self.world.reset(None if seed is None else [seed])
         return robot_observation(observation, 0, 0), {"arrived": False}
 
-    def step(
-        self, action: Array
-    ) -> tuple[dict[str, Array], float, bool, bool, dict[str, Any]]:
+    def step(self, action: Array) -> tuple[dict[str, Array], float, bool, bool, dict[str, Any]]:
         """Move by one time step.
 
         Raises:
@@ -187,9 +188,7 @@ class GymnasiumVectorEnv(VectorEnv[dict[str, Array], Array, Array]):
         info = {"arrived": np.zeros(self.num_envs, np.bool_), "_arrived": mask.copy()}
         return self._batch(self.world.observe()), info
 
-    def step(
-        self, actions: Array
-    ) -> tuple[dict[str, Array], Array, Array, Array, dict[str, Any]]:
+    def step(self, actions: Array) -> tuple[dict[str, Array], Array, Array, Array, dict[str, Any]]:
         """Move every world by one time step, and reset those that ended as the mode says.
 
         Raises:
@@ -223,7 +222,7 @@ class GymnasiumVectorEnv(VectorEnv[dict[str, Array], Array, Array]):
             ending = self._endings(done)
             if self.autoreset_mode is AutoresetMode.SAME_STEP:
                 infos["final_obs"] = np.full(self.num_envs, None, dtype=object)
-                for e in np.flatnonzero(done):
+                for e in np.flatnonzero(done).tolist():
                     infos["final_obs"][e] = robot_observation(observation, e, 0)
                 final = {"arrived": infos["arrived"] & done, "_arrived": done}
                 infos |= {"_final_obs": done, "final_info": final | ending, "_final_info": done}
@@ -250,4 +249,3 @@ class GymnasiumVectorEnv(VectorEnv[dict[str, Array], Array, Array]):
 
     def _batch(self, observation: Observation) -> dict[str, Array]:
         return {key: value[:, 0] for key, value in _arrays(observation).items()}
-

@@ -74,11 +74,11 @@ def episodes_of(state: State, scenario: Scenario, worlds: NDArray[np.bool_]) -> 
     return Episodes(
         case=state.case[worlds].copy(),
         episode=state.episode[worlds].copy(),
-        duration=state.clock[worlds] * scenario.time_step,
+        duration=state.clock[worlds].astype(np.float64) * scenario.time_step,
         outcome=outcome,
         path_length=state.path_length[worlds].astype(np.float64),
         straight_line=np.linalg.norm(to_goal.astype(np.float64), axis=-1),
-        time=state.driven_steps[worlds] * scenario.time_step,
+        time=state.driven_steps[worlds].astype(np.float64) * scenario.time_step,
         closest_human=state.closest_human[worlds].astype(np.float64),
         close_share=state.close_steps[worlds] / steps,
         jerk=state.jerk_sum[worlds].astype(np.float64) / steps,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from gymnasium import spaces
@@ -31,7 +31,11 @@ class PettingZooEnv(ParallelEnv[str, dict[str, Array], Array]):
         (5, 5)
     """
 
-    metadata: dict[str, Any] = {"name": "mrsan_v0", "render_modes": [], "is_parallelizable": True}
+    metadata: ClassVar[dict[str, Any]] = {
+        "name": "mrsan_v0",
+        "render_modes": [],
+        "is_parallelizable": True,
+    }
 
     def __init__(self, scenario: Scenario | None = None, **overrides: Any) -> None:
         """Make one world of `scenario` (SAMARL's by default) with `overrides` of its fields."""
@@ -41,8 +45,8 @@ class PettingZooEnv(ParallelEnv[str, dict[str, Array], Array]):
         self.possible_agents = [f"robot_{i}" for i in range(self.scenario.robots)]
         self.agents: list[str] = []
         observation, action = as_spaces(self.scenario)
-        self.observation_spaces = {agent: observation for agent in self.possible_agents}
-        self.action_spaces = {agent: action for agent in self.possible_agents}
+        self.observation_spaces = dict.fromkeys(self.possible_agents, observation)
+        self.action_spaces = dict.fromkeys(self.possible_agents, action)
         self._fresh = True
 
     def observation_space(self, agent: str) -> spaces.Space[Any]:

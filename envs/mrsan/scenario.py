@@ -116,13 +116,17 @@ class Scenario:
     # Who is there.
     robots: int = number(3, 1, 16)
     humans: int = number(10, 0, 64)
-    humans_min: int | None = number(None, 0, 64)  # drawn per episode up to `humans`; null: always all
+    humans_min: int | None = number(
+        None, 0, 64
+    )  # drawn per episode up to `humans`; null: always all
 
     # The place and the clock.
     circle_radius: float = number(5.0, 2.0, 1000.0)  # everybody starts on this circle, m
     spawn_jitter: float = number(0.5, 0.0, 2.0)  # +- per coordinate, times the preferred speed, m
     spawn_clearance: float = number(0.4, 0.0, 10.0)  # surface distance kept between starts, m
-    arena_radius: float | None = number(None, 0.0, 10000.0)  # a round wall for robots, m; null: open
+    arena_radius: float | None = number(
+        None, 0.0, 10000.0
+    )  # a round wall for robots, m; null: open
     time_step: float = number(0.25, 0.01, 1.0)  # s
     time_limit: float = number(50.0, 0.01, 10000.0)  # s
 
@@ -192,6 +196,15 @@ class Scenario:
                 raise ConfigurationError(
                     f"scenario.arena_radius is {self.arena_radius}; it must be null or at least "
                     f"{needed:.2f}, so that every start and goal lies inside"
+                )
+            # Starts and goals are discs of this radius; they must cover less than 35 % of the room.
+            disc = self.robot_radius + self.spawn_clearance / 2
+            room = self.arena_radius - self.robot_radius - jitter
+            if 2 * self.robots * disc**2 > 0.35 * room**2:
+                raise ConfigurationError(
+                    f"scenario.arena_radius is {self.arena_radius}; {self.robots} robots with "
+                    f"scenario.spawn_clearance {self.spawn_clearance} need at least "
+                    f"{math.sqrt(2 * self.robots * disc**2 / 0.35) + self.robot_radius + jitter:.2f}"
                 )
 
     @property

@@ -27,7 +27,7 @@ class TorchRLEnv(EnvBase):
 
     Example:
         >>> env = TorchRLEnv(Scenario(), worlds=64)
-        >>> env.rollout(10)["agents", "observation", "ego"].shape
+        >>> env.rollout(10, break_when_any_done=False)["agents", "observation", "ego"].shape
         torch.Size([64, 10, 3, 11])
     """
 
@@ -52,7 +52,6 @@ class TorchRLEnv(EnvBase):
         self.scenario = replace(scenario or Scenario(), **overrides)
         self.world = World(self.scenario, worlds)
         self._make_specs()
-        self._cases = np.empty(0, np.int64)
         self._set_seed(int(np.random.default_rng().integers(2**31)) if seed is None else seed)
 
     def _make_specs(self) -> None:
@@ -79,9 +78,7 @@ class TorchRLEnv(EnvBase):
             -1.0, 1.0, (e, n, self.scenario.action_size), dtype=torch.float32, device=self.device
         )
         self.action_spec = Composite(agents=Composite(action=action, shape=(e, n)), shape=(e,))
-        self.reward_spec = Composite(
-            agents=Composite(reward=floats(1), shape=(e, n)), shape=(e,)
-        )
+        self.reward_spec = Composite(agents=Composite(reward=floats(1), shape=(e, n)), shape=(e,))
         self.done_spec = Composite(
             done=flags(1), terminated=flags(1), truncated=flags(1), shape=(e,)
         )
@@ -89,18 +86,17 @@ class TorchRLEnv(EnvBase):
     def _set_seed(self, seed: int | None) -> None:
         if seed is None:
             return
-        self._cases = seed + np.arange(self.world.worlds)
-        self._seeded = True
+        self.world.state.case[:] = seed + np.arange(self.world.worlds)
+        self.world.state.episode[:] = -1  # the next reset begins episode 0
 
     def _reset(self, tensordict: TensorDictBase | None, **kwargs: Any) -> TensorDict:
         mask = np.ones(self.world.worlds, np.bool_)
-        cases = self._cases if self._seeded else None
+        cases = None
         if tensordict is not None:
             if (reset := tensordict.get("_reset", None)) is not None:
                 mask = reset.reshape(-1).cpu().numpy()
             if (chosen := tensordict.get("case", None)) is not None:
                 cases = chosen.reshape(-1).cpu().numpy()
-        self._seeded = False
         observation = self.world.reset(cases=cases, worlds=mask)
         return self._tensors(observation, self.world.state.terminated, self.world.state.truncated)
 

@@ -89,7 +89,13 @@ class Observation(NamedTuple):
 
     def of_worlds(self, worlds: Ints | Bools) -> Observation:
         """The rows of some worlds, copied."""
-        return Observation(*(array[worlds] for array in self))
+        return Observation(
+            self.ego[worlds],
+            self.humans[worlds],
+            self.humans_visible[worlds],
+            self.robots[worlds],
+            self.robots_visible[worlds],
+        )
 
 
 class Step(NamedTuple):
@@ -134,9 +140,7 @@ class World:
         self._parameters = scenario.parameters()
         self._begun = False
 
-    def reset(
-        self, cases: ArrayLike | None = None, worlds: ArrayLike | None = None
-    ) -> Observation:
+    def reset(self, cases: ArrayLike | None = None, worlds: ArrayLike | None = None) -> Observation:
         """Begin an episode in every world, or in some.
 
         Args:
@@ -182,7 +186,7 @@ class World:
         """Move every world by one time step.
 
         Args:
-            actions: [E, N, A] in [-1, 1]. Those of parked robots and ended worlds are ignored.
+            actions: [E, N, A] in [-1, 1]; those of parked robots and ended worlds have no effect.
 
         Raises:
             ActionError: an action is not a number, out of range or of the wrong shape.

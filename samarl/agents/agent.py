@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+import importlib
+import inspect
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, get_type_hints
 
 import numpy as np
-from hydra.utils import get_class
 from numpy.typing import NDArray
 from omegaconf import MISSING, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
@@ -31,7 +32,7 @@ class Agent(ABC):
         """Check every number of the subclass."""
         check_numbers(self, "agent")
 
-    def reset(self, worlds: NDArray[np.bool_]) -> None:
+    def reset(self, worlds: NDArray[np.bool_]) -> None:  # noqa: B027 (planners remember nothing)
         """Forget what was remembered of the worlds [E] in which an episode begins."""
 
     @abstractmethod
@@ -51,15 +52,11 @@ def build_agent(config: Mapping[str, Any], scenario: Scenario) -> Agent:
     """
     values = dict(config)
     target = values.pop("_target_", None)
-    try:
-        agent_class = get_class(str(target))
-    except Exception as error:
-        reason = str(error).splitlines()[0]
-        raise ConfigurationError(
-            f"agent._target_ is {target!r}; it must be the import path of an Agent ({reason})"
-        ) from error
-    if not issubclass(agent_class, Agent):
+    agent_class = _find_class(target)
+    if not (isinstance(agent_class, type) and issubclass(agent_class, Agent)):
         raise ConfigurationError(f"agent._target_ is {target!r}; it must be a subclass of Agent")
+    if inspect.isabstract(agent_class):
+        raise ConfigurationError(f"agent._target_ is {target!r}; it must define `act`")
     hints = get_type_hints(agent_class)
     knobs = [field for field in dataclasses.fields(agent_class) if field.name != "scenario"]
     schema = dataclasses.make_dataclass(
@@ -73,5 +70,17 @@ def build_agent(config: Mapping[str, Any], scenario: Scenario) -> Agent:
         reason = str(error).splitlines()[0]
         raise ConfigurationError(f"agent.{getattr(error, 'full_key', '')}: {reason}") from error
     assert isinstance(fields, dict)
-    agent: Agent = agent_class(scenario=scenario, **fields)
+    knob_values: dict[str, Any] = {str(key): value for key, value in fields.items()}
+    agent: Agent = agent_class(scenario=scenario, **knob_values)
     return agent
+
+
+def _find_class(target: Any) -> Any:
+    """What an import path leads to (Hydra's own `get_class` logs its errors on stderr as well)."""
+    module, _, name = str(target).rpartition(".")
+    try:
+        return getattr(importlib.import_module(module), name)
+    except Exception as error:
+        raise ConfigurationError(
+            f"agent._target_ is {target!r}; it must be the import path of an Agent ({error})"
+        ) from error

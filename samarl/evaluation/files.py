@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import platform
@@ -30,23 +31,28 @@ def write_json(path: Path, content: Any) -> None:
 
 
 def find_folder(name: str) -> Path:
-    """A folder of the project (`conf`, `results`): in the installed package or beside the source."""
+    """The project's `conf` or `results`: in the installed package or beside the source."""
     installed = Path(samarl.__file__).parent / name
     return installed if installed.is_dir() else Path(samarl.__file__).parents[1] / name
 
 
 def code_version() -> str:
-    """The commit of the code that runs, `-dirty` if changed since; without git, the version."""
+    """The commit of the code that runs, with `-dirty` and a digest if it was changed since.
+
+    Without git it is the version of the package.
+    """
     source = Path(samarl.__file__).parent
     try:
         commit = _git(source, "rev-parse", "--short=10", "HEAD")
         tracked = _git(source, "ls-files", "--error-unmatch", "__init__.py")
-        changed = _git(source, "status", "--porcelain", "--", ":/", ":!/results", ":!/README.md")
+        changes = _git(source, "diff", "HEAD", "--", ":/", ":!/results", ":!/README.md", ":!/docs")
     except (OSError, subprocess.CalledProcessError):
         return samarl.__version__
     if not tracked:
         return samarl.__version__
-    return commit + ("-dirty" if changed else "")
+    if not changes:
+        return commit
+    return f"{commit}-dirty.{hashlib.sha256(changes.encode()).hexdigest()[:8]}"
 
 
 def machine() -> str:

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from mrsan import Episodes, Scenario, Split, World
+from mrsan import Episodes, Observation, Scenario, Split, World
 from mrsan.metrics import episodes_of
 from mrsan.scenario import check_numbers, number
-from samarl.agents import Agent
 
 
 @dataclass
@@ -32,8 +32,18 @@ class Evaluation:
         return self.split.case(self.first_case) + np.arange(self.cases, dtype=np.int64)
 
 
+class Driver(Protocol):
+    """What `run_cases` needs of an agent."""
+
+    def reset(self, worlds: NDArray[np.bool_]) -> None:
+        """Forget the worlds [E] in which an episode begins."""
+
+    def act(self, observation: Observation) -> NDArray[np.float32]:
+        """The action of every robot, [E, N, A]."""
+
+
 def run_cases(
-    agent: Agent, scenario: Scenario, cases: NDArray[np.int64], batch: int, title: str = ""
+    agent: Driver, scenario: Scenario, cases: NDArray[np.int64], batch: int, title: str = ""
 ) -> Episodes:
     """The record of every case, in the order given.
 
@@ -79,4 +89,3 @@ def run_cases(
     by_case = {number: row for row, number in enumerate(played.case.tolist())}
     order = np.array([by_case[number] for number in cases.tolist()])
     return Episodes(*(array[order] for array in played))
-

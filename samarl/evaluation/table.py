@@ -79,7 +79,10 @@ def table1_as_markdown(rows: Sequence[Row]) -> str:
         found = [cells.get((method, column)) for column in columns]
         lines.append(
             [method]
-            + ["" if r is None else f"{r['success_rate']:.1f} / {r['social_score']:.1f}" for r in found]
+            + [
+                "" if r is None else f"{r['success_rate']:.1f} / {r['social_score']:.1f}"
+                for r in found
+            ]
         )
     for name in next(iter(PAPER_SUCCESS.values())):
         figures = [PAPER_SUCCESS.get(column, {}).get(name) for column in columns]

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import io
 import os
+import textwrap
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -44,10 +46,8 @@ def draw_trajectories(axes: Axes, recording: Recording, title: str) -> None:
     for i in range(recording.robot_position.shape[1]):
         _draw_robot(axes, recording, i, steps_per_mark)
     outcomes = [Outcome(value).name.replace("_", " ") for value in recording.episodes.outcome[0]]
-    axes.set_title(
-        f"{title}\n" + ", ".join(f"robot {i}: {name}" for i, name in enumerate(outcomes)),
-        fontsize=10,
-    )
+    ends = ", ".join(f"robot {i}: {name}" for i, name in enumerate(outcomes))
+    axes.set_title(f"{title}\n{textwrap.fill(ends, 84)}", fontsize=9.5)
     axes.set_aspect("equal")
     axes.set_xlabel("x (m)")
     axes.set_ylabel("y (m)")
@@ -89,17 +89,20 @@ def _draw_robot(axes: Axes, recording: Recording, i: int, every: int) -> None:
             Circle(tuple(path[t]), radius, facecolor="white" if t != last else colour,
                    edgecolor=colour, linewidth=1.4, zorder=5)
         )  # fmt: skip
-        axes.text(*path[t], f"{t * recording.scenario.time_step:g}", fontsize=6.5, ha="center",
-                  va="center", color="white" if t == last else colour, zorder=6)  # fmt: skip
+        second = f"{t * recording.scenario.time_step:g}"
+        axes.text(path[t, 0], path[t, 1], second, fontsize=6.5, ha="center", va="center",
+                  color="white" if t == last else colour, zorder=6)  # fmt: skip
         nose = path[t] + radius * np.array([np.cos(heading[t]), np.sin(heading[t])])
         tip = path[t] + 1.6 * radius * np.array([np.cos(heading[t]), np.sin(heading[t])])
         axes.plot(*np.stack([nose, tip]).T, color=colour, linewidth=1.6, zorder=5)
     if recording.episodes.outcome[0, i] in (Outcome.hit_human, Outcome.hit_robot):
-        axes.plot(*path[-1], marker="x", markersize=20, markeredgewidth=3, color=_CONTACT, zorder=7)
+        axes.plot(
+            *path[-1], marker="x", markersize=16, markeredgewidth=2.5, color=_CONTACT, zorder=7
+        )
 
 
 def _legend() -> list[Line2D]:
-    plain = {"linestyle": "none", "color": "black"}
+    plain: dict[str, Any] = {"linestyle": "none", "color": "black"}
     return [
         Line2D([], [], marker="o", markerfacecolor="white", markersize=9, label="robot, at second",
                **plain),

@@ -2,6 +2,10 @@
 
 `function` marks code that only other kernels call. `kernel` marks an entry point that loops over
 worlds with `prange`: compiled on first use, cached on disk, parallel from two worlds on.
+
+Two traps of Numba shape these files. An array updated in place (`state.clock[e] += 1`) in the body
+of a `prange` loop is taken for a reduction and silently lost: update it in a `function`. And a
+tuple of arrays is copied wherever it is passed: take what a hot loop needs out of it first.
 """
 
 from __future__ import annotations

@@ -52,9 +52,7 @@ def orca_velocity(
     n = _nearest(agents, count, i, neighbor_distance, max_neighbors, neighbors)
     for k in range(n):
         _half_plane(agents, i, int(neighbors[k, 1]), time_horizon, time_step, lines, k)
-    x, y, failed = _linear_program_2(
-        lines, n, max_speed, preferred_x, preferred_y, False
-    )
+    x, y, failed = _linear_program_2(lines, n, max_speed, preferred_x, preferred_y, False)
     if failed < n:
         x, y = _linear_program_3(lines, projected, n, failed, max_speed, x, y)
     return x, y

@@ -65,7 +65,5 @@ def uniform_between(low, high, key, stream, agent, step, draw):
 @function
 def normal(key, stream, agent, step, draw):
     """A standard normal number (Box-Muller; uses draws `draw` and `draw + 1`)."""
-    radius = math.sqrt(
-        _MINUS_TWO * math.log(max(uniform(key, stream, agent, step, draw), _TINY))
-    )
+    radius = math.sqrt(_MINUS_TWO * math.log(max(uniform(key, stream, agent, step, draw), _TINY)))
     return radius * math.cos(_TWO_PI * uniform(key, stream, agent, step, draw + 1))

@@ -12,6 +12,8 @@ _HALF = np.float32(0.5)
 _ONE = np.float32(1.0)
 _TWO_PI = np.float32(2.0 * math.pi)
 _GROWTH = np.float32(0.05)
+_ROUNDING = np.float32(1.0001)
+_SQRT_2 = np.float32(math.sqrt(2.0))
 _TRIES = 64  # tries before the circle is widened for an agent that finds no room
 _GOAL_TRIES = 32
 _FAR = np.float32(np.inf)
@@ -47,10 +49,11 @@ def _begin(state, e, p):
 def _place_robot(state, e, i, key, p):
     position, goal = state.robot_position[e], state.robot_goal[e]
     gap = p.robot_radius + p.robot_radius + p.spawn_clearance
+    room = p.arena_radius - p.robot_radius - _SQRT_2 * p.spawn_jitter * p.robot_speed
     attempt = 0
     placed = False
     while not placed:
-        _draw_crossing(position[i], goal[i], key, i, attempt, p.robot_speed, p)
+        _draw_crossing(position[i], goal[i], key, i, attempt, p.robot_speed, room, p)
         placed = True
         for k in range(i):  # starts and goals of the robots keep apart, all four pairs
             placed = placed and (
@@ -61,9 +64,7 @@ def _place_robot(state, e, i, key, p):
                 >= gap
             )
         attempt += 1
-    state.robot_heading[e, i] = math.atan2(
-        goal[i, 1] - position[i, 1], goal[i, 0] - position[i, 0]
-    )
+    state.robot_heading[e, i] = math.atan2(goal[i, 1] - position[i, 1], goal[i, 0] - position[i, 0])
     state.robot_start[e, i, 0], state.robot_start[e, i, 1] = position[i, 0], position[i, 1]
     for k in range(2):
         state.robot_velocity[e, i, k] = _ZERO
@@ -93,7 +94,7 @@ def _place_human(state, e, j, key, p):
     attempt = 0
     placed = False
     while not placed:
-        _draw_crossing(position[j], goal[j], key, robots + j, attempt, speed, p)
+        _draw_crossing(position[j], goal[j], key, robots + j, attempt, speed, _FAR, p)
         placed = True
         for k in range(robots):
             gap = radius + p.robot_radius + p.spawn_clearance
@@ -105,9 +106,11 @@ def _place_human(state, e, j, key, p):
 
 
 @function
-def _draw_crossing(start, goal, key, agent, attempt, speed, p):
+def _draw_crossing(start, goal, key, agent, attempt, speed, room, p):
     """A start on the circle and the opposite goal, each coordinate of both jittered."""
     circle = p.circle_radius * (_ONE + _GROWTH * np.float32(attempt // _TRIES))
+    if circle > room * _ROUNDING:  # a wall, and no room on the circle: anywhere inside
+        circle = room * math.sqrt(rng.uniform(key, rng.START, agent, attempt, 5))
     angle = _TWO_PI * rng.uniform(key, rng.START, agent, attempt, 0)
     cos, sin = circle * math.cos(angle), circle * math.sin(angle)
     jitter = p.spawn_jitter * speed

@@ -54,7 +54,6 @@ def advance(chunks, state, action, p, reward):
             _move_robots(state, e, action, p, moved)
             _move_humans(state, e, chosen, p)
             _find_contacts(state, e, p, moved, gap)
-            state.clock[e] += 1
             _settle(state, e, p, moved, gap, reward)
 
 
@@ -210,6 +209,7 @@ def _settle(state, e, p, moved, gap, reward):
     """Arrival, the end of the episode, and the reward of the step that led here."""
     position, goal = state.robot_position, state.robot_goal
     arrived, collision = state.arrived, state.collision
+    state.clock[e] += 1
     collided = False
     newly_arrived = 0
     all_arrived = True

@@ -1,0 +1,458 @@
+"""A slow twin of one step in plain Python and float64, written from the specification.
+
+It shares no code with the kernels: ORCA takes the nearest point of each velocity obstacle and
+then enumerates the corners of the linear programme; the sensor compares angles, not cosines.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from mrsan import Crowd, Kinematics, Scenario, State
+
+PARALLEL = 1e-9
+
+
+class Margin:
+    """The smallest distance of anything compared to the threshold it was compared with.
+
+    A case that float32 may decide differently has a tiny margin and proves nothing.
+    """
+
+    def __init__(self) -> None:
+        self.smallest = math.inf
+
+    def below(self, value: float, threshold: float) -> bool:
+        if math.isfinite(value):
+            self.smallest = min(self.smallest, abs(value - threshold))
+        return value < threshold
+
+
+@dataclass
+class Outcome:
+    """What the twin says of one world after one step."""
+
+    human_position: np.ndarray
+    human_velocity: np.ndarray
+    robot_position: np.ndarray
+    robot_velocity: np.ndarray
+    robot_heading: np.ndarray
+    arrived: np.ndarray
+    collision: np.ndarray
+    reward: np.ndarray
+    terminated: bool
+    truncated: bool
+    margin: Margin = field(repr=False)
+
+
+def snapshot(state: State, e: int = 0) -> dict[str, Any]:
+    """World `e` as float64 copies, by field name."""
+    rows = {name: getattr(state, name)[e] for name in state._fields}
+    return {
+        name: row.astype(np.float64) if row.dtype == np.float32 else row.copy()
+        for name, row in rows.items()
+    }
+
+
+def wrap(angle: float) -> float:
+    return math.remainder(angle, 2.0 * math.pi)
+
+
+# ORCA (van den Berg et al., 2011)
+
+
+def half_plane(
+    p: np.ndarray, v: np.ndarray, radius: float, horizon: float, time_step: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """The change `u` of the relative velocity `v` out of the obstacle, and its outward normal."""
+    distance = float(np.hypot(*p))
+    if distance <= radius:  # they overlap: a disc to be left within one step
+        centre, r = p / time_step, radius / time_step
+        normal = (v - centre) / np.hypot(*(v - centre))
+        return centre + r * normal - v, normal
+    centre, r = p / horizon, radius / horizon
+    half_angle = math.asin(radius / distance)
+    bearing = math.atan2(p[1], p[0])
+    found = []
+    outward = (v - centre) / np.hypot(*(v - centre))
+    if math.acos(np.clip(-outward @ p / distance, -1, 1)) <= math.acos(radius / distance):
+        found.append((centre + r * outward, outward))  # the arc that faces the agent
+    for side in (1.0, -1.0):
+        leg = bearing + side * half_angle
+        along = np.array([math.cos(leg), math.sin(leg)])
+        normal = side * np.array([-along[1], along[0]])
+        tangent_point = math.sqrt(distance**2 - radius**2) / horizon
+        found.append((along * max(float(v @ along), tangent_point), normal))
+    nearest, normal = min(found, key=lambda point: np.hypot(*(point[0] - v)))
+    return nearest - v, normal
+
+
+def solve(
+    points: np.ndarray, normals: np.ndarray, preferred: np.ndarray, max_speed: float
+) -> np.ndarray:
+    """The permitted velocity nearest to `preferred`, or else the least violation of the worst line.
+
+    Args:
+        points: [K, 2], one on each line.
+        normals: [K, 2], unit vectors into the permitted side.
+        preferred: [2].
+        max_speed: radius of the disc of velocities.
+    """
+    speed = float(np.hypot(*preferred))
+    corners = [preferred if speed <= max_speed else preferred / speed * max_speed]
+    offsets = (points * normals).sum(1)
+    for n, b in zip(normals, offsets, strict=True):
+        corners.append(preferred + (b - n @ preferred) * n)
+        corners += _on_circle(n, b, max_speed)
+    for i, j in itertools.combinations(range(len(points)), 2):
+        corners += _crossing(normals[i], offsets[i], normals[j], offsets[j])
+    found = np.array(corners)
+    inside = np.hypot(*found.T) <= max_speed + 1e-7
+    permitted = inside & (found @ normals.T >= offsets - 1e-7).all(1)
+    if permitted.any():
+        found = found[permitted]
+        return found[np.argmin(np.hypot(*(found - preferred).T))]
+    # Violations are equal along the bisector of two lines; the optimum is a corner of bisectors
+    # and the circle, or the point of the circle farthest into one line's permitted side.
+    corners = list(normals * max_speed)
+    bisectors = []
+    for i, j in itertools.combinations(range(len(points)), 2):
+        n, b = normals[i] - normals[j], offsets[i] - offsets[j]
+        length = float(np.hypot(*n))
+        if length > PARALLEL:
+            bisectors.append((i, j, n / length, b / length))
+    for _, _, n, b in bisectors:
+        corners += _on_circle(n, b, max_speed)
+    for (i, j, n, b), (k, m, o, c) in itertools.combinations(bisectors, 2):
+        if i == k and j < m:  # the three bisectors of a triple share one point
+            corners += _crossing(n, b, o, c)
+    found = np.array(corners)
+    found = found[np.hypot(*found.T) <= max_speed + 1e-7]
+    return found[np.argmin((offsets - found @ normals.T).max(1))]
+
+
+def _on_circle(n: np.ndarray, b: float, radius: float) -> list[np.ndarray]:
+    if abs(b) > radius:
+        return []
+    half = math.sqrt(radius**2 - b**2) * np.array([-n[1], n[0]])
+    return [b * n + half, b * n - half]
+
+
+def _crossing(n: np.ndarray, b: float, o: np.ndarray, c: float) -> list[np.ndarray]:
+    determinant = n[0] * o[1] - n[1] * o[0]
+    if abs(determinant) <= PARALLEL:
+        return []
+    return [np.array([b * o[1] - c * n[1], c * n[0] - b * o[0]]) / determinant]
+
+
+def orca(
+    agents: np.ndarray,
+    i: int,
+    preferred: np.ndarray,
+    max_speed: float,
+    neighbor_distance: float,
+    max_neighbors: int,
+    horizon: float,
+    time_step: float,
+) -> np.ndarray:
+    """New velocity of row `i` of `agents` [A, 5]: position, velocity, radius."""
+    distance = np.hypot(*(agents[:, :2] - agents[i, :2]).T)
+    distance[i] = math.inf
+    near = [j for j in np.argsort(distance) if distance[j] < neighbor_distance][:max_neighbors]
+    if not near:
+        return solve(np.zeros((0, 2)), np.zeros((0, 2)), preferred, max_speed)
+    planes = [
+        half_plane(
+            agents[j, :2] - agents[i, :2],
+            agents[i, 2:4] - agents[j, 2:4],
+            agents[i, 4] + agents[j, 4],
+            horizon,
+            time_step,
+        )
+        for j in near
+    ]
+    points = np.array([agents[i, 2:4] + u / 2 for u, _ in planes])
+    return solve(points, np.array([n for _, n in planes]), preferred, max_speed)
+
+
+# People
+
+
+def human_velocities(s: dict[str, Any], goal: np.ndarray, scenario: Scenario) -> np.ndarray:
+    """What the humans of snapshot `s` choose, given the goals they have in this step."""
+    m = int(s["human_count"])
+    radius = s["human_radius"] + scenario.human_safety_space
+    agents = np.column_stack([s["human_position"], s["human_velocity"], radius])[:m]
+    if scenario.robots_visible:
+        n = len(s["robot_heading"])
+        reach = np.full(n, scenario.robot_radius + scenario.human_safety_space)
+        agents = np.vstack(
+            [agents, np.column_stack([s["robot_position"], s["robot_velocity"], reach])]
+        )
+    chosen = np.zeros((m, 2))
+    for j in range(m if scenario.crowd is not Crowd.still else 0):
+        to_goal = goal[j] - agents[j, :2]
+        preferred = s["human_speed"][j] * to_goal / np.hypot(*to_goal)
+        if scenario.crowd is Crowd.orca:
+            chosen[j] = orca(
+                agents,
+                j,
+                preferred,
+                s["human_speed"][j],
+                scenario.neighbor_distance,
+                scenario.max_neighbors,
+                scenario.time_horizon,
+                scenario.time_step,
+            )
+        else:
+            chosen[j] = social_force(agents, j, preferred, s["human_speed"][j], scenario)
+    return chosen
+
+
+def social_force(
+    agents: np.ndarray, i: int, preferred: np.ndarray, max_speed: float, scenario: Scenario
+) -> np.ndarray:
+    """Helbing and Molnar, 1995."""
+    force = (preferred - agents[i, 2:4]) / scenario.relaxation_time
+    for j in range(len(agents)):
+        if j != i:
+            away = agents[i, :2] - agents[j, :2]
+            distance = float(np.hypot(*away))
+            gap = distance - agents[i, 4] - agents[j, 4]
+            strength = scenario.force_strength * math.exp(-gap / scenario.force_range)
+            force = force + strength * away / distance
+    velocity = agents[i, 2:4] + force * scenario.time_step
+    return velocity * min(1.0, max_speed / max(float(np.hypot(*velocity)), 1e-12))
+
+
+# Robots
+
+
+def drive(
+    velocity: np.ndarray, heading: float, action: np.ndarray, scenario: Scenario, margin: Margin
+) -> tuple[np.ndarray, float]:
+    """Velocity and heading after one action (SAMARL, Eq. 2-3, or the simpler models)."""
+    dt, top = scenario.time_step, scenario.robot_speed
+    most = math.radians(scenario.max_turn_degrees)
+    if scenario.kinematics is Kinematics.holonomic:
+        wanted = action * top / max(1.0, math.hypot(*action))
+        turned = heading + (math.atan2(action[1], action[0]) if action.any() else 0.0)
+        return _rotate(wanted, heading), wrap(turned)
+    if scenario.kinematics is Kinematics.unicycle:
+        heading = wrap(heading + action[1] * most)
+        return _rotate(np.array([(action[0] + 1) / 2 * top, 0.0]), heading), heading
+    pair = action[:2] * scenario.max_acceleration / max(1.0, math.hypot(*action[:2]))
+    wanted = np.array([math.hypot(*velocity), 0.0]) + pair * dt  # along and across the new heading
+    if not margin.below(0.0, wanted[0]):
+        return np.zeros(2), wrap(heading + action[2] * most * scenario.turn_in_place)
+    speed = min(math.hypot(*wanted), top)
+    limit = min(most, dt * speed / scenario.min_turning_radius)
+    turn = np.clip(action[2] * most + math.atan2(wanted[1], wanted[0]), -limit, limit)
+    heading = wrap(heading + turn)
+    return _rotate(np.array([speed, 0.0]), heading), heading
+
+
+def _rotate(vector: np.ndarray, angle: float) -> np.ndarray:
+    c, s = math.cos(angle), math.sin(angle)
+    return np.array([c * vector[0] - s * vector[1], s * vector[0] + c * vector[1]])
+
+
+def closest_approach(before: np.ndarray, after: np.ndarray) -> float:
+    """By bisection on the derivative of the squared distance, which rises along the way."""
+    low, high = 0.0, 1.0
+    way = after - before
+    for _ in range(60):
+        middle = (low + high) / 2
+        if (before + middle * way) @ way < 0:
+            low = middle
+        else:
+            high = middle
+    return float(np.hypot(*(before + low * way)))
+
+
+# One step
+
+
+def step(s: dict[str, Any], goal: np.ndarray, actions: np.ndarray, scenario: Scenario) -> Outcome:
+    """The world of snapshot `s` one step later.
+
+    Args:
+        s: see `snapshot`.
+        goal: [M, 2] the goals that the humans have in this step (they may have been redrawn).
+        actions: [N, A].
+        scenario: the task.
+    """
+    margin = Margin()
+    dt, n, m = scenario.time_step, len(s["robot_heading"]), int(s["human_count"])
+    velocity = human_velocities(s, goal, scenario)
+    humans = s["human_position"][:m] + velocity * dt
+    robots, robot_velocity, headings = (
+        s["robot_position"].copy(),
+        s["robot_velocity"].copy(),
+        s["robot_heading"].copy(),
+    )
+    for i in range(n):
+        action = np.asarray(actions[i], np.float64)
+        if s["arrived"][i]:
+            action = np.array([-1.0, 0.0, 0.0])[: len(action)]
+            if scenario.kinematics is Kinematics.holonomic:
+                action = np.zeros(2)
+        new, headings[i] = drive(
+            s["robot_velocity"][i], s["robot_heading"][i], action, scenario, margin
+        )
+        if scenario.kinematics is Kinematics.acceleration_heading:
+            robots[i] += (s["robot_velocity"][i] + new) / 2 * dt
+        else:
+            robots[i] += new * dt
+        wall = math.inf if scenario.arena_radius is None else scenario.arena_radius
+        wall -= scenario.robot_radius
+        if margin.below(wall, float(np.hypot(*robots[i]))):
+            robots[i] *= wall / np.hypot(*robots[i])
+            new = np.zeros(2)
+        robot_velocity[i] = new
+    collision = np.zeros(n, int)
+    gap = np.full(n, math.inf)
+    for i in range(n):
+        if s["arrived"][i]:
+            continue
+        for j in range(m):
+            radii = s["human_radius"][j] + scenario.robot_radius
+            before = s["human_position"][j] - s["robot_position"][i]
+            after = humans[j] - robots[i]
+            gap[i] = min(gap[i], np.hypot(*after) - radii)
+            if margin.below(closest_approach(before, after), radii):
+                collision[i] = 1
+        for k in range(n):
+            if k == i or collision[i] == 1:
+                continue
+            before = s["robot_position"][k] - s["robot_position"][i]
+            if margin.below(
+                closest_approach(before, robots[k] - robots[i]), 2 * scenario.robot_radius
+            ):
+                collision[i] = 2
+    to_goal_before = np.hypot(*(s["robot_goal"] - s["robot_position"]).T)
+    to_goal = np.hypot(*(s["robot_goal"] - robots).T)
+    reached = np.array(
+        [
+            bool(margin.below(to_goal[i], scenario.robot_radius)) and not collision[i]
+            for i in range(n)
+        ]
+    )
+    driving = ~s["arrived"]
+    reached &= driving
+    arrived = s["arrived"] | reached
+    team = bool(arrived.all() and reached.any())
+    reward = np.array(
+        [
+            _reward(
+                scenario, margin, bool(collision[i]), bool(reached[i]), team, bool(driving[i]),
+                float(gap[i]), float(to_goal_before[i] - to_goal[i]),
+            )
+            for i in range(n)
+        ]
+    )  # fmt: skip
+    terminated = bool(collision.any() or arrived.all())
+    late = int(s["clock"]) + 1 >= scenario.time_limit_steps
+    return Outcome(
+        humans, velocity, robots, robot_velocity, headings, arrived, collision, reward,
+        terminated, late and not terminated, margin,
+    )  # fmt: skip
+
+
+def _reward(
+    scenario: Scenario,
+    margin: Margin,
+    collided: bool,
+    reached: bool,
+    team: bool,
+    driving: bool,
+    gap: float,
+    progress: float,
+) -> float:
+    """SAMARL, Eq. 10."""
+    w = scenario.reward
+    events = [(team, w.team), (reached, w.arrival), (collided, w.collision)]
+    happened = [value for event, value in events if event]
+    if happened:
+        return happened[0] if w.literal else sum(happened)
+    if not driving:
+        return 0.0
+    if margin.below(gap, w.discomfort_distance):
+        return max(-w.discomfort / gap, w.discomfort_limit)
+    return w.progress * progress
+
+
+# The sensor, without noise
+
+
+def observe(s: dict[str, Any], scenario: Scenario) -> tuple[dict[str, np.ndarray], Margin]:
+    """What every robot of snapshot `s` knows, by field of `mrsan.Observation`."""
+    margin = Margin()
+    n, slots, m = len(s["robot_heading"]), len(s["human_radius"]), int(s["human_count"])
+    out = {
+        "ego": np.zeros((n, 11)),
+        "humans": np.zeros((n, slots, 5)),
+        "humans_visible": np.zeros((n, slots), bool),
+        "robots": np.zeros((n, n - 1, 5)),
+        "robots_visible": np.zeros((n, n - 1), bool),
+    }
+    discs = [
+        (s["human_position"][j], s["human_velocity"][j], s["human_radius"][j]) for j in range(m)
+    ]
+    discs += [
+        (s["robot_position"][k], s["robot_velocity"][k], scenario.robot_radius) for k in range(n)
+    ]
+    for i in range(n):
+        here, own, heading = s["robot_position"][i], s["robot_velocity"][i], s["robot_heading"][i]
+        out["ego"][i] = [
+            *_rotate(s["robot_goal"][i] - here, -heading),
+            *_rotate(own, -heading),
+            *_rotate(-here, -heading),
+            math.cos(heading),
+            math.sin(heading),
+            scenario.robot_radius,
+            scenario.robot_speed,
+            s["clock"] / scenario.time_limit_steps,
+        ]
+        for j, (position, velocity, radius) in enumerate(discs):
+            if j == m + i:
+                continue
+            others = [d for k, d in enumerate(discs) if k not in (j, m + i)]
+            if not _sees(here, heading, position, others, scenario, margin):
+                continue
+            row = [*_rotate(position - here, -heading), *_rotate(velocity - own, -heading), radius]
+            kind, slot = ("humans", j) if j < m else ("robots", j - m - (j - m > i))
+            out[kind][i, slot] = row
+            out[f"{kind}_visible"][i, slot] = True
+    return out, margin
+
+
+def _sees(
+    here: np.ndarray,
+    heading: float,
+    target: np.ndarray,
+    others: list[tuple[np.ndarray, np.ndarray, float]],
+    scenario: Scenario,
+    margin: Margin,
+) -> bool:
+    line = target - here
+    distance = float(np.hypot(*line))
+    bearing = math.atan2(line[1], line[0])
+    seen = margin.below(distance, scenario.sensing_range)
+    half = math.radians(scenario.fov_degrees) / 2
+    if scenario.fov_degrees < 360:
+        seen &= margin.below(abs(wrap(bearing - heading)), half)
+    if scenario.occlusion:
+        for position, _, radius in others:
+            offset = position - here
+            away = float(np.hypot(*offset))
+            angle = abs(wrap(math.atan2(offset[1], offset[0]) - bearing))
+            half_width = math.asin(radius / away) if away > radius else math.pi / 2
+            if margin.below(away, distance) & margin.below(angle, half_width):
+                seen = False
+    return seen

@@ -1,0 +1,116 @@
+"""Every number of a scenario is checked, and the message says what would be right."""
+
+import dataclasses
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mrsan import ConfigurationError, Crowd, Kinematics, Reward, Scenario
+from samarl.evaluation.runner import Evaluation
+
+NUMBERS = [
+    (owner, field.name)
+    for owner in (Scenario, Reward, Evaluation)
+    for field in dataclasses.fields(owner)
+    if "low" in field.metadata
+]
+# What else must change where the end of one range contradicts the default of another field.
+ROOM: dict[tuple[str, str], dict[str, Any]] = {
+    ("humans_min", "high"): {"humans": 64},
+    ("circle_radius", "low"): {"goal_distance": 1.0},
+    ("time_limit", "low"): {"time_step": 0.01},
+    ("human_radius_min", "high"): {"human_radius_max": 2.0},
+    ("human_radius_max", "low"): {"human_radius_min": 0.05},
+    ("human_speed_min", "high"): {"human_speed_max": 10.0},
+    ("human_speed_max", "low"): {"human_speed_min": 0.05},
+    ("goal_distance", "high"): {"circle_radius": 1000.0},
+}
+PATH = {Scenario: "scenario", Reward: "scenario.reward", Evaluation: "evaluation"}
+
+
+def make(owner: type, **fields: Any) -> Any:
+    if owner is Reward:
+        return Scenario(reward=Reward(**fields))
+    return owner(**fields)
+
+
+@pytest.mark.parametrize(("owner", "name"), NUMBERS)
+def test_each_number_out_of_its_range_is_refused_by_name(owner: type, name: str) -> None:
+    field = next(f for f in dataclasses.fields(owner) if f.name == name)
+    low, high, above = (field.metadata[key] for key in ("low", "high", "above"))
+    wrong: list[Any] = [math.nan, math.inf, -math.inf, "3", True, [1], 1j]
+    wrong += [np.nextafter(low, -np.inf), np.nextafter(high, np.inf), low - 1, high + 1]
+    wrong += [low] if above else []
+    wrong += [] if field.default is None else [None]
+    if "int" in str(field.type):
+        wrong.append(low + 0.5)
+    for value in wrong:
+        with pytest.raises(ConfigurationError) as error:
+            make(owner, **{name: value})
+        message = str(error.value)
+        assert message.startswith(f"{PATH[owner]}.{name} is {value!r}; it must")
+        assert f"{low:g}, {high:g}]" in message
+
+
+@pytest.mark.parametrize(("owner", "name"), NUMBERS)
+@pytest.mark.parametrize("end", ["low", "high"])
+def test_the_ends_of_each_range_can_be_used(owner: type, name: str, end: str) -> None:
+    field = next(f for f in dataclasses.fields(owner) if f.name == name)
+    value = field.metadata[end]
+    if (name, end) == ("arena_radius", "low"):
+        value = 6.1  # it must hold the circle
+    if end == "low" and field.metadata["above"]:
+        value = 1e-3
+    others = {} if owner is not Scenario else dict(ROOM.get((name, end), {}))
+    made = make(owner, **{name: value}, **others)
+    assert getattr(made.reward if owner is Reward else made, name) == value
+
+
+@pytest.mark.parametrize("name", [f.name for f in dataclasses.fields(Scenario) if f.type == "bool"])
+def test_switches_are_true_or_false(name: str) -> None:
+    with pytest.raises(ConfigurationError, match=rf"scenario.{name} is 1; it must be true or"):
+        Scenario(**{name: 1})
+
+
+@pytest.mark.parametrize(("name", "choices"), [("crowd", Crowd), ("kinematics", Kinematics)])
+def test_names_are_among_the_choices(name: str, choices: Any) -> None:
+    with pytest.raises(ConfigurationError) as error:
+        Scenario(**{name: "nobody"})
+    assert str(error.value) == (
+        f"scenario.{name} is 'nobody'; it must be one of {', '.join(choices.__members__)}"
+    )
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"humans": 3, "humans_min": 4}, "humans_min is 4; it must not exceed scenario.humans (3)"),
+        ({"human_radius_min": 0.4}, "human_radius_min is 0.4; it must not exceed"),
+        ({"human_speed_min": 1.1}, "human_speed_min is 1.1; it must not exceed"),
+        ({"time_limit": 0.2}, "time_step is 0.25; it must not exceed scenario.time_limit (0.2)"),
+        ({"goal_distance": 5.5}, "goal_distance is 5.5; it must not exceed scenario.circle_radius"),
+        ({"arena_radius": 6.0}, "arena_radius is 6.0; it must be null or at least 6.01"),
+        ({"reward": 3}, "reward is 3; it must be a Reward"),
+    ],
+)
+def test_contradictions_name_both_sides(fields: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigurationError) as error:
+        Scenario(**fields)
+    assert str(error.value).startswith(f"scenario.{message}")
+
+
+def test_replacing_checks_again() -> None:
+    with pytest.raises(ConfigurationError, match=r"scenario.fov_degrees is 400; .*\(0, 360\]"):
+        dataclasses.replace(Scenario(), fov_degrees=400)
+
+
+def test_the_defaults_are_samarls() -> None:
+    s = Scenario()
+    assert (s.robots, s.humans, s.circle_radius, s.time_step, s.time_limit_steps) == (
+        3, 10, 5.0, 0.25, 200,
+    )  # fmt: skip
+    assert (s.max_acceleration, s.max_turn_degrees, s.min_turning_radius) == (5.0, 15.0, 1.0)
+    assert (s.robot_radius, s.robot_speed, s.sensing_range) == (0.3, 1.0, 10.0)
+    assert s.parameters().max_turn == pytest.approx(math.pi / 12)

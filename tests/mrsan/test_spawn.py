@@ -1,0 +1,142 @@
+"""Where episodes begin and where people want to go next."""
+
+import numpy as np
+import pytest
+
+from mrsan import Crowd, Scenario, World
+
+CLEARANCE = 0.4
+FIVE_SIGMA = 5.0
+
+
+def begun(worlds: int, **fields) -> World:
+    world = World(Scenario(**fields), worlds)
+    world.reset(np.arange(worlds))
+    return world
+
+
+def smallest_clearance(a, b, radius_a, radius_b) -> float:
+    """Surface distance of the nearest two of the discs `a` and `b`, each [K, 2]."""
+    distance = np.linalg.norm(a[:, None] - b[None], axis=-1).astype(float)
+    distance -= np.asarray(radius_a)[:, None] + np.asarray(radius_b)[None]
+    if a is b:
+        np.fill_diagonal(distance, np.inf)
+    return distance.min(initial=np.inf)
+
+
+@pytest.mark.parametrize("robots", [1, 3, 16])
+@pytest.mark.parametrize("humans", [0, 10, 64])
+def test_starts_keep_their_clearances(robots: int, humans: int) -> None:
+    world = begun(
+        30, robots=robots, humans=humans, human_radius_max=0.5, human_speed_min=0.5,
+        human_speed_max=1.5,
+    )  # fmt: skip
+    s = world.state
+    assert (s.human_count == humans).all()
+    r = np.full(robots, 0.3)
+    for e in range(30):
+        start, goal, people, h = (
+            s.robot_position[e], s.robot_goal[e], s.human_position[e], s.human_radius[e],
+        )  # fmt: skip
+        pairs = [(start, start, r, r), (goal, goal, r, r), (start, people, r, h)]
+        pairs += [(people, people, h, h)]
+        assert min(smallest_clearance(*pair) for pair in pairs) >= CLEARANCE - 1e-5
+        for i in range(robots):
+            others = np.arange(robots) != i
+            gap = smallest_clearance(start[i : i + 1], goal[others], r[:1], r[others])
+            assert gap >= CLEARANCE - 1e-5
+    # Start and goal are opposite points, each coordinate of both jittered by 0.5 (times the speed).
+    assert np.abs(s.robot_position + s.robot_goal).max() <= 1 + 1e-5
+    people = np.abs(s.human_position + s.human_goal)
+    assert (people <= s.human_speed[..., None] + 1e-5).all()
+    assert not s.robot_velocity.any()
+    assert not s.human_velocity.any()
+    way = s.robot_goal - s.robot_position
+    np.testing.assert_allclose(s.robot_heading, np.arctan2(way[..., 1], way[..., 0]), atol=1e-5)
+    world.step(np.zeros((30, robots, 3)))
+    assert np.isfinite(s.human_position).all()
+
+
+def test_starts_lie_on_the_circle_in_every_direction() -> None:
+    world = begun(3000, robots=1, humans=2, spawn_jitter=0.0)
+    for start in (world.state.robot_position[:, 0], world.state.human_position[:, 1]):
+        np.testing.assert_allclose(np.hypot(*start.T), 5, rtol=1e-5)
+        assert np.abs(start.mean(0)).max() < FIVE_SIGMA * 5 / np.sqrt(2 * 3000)
+    jittered = begun(3000, robots=1, humans=0).state
+    sum_of_two = jittered.robot_position + jittered.robot_goal  # of U(-0.5, 0.5): variance 1/6
+    np.testing.assert_allclose(sum_of_two.std((0, 1)), np.sqrt(1 / 6), rtol=0.05)
+
+
+def test_every_start_lies_inside_the_wall() -> None:
+    """Even where the circle is too small for all: the circle widens, and the wall must know."""
+    world = begun(20, robots=16, humans=20, circle_radius=5.0, arena_radius=6.1)
+    distance = np.linalg.norm(world.state.robot_position, axis=-1)
+    assert (distance <= 6.1 - 0.3 + 1e-5).all()
+
+
+def test_radius_and_speed_of_people_are_uniform() -> None:
+    s = begun(2000, humans=5, human_radius_max=0.5, human_speed_min=0.5, human_speed_max=1.5).state
+    for values, low, high in ((s.human_radius, 0.3, 0.5), (s.human_speed, 0.5, 1.5)):
+        share = (values - low) / (high - low)
+        assert ((share >= -1e-6) & (share <= 1)).all()
+        assert share.mean() == pytest.approx(0.5, abs=FIVE_SIGMA * np.sqrt(1 / 12 / 10_000))
+        assert share.var() == pytest.approx(1 / 12, rel=0.05)
+    assert abs(np.corrcoef(s.human_radius.ravel(), s.human_speed.ravel())[0, 1]) < 0.05
+
+
+def test_the_number_of_people_is_uniform_from_humans_min() -> None:
+    count = begun(6000, humans=5, humans_min=2).state.human_count
+    assert set(count.tolist()) == {2, 3, 4, 5}
+    spread = FIVE_SIGMA * np.sqrt(6000 * 0.25 * 0.75)
+    assert (np.abs(np.bincount(count)[2:] - 1500) < spread).all()
+
+
+@pytest.mark.parametrize("probability", [0.0, 0.25, 0.5, 1.0])
+def test_goals_change_at_the_interval_with_the_stated_probability(probability: float) -> None:
+    """Every second, that is before steps 5, 9, 13, ... when time is 0.25 s."""
+    world = begun(
+        400, robots=1, humans=5, goal_change_interval=1.0, goal_change_probability=probability,
+        neighbor_distance=0.1,
+    )  # fmt: skip
+    s = world.state
+    s.robot_position[:] = 100.0  # out of the way
+    trials = changes = 0
+    for clock in range(13):
+        goal, here = s.human_goal.copy(), s.human_position.copy()
+        reached = np.linalg.norm(goal - here, axis=-1) < s.human_radius
+        world.step(np.zeros((400, 1, 3)))
+        changed = (s.human_goal != goal).any(-1)
+        assert changed[reached].all()
+        far = np.linalg.norm(s.human_goal - here, axis=-1)[changed]
+        assert (far >= 4 - 1e-4).all()
+        on_circle = np.linalg.norm(s.human_goal[changed], axis=-1)
+        assert (np.abs(on_circle - 5) <= 0.5 * np.sqrt(2) + 1e-4).all()
+        if clock > 0 and clock % 4 == 0:
+            trials += int((~reached).sum())
+            changes += int(changed[~reached].sum())
+        else:
+            assert not changed[~reached].any()
+    spread = FIVE_SIGMA * np.sqrt(probability * (1 - probability) / trials)
+    assert trials > 5000
+    assert abs(changes / trials - probability) <= spread
+
+
+def test_a_person_at_its_goal_gets_a_new_one() -> None:
+    world = begun(50, robots=1, humans=1, goal_change_probability=0.0, crowd=Crowd.orca)
+    s = world.state
+    s.robot_position[:] = 100.0
+    s.human_position[:] = s.human_goal + np.array([0.2, 0.0])
+    old = s.human_goal.copy()
+    world.step(np.zeros((50, 1, 3)))
+    assert (s.human_goal != old).any(-1).all()
+    assert (np.linalg.norm(s.human_goal - old, axis=-1) >= 4 - 0.21).all()
+    speed = np.linalg.norm(s.human_velocity, axis=-1)
+    np.testing.assert_allclose(speed, 1.0, rtol=1e-5)  # and is on its way at once
+
+
+def test_still_people_stand_still() -> None:
+    world = begun(10, humans=5, crowd=Crowd.still)
+    before = world.state.human_position.copy()
+    for _ in range(5):
+        world.step(np.zeros((10, 3, 3)))
+    np.testing.assert_array_equal(world.state.human_position, before)

@@ -1,0 +1,172 @@
+"""Everything that drives robots, by walking `conf/agent/`."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+from omegaconf import OmegaConf
+
+from mrsan import ConfigurationError, Kinematics, Observation, Scenario, Split, World
+from mrsan.scenario import required
+from samarl.agents import Agent, build_agent
+from samarl.bench import available_agents
+from samarl.evaluation.files import find_folder
+from samarl.evaluation.runner import run_cases
+
+NAMES = available_agents()
+CASES = Split.test.case(0) + np.arange(40)
+
+
+def config(name: str) -> dict[str, Any]:
+    return OmegaConf.to_container(OmegaConf.load(find_folder("conf") / "agent" / f"{name}.yaml"))
+
+
+def agent_in(name: str, scenario: Scenario) -> Agent:
+    return build_agent(config(name), scenario)
+
+
+def test_the_planners_are_there() -> None:
+    planners = {"orca", "social_force", "straight", "perimeter", "model_predictive"}
+    assert planners <= set(NAMES)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_agent_plays_two_cases(name: str) -> None:
+    scenario = Scenario(fov_degrees=90.0, humans=5)
+    episodes = run_cases(agent_in(name, scenario), scenario, CASES[:2], batch=2)
+    assert episodes.case.tolist() == CASES[:2].tolist()
+    assert (episodes.path_length > 0).any()
+    assert (episodes.duration <= 50).all()
+
+
+@pytest.mark.parametrize("kinematics", Kinematics)
+@pytest.mark.parametrize("robots", [1, 4])
+@pytest.mark.parametrize("humans", [0, 6])
+@pytest.mark.parametrize("name", NAMES)
+def test_an_action_is_valid_and_does_not_depend_on_the_batch(
+    name: str, robots: int, humans: int, kinematics: Kinematics
+) -> None:
+    scenario = Scenario(
+        robots=robots, humans=humans, kinematics=kinematics, fov_degrees=200.0, position_noise=0.05
+    )
+    agent = agent_in(name, scenario)
+    world = World(scenario, 20)
+    observation = world.reset(CASES[:20])
+    agent.reset(np.ones(20, bool))
+    for _ in range(4):  # from rest, then moving
+        action = agent.act(observation)
+        assert action.shape == (20, robots, scenario.action_size)
+        assert (np.abs(action) <= 1).all()
+        last, observation = observation, world.step(action).observation
+    alone = agent_in(name, scenario)
+    for e in (0, 13):
+        alone_world = World(scenario)
+        own = alone_world.reset(CASES[e : e + 1])
+        alone.reset(np.ones(1, bool))
+        for _ in range(4):
+            own_action = alone.act(own)
+            own = alone_world.step(own_action).observation
+        np.testing.assert_array_equal(own_action[0], action[e])
+    assert last is not observation
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_an_agent_acts_on_what_it_observes_alone(name: str) -> None:
+    """The same observations with another truth behind them lead to the same actions."""
+    scenario = Scenario(robots=2, humans=6, fov_degrees=120.0)
+    actions = []
+    for scrambled in (False, True):
+        world = World(scenario, 10)
+        observation = world.reset(CASES[:10])
+        if scrambled:
+            rng = np.random.default_rng(0)
+            unseen = ~observation.humans_visible.any(1)  # by neither robot
+            assert unseen.any()
+            far = np.full((10, 6, 2), 500.0) + rng.uniform(0, 9, (10, 6, 2))
+            world.state.human_position[unseen] = far[unseen]
+            world.state.human_velocity[unseen] = 3.0
+            world.state.human_goal[:] = 0.0
+            observation = world.observe()
+        agent = agent_in(name, scenario)
+        agent.reset(np.ones(10, bool))
+        actions.append(agent.act(observation))
+    np.testing.assert_array_equal(*actions)
+
+
+@pytest.mark.parametrize("kinematics", Kinematics)
+def test_straight_alone_always_arrives_by_the_straight_line(kinematics: Kinematics) -> None:
+    scenario = Scenario(robots=1, humans=0, kinematics=kinematics)
+    episodes = run_cases(agent_in("straight", scenario), scenario, CASES, batch=40)
+    assert episodes.success.all()
+    # It arrives within a radius of its goal, and may have driven a step beyond that circle.
+    short = episodes.straight_line - episodes.path_length
+    assert (short > 0).all()
+    assert (short <= 0.3 + 1e-4).all()
+    assert (episodes.time <= episodes.straight_line / 1.0 + 0.25).all()
+
+
+@pytest.mark.parametrize("name", [n for n in NAMES if n != "perimeter"])
+def test_nobody_in_the_way_is_no_reason_to_fail(name: str) -> None:
+    scenario = Scenario(robots=1, humans=0)
+    episodes = run_cases(agent_in(name, scenario), scenario, CASES[:10], batch=10)
+    if name in ("straight", "orca", "social_force", "model_predictive"):
+        assert episodes.success.all()
+    assert np.isinf(episodes.closest_human).all()
+
+
+def test_round_the_crowd_beats_straight_through_it() -> None:
+    scenario = Scenario()
+    perimeter, straight = (
+        run_cases(agent_in(name, scenario), scenario, CASES, batch=40)
+        for name in ("perimeter", "straight")
+    )
+    assert perimeter.success.mean() > straight.success.mean() + 0.3
+    assert perimeter.path_length[perimeter.success].mean() > 20  # a half circle of 7.5 m is 23.6 m
+
+
+def test_looking_beats_not_looking() -> None:
+    """With everybody in view, predicting people is better than driving straight on."""
+    scenario = Scenario(robots=1)
+    looking, blind = (
+        run_cases(agent_in(name, scenario), scenario, CASES, batch=40)
+        for name in ("model_predictive", "straight")
+    )
+    assert looking.success.mean() > blind.success.mean() + 0.2
+
+
+@dataclass
+class Waiting(Agent):
+    patience: int = required(1, 10)
+
+    def act(self, observation: Observation) -> np.ndarray:
+        return np.zeros((*observation.ego.shape[:2], self.scenario.action_size), np.float32)
+
+
+HERE = f"{__name__}.Waiting"
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"_target_": "no.where.Nobody"}, r"agent._target_ is 'no.where.Nobody'; it must be"),
+        ({"_target_": "mrsan.World"}, r"agent._target_ is 'mrsan.World'; it must be a subclass"),
+        ({}, r"agent._target_ is None"),
+        ({"_target_": HERE}, r"patience"),
+        ({"_target_": HERE, "patience": 11}, r"agent.patience is 11; .* in \[1, 10\]"),
+        ({"_target_": HERE, "patience": 0}, r"agent.patience is 0"),
+        ({"_target_": HERE, "patience": "long"}, r"agent.patience: Value 'long'"),
+        ({"_target_": HERE, "patience": 3, "x": 1}, r"agent.x: Key 'x' not in 'Waiting'"),
+    ],
+)
+def test_an_agent_that_cannot_be_built_says_why(fields: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigurationError, match=message):
+        build_agent(fields, Scenario())
+
+
+def test_an_agent_of_ones_own_needs_one_class() -> None:
+    scenario = Scenario(robots=2, humans=0, time_limit=2.0)
+    agent = build_agent({"_target_": HERE, "patience": 3}, scenario)
+    episodes = run_cases(agent, scenario, CASES[:3], batch=2)
+    assert episodes.timeout.all()
+    assert not episodes.path_length.any()

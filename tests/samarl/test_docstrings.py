@@ -1,0 +1,21 @@
+"""The examples in the docstrings are true."""
+
+import doctest
+import importlib
+
+import pytest
+
+EXAMPLES = {
+    "mrsan.world": 4,
+    "mrsan.pettingzoo_env": 4,
+    "mrsan.torchrl_env": 2,
+    "samarl.evaluation.summary": 2,
+}
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_the_examples_of(name: str) -> None:
+    module = importlib.import_module(name)
+    result = doctest.testmod(module, optionflags=doctest.ELLIPSIS)
+    assert result.failed == 0
+    assert result.attempted >= min(EXAMPLES[name], 1)

@@ -1,0 +1,257 @@
+"""A thousand ways to get a configuration wrong end in one line that says so."""
+
+from __future__ import annotations
+
+import dataclasses
+import gc
+import logging
+import random
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hydra._internal.hydra import Hydra
+from hydra.core.global_hydra import GlobalHydra
+
+from mrsan import Reward, Scenario
+from samarl import evaluate
+from samarl.evaluation.runner import Evaluation
+
+CHUNKS, CHUNK = 10, 100
+OWNERS = {"scenario": Scenario, "scenario.reward": Reward, "evaluation": Evaluation}
+FIELDS = [
+    (f"{path}.{f.name}", f)
+    for path, owner in OWNERS.items()
+    for f in dataclasses.fields(owner)
+    if "low" in f.metadata
+]
+SWITCHES = ["scenario.turn_in_place", "scenario.occlusion", "scenario.robots_visible"]
+SWITCHES += ["scenario.reward.literal"]
+ENUMS = ["scenario.crowd", "scenario.kinematics", "evaluation.split"]
+KNOBS = {
+    "orca": ["neighbor_distance", "max_neighbors", "time_horizon", "safety_space"],
+    "perimeter": ["radius", "lookahead", "entry_angle"],
+    "social_force": ["relaxation_time", "strength", "reach"],
+    "model_predictive": ["horizon", "directions", "speeds", "holds", "collision_discount"],
+}
+WORDS = ["fov", "robot", "pedestrians", "seed", "speed", "noise", "lr", "gamma", "x", "Robots"]
+HARMLESS = ["scenario.robots=2", "evaluation.batch=4", "scenario.occlusion=true", "agent=straight"]
+
+
+def out_of_range(r: random.Random) -> list[str]:
+    name, field = r.choice(FIELDS)
+    low, high = field.metadata["low"], field.metadata["high"]
+    whole = "int" in str(field.type)
+    beyond = r.choice([1, 7, 1000]) if whole else r.choice([0.01, 1.5, 1e4])
+    return [f"{name}={r.choice([low - beyond, high + beyond])}"]
+
+
+def not_finite(r: random.Random) -> list[str]:
+    name, _ = r.choice(FIELDS)
+    return [f"{name}={r.choice(['nan', 'inf', '-inf', 'NaN', '-Inf'])}"]
+
+
+def wrong_type(r: random.Random) -> list[str]:
+    name, field = r.choice([*FIELDS, *[(name, None) for name in SWITCHES]])
+    values = ["abc", "[1,2]", "{a: 1}", "''", "1.2.3", "[]", "3m", "'1 000'"]
+    if field is None:
+        values += ["maybe", "null", "2.5"]
+    else:
+        values += ["true"] + ["2.5", "1e1"] * ("int" in str(field.type))
+        values += ["null"] * ("None" not in str(field.type))
+    return [f"{name}={r.choice(values)}"]
+
+
+def bad_name(r: random.Random) -> list[str]:
+    name = r.choice(ENUMS)
+    return [f"{name}={r.choice(['orcas', 'TEST', '17', 'null', '[orca]', '1.5', 'none', 'x y'])}"]
+
+
+def unknown_key(r: random.Random) -> list[str]:
+    word, value = r.choice(WORDS), r.choice(["1", "abc", "null", "[1]"])
+    path = r.choice(["", "scenario.", "scenario.reward.", "evaluation.", "agent."])
+    return [f"{r.choice(['', '+', '++'])}{path}{word}_{r.randint(0, 99)}={value}"]
+
+
+def deleted_key(r: random.Random) -> list[str]:
+    name, _ = r.choice(FIELDS)
+    return [r.choice([f"~{name}", f"~{name}_", "~scenario", "~agent", "~evaluation", "~nothing"])]
+
+
+def broken_syntax(r: random.Random) -> list[str]:
+    name, _ = r.choice(FIELDS)
+    forms = ["{n}", "{n}=[1", "{n}={{a:", "{n}==1", "={v}", "{n} =,", "{n}=1,2,", "{n}=(1", "+",
+             "~", "{n}='1", "{n}=1]", "{n}:3", "{n}=${{", "{n}=${{1", "+={v}", "=", "{n}=range(1",
+             "{n}=a(1)", "{n}=choice(1,2)", "{n}=1,2"]  # fmt: skip
+    return [r.choice(forms).format(n=name, v=r.randint(0, 9))]
+
+
+def bad_choice(r: random.Random) -> list[str]:
+    group = r.choice(["agent", "scenario", "evaluation"])
+    forms = [
+        "nobody",
+        "Orca",
+        "orca.yml",
+        "../config",
+        "''",
+        "null",
+        "3",
+        "[]",
+        "[a,b]",
+        "{a: 1}",
+        "1.5",
+    ]
+    prefix = r.choice(["", "", "", "+"])
+    return [f"{prefix}{group}={r.choice(forms)}"]
+
+
+def bad_knob(r: random.Random) -> list[str]:
+    agent = r.choice(list(KNOBS))
+    knob = f"agent.{r.choice(KNOBS[agent])}"
+    value = r.choice(["-1", "1e9", "nan", "inf", "abc", "null", "[1]", "{a: 1}", "true", "???"])
+    return [f"agent={agent}", f"{knob}={value}"]
+
+
+def bad_target(r: random.Random) -> list[str]:
+    targets = ["null", "3", "nothing", "no.such.module.Agent", "os.system", "builtins.int", "[1]",
+               "samarl.agents.planners.orca", "samarl.agents.planners.orca.Nobody", "''", "a b",
+               "samarl.agents.agent.Agent", "mrsan.Scenario", ".Orca", "samarl..Orca"]  # fmt: skip
+    agent = r.choice(["orca", "straight"])
+    return [f"agent={agent}", f"agent._target_={r.choice(targets)}"]
+
+
+def bad_interpolation(r: random.Random) -> list[str]:
+    name, _ = r.choice(FIELDS)
+    forms = [
+        "nowhere",
+        name,
+        "scenario.nothing",
+        "oc.env:NO_SUCH_VARIABLE",
+        "agent._target_",
+        "no:1",
+    ]
+    return [f"{name}=${{{r.choice(forms)}}}"]
+
+
+def missing_value(r: random.Random) -> list[str]:
+    return [f"{r.choice(FIELDS)[0]}=???"]
+
+
+def contradiction(r: random.Random) -> list[str]:
+    x = r.randint(1, 9)
+    return r.choice(
+        [
+            [f"scenario.humans={x}", f"scenario.humans_min={x + r.randint(1, 9)}"],
+            [f"scenario.human_radius_min={0.3 + 0.1 * x:.1f}"],
+            [f"scenario.human_speed_max={0.1 * x:.1f}"],
+            ["scenario.time_step=0.5", f"scenario.time_limit={0.04 * x:.2f}"],
+            [f"scenario.goal_distance={5 + x}"],
+            [f"scenario.arena_radius={6 - 0.1 * x:.1f}"],
+            ["scenario.robot_speed=2", f"scenario.arena_radius={6.7 - 0.1 * x:.1f}"],
+        ]
+    )
+
+
+KINDS: list[Callable[[random.Random], list[str]]] = [
+    out_of_range, out_of_range, out_of_range, not_finite, wrong_type, wrong_type, bad_name,
+    unknown_key, unknown_key, deleted_key, broken_syntax, broken_syntax, bad_choice, bad_knob,
+    bad_target, bad_interpolation, missing_value, contradiction,
+]  # fmt: skip
+
+
+def malformed(chunk: int) -> list[list[str]]:
+    """Command lines, each wrong in one way and otherwise harmless."""
+    lines = []
+    for number in range(CHUNK):
+        r = random.Random(1000 * chunk + number)
+        wrong = KINDS[number % len(KINDS)](r)
+        extra = [] if any(o.startswith("agent") for o in wrong) else r.sample(HARMLESS, 1)
+        lines.append(["evaluation.cases=1", *extra, *wrong] if number % 3 else wrong)
+    return lines
+
+
+@pytest.fixture
+def bare(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[None]:
+    """A place of its own, and no traces."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("HYDRA_FULL_ERROR", "1")
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    gc.disable()  # composing leaves many small objects; collecting them takes half of the time
+    yield
+    gc.enable()
+    GlobalHydra.instance().clear()
+
+
+def run(arguments: list[str], monkeypatch: pytest.MonkeyPatch) -> Any:
+    """The exit code of the command, or what escaped from it."""
+    monkeypatch.setattr(sys, "argv", ["samarl-evaluate", *arguments])
+    # As in a shell: no log handler of pytest that would swallow a second line.
+    monkeypatch.setattr(logging.getLogger(), "handlers", [])
+    GlobalHydra.instance().clear()
+    try:
+        evaluate.main()
+    except SystemExit as end:
+        return end.code
+    except Exception as error:
+        return error
+    return "no complaint"
+
+
+@pytest.mark.parametrize("chunk", range(CHUNKS))
+def test_every_malformed_configuration_ends_in_one_line(
+    chunk: int, bare: None, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    # What reaches the simulator was valid by accident: do not play it, report it.
+    monkeypatch.setattr(evaluate, "run_cases", lambda *_: pytest.fail("valid", pytrace=False))
+    # Hydra composes twice, first to learn whether it sweeps, and that is where the time goes:
+    # nine of ten lines are told.
+    looks_itself = Hydra.get_mode
+    failures = []
+    for number, arguments in enumerate(malformed(chunk)):
+        asks = number % 10 == 0
+        monkeypatch.setattr(Hydra, "get_mode", looks_itself if asks else lambda *_, **__: None)
+        capsys.readouterr()
+        try:
+            code = run(arguments, monkeypatch)
+        except pytest.fail.Exception:
+            code = "no complaint"
+        said = capsys.readouterr().err
+        lines = said.splitlines()
+        if code != 2 or len(lines) != 1 or not lines[0].startswith("error: "):
+            failures.append(f"{' '.join(arguments)}\n    -> {code!r}: {said.strip()[-300:]}")
+    assert not failures, f"{len(failures)} of {CHUNK}:\n" + "\n".join(failures)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["scenario.fov_degrees=400"], "scenario.fov_degrees is 400.0; it must lie in (0, 360]"),
+        (["scenario.robots=0"], "scenario.robots is 0; it must be a whole number in [1, 16]"),
+        (
+            ["scenario.humans_min=11"],
+            "scenario.humans_min is 11; it must not exceed scenario.humans",
+        ),
+        (
+            ["agent.max_neighbors=0"],
+            "agent.max_neighbors is 0; it must be a whole number in [1, 80]",
+        ),
+        (
+            ["agent=nobody"],
+            "Could not find 'agent/nobody'; Available options in 'agent'; model_pred",
+        ),
+        (["scenario.robotz=3"], "Key 'robotz' not in 'Scenario'"),
+        (["scenario.crowd=orcas"], "expected one of [orca, social_force, still]"),
+        (["scenario.reward.progress=inf"], "scenario.reward.progress is inf; it must lie in"),
+    ],
+)
+def test_the_line_names_the_field_the_value_and_what_is_right(
+    arguments: list[str],
+    message: str,
+    bare: None,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert run(arguments, monkeypatch) == 2
+    assert message in capsys.readouterr().err

@@ -1,0 +1,134 @@
+"""Intervals, rows, tables and the comparison with committed results, by hand."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mrsan import Episodes, Outcome, Scenario
+from samarl.bench import compare
+from samarl.evaluation.summary import Row, summarise, wilson_interval
+from samarl.evaluation.table import rows_as_markdown, table1_as_markdown
+
+
+@pytest.mark.parametrize(
+    ("successes", "trials", "low", "high"),
+    [
+        # Newcombe, "Two-sided confidence intervals for the single proportion", 1998, Table I.
+        (81, 263, 0.2553, 0.3662),
+        (15, 148, 0.0624, 0.1605),
+        (0, 20, 0.0, 0.1611),
+        (1, 29, 0.0061, 0.1718),
+        (5, 10, 0.2366, 0.7634),
+        (20, 20, 0.8389, 1.0),
+    ],
+)
+def test_wilson_interval(successes: int, trials: int, low: float, high: float) -> None:
+    assert wilson_interval(successes, trials) == pytest.approx((low, high), abs=5e-5)
+
+
+@pytest.mark.parametrize("trials", [1, 7, 500])
+def test_the_interval_holds_the_rate_and_mirrors(trials: int) -> None:
+    for successes in range(trials + 1):
+        low, high = wilson_interval(successes, trials)
+        assert 0 <= low <= successes / trials <= high <= 1
+        other_low, other_high = wilson_interval(trials - successes, trials)
+        assert (1 - other_high, 1 - other_low) == pytest.approx((low, high))
+
+
+def four_episodes() -> Episodes:
+    arrived, human, robot = Outcome.arrived, Outcome.hit_human, Outcome.hit_robot
+    late, stopped = Outcome.timeout, Outcome.interrupted
+    outcome = [[arrived, arrived], [human, stopped], [robot, robot], [arrived, late]]
+    return Episodes(
+        case=np.arange(4),
+        episode=np.zeros(4, int),
+        duration=np.array([10.0, 2, 3, 50]),
+        outcome=np.array(outcome, np.int8),
+        path_length=np.array([[10.0, 20], [1, 1], [2, 2], [12, 30]]),
+        straight_line=np.full((4, 2), 10.0),
+        time=np.array([[9.0, 10], [2, 2], [3, 3], [14, 50]]),
+        closest_human=np.array([[0.9, 0.225], [-0.1, 2], [1, 1], [0.45, np.inf]]),
+        close_share=np.array([[0.0, 0.5], [0.5, 0], [0, 0], [0, 0]]),
+        jerk=np.full((4, 2), 2.0),
+    )
+
+
+def test_a_row_by_hand() -> None:
+    row = summarise(four_episodes(), Scenario(robots=2), "mine", "command", "abc", 7)
+    expected: dict[str, Any] = {
+        "method": "mine", "fov_degrees": 360.0, "humans": 10, "robots": 2, "episodes": 4,
+        "success_rate": 25.0, "success_low": 4.56, "success_high": 69.94,
+        # 100, 100 (1/4 + 1/2 (1/4 + 1/4)) = 50, 100 (5/12 + 1/2) = 91.67 and five zeros.
+        "social_score": 30.21,
+        "collision_rate": 50.0, "human_collision_rate": 25.0, "robot_collision_rate": 25.0,
+        "timeout_rate": 25.0, "path_length": 14.0, "time_to_goal": 11.0,
+        "closest_human": 0.9, "close_share": 12.5, "jerk": 2.0,
+        "command": "command", "commit": "abc", "seed": 7,
+    }  # fmt: skip
+    assert row == expected
+    assert list(row) == list(Row.__annotations__)
+
+
+def test_a_row_of_failures_has_no_lengths() -> None:
+    episodes = four_episodes()
+    nobody = episodes._replace(
+        outcome=np.full((4, 2), Outcome.hit_robot, np.int8),
+        closest_human=np.full((4, 2), np.inf),
+    )
+    row = summarise(nobody, Scenario(robots=2, humans=0), "m", "c", "a", 0)
+    assert (row["path_length"], row["time_to_goal"], row["closest_human"]) == (None, None, None)
+    assert row["success_rate"] == row["social_score"] == 0
+    cells = [cell.strip() for cell in rows_as_markdown([row]).splitlines()[-1].split("|")]
+    assert cells.count("-") == 2
+
+
+def row(**fields: Any) -> Row:
+    made = summarise(four_episodes(), Scenario(robots=2), "mine", "command", "abc", 7)
+    return {**made, **fields}
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({}, "same "),
+        ({"commit": "other", "path_length": 3.0}, "same "),  # provenance is no difference
+        ({"success_rate": 30.0}, "close "),
+        ({"social_score": 31.0}, "close "),
+        ({"success_rate": 69.94}, "close "),
+        ({"success_rate": 70.0}, "DIFFERS "),
+        ({"success_rate": 4.0}, "DIFFERS "),
+        ({"method": "other"}, "new "),
+        ({"fov_degrees": 90.0}, "new "),
+        ({"robots": 3}, "new "),
+    ],
+)
+def test_compare_with_the_committed_row(change: dict[str, Any], said: str) -> None:
+    others = [row(method="elsewhere", success_rate=99.0), row(humans=3, success_rate=99.0)]
+    line = compare(row(**change), [*others, row()])
+    assert line.startswith(said)
+    assert len(line.splitlines()) == 1
+
+
+def test_compare_shows_both_numbers() -> None:
+    line = compare(row(success_rate=80.0, social_score=50.0), [row()])
+    assert line == (
+        "DIFFERS  mine 360° 10h 2r: success 25.0 -> 80.0 %, social score 30.2 -> 50.0, "
+        "outside [4.6, 69.9]"
+    )
+
+
+def test_tables_line_up_and_show_the_papers_figures() -> None:
+    rows = [row(method="orca", fov_degrees=90.0, robots=3), row(method="perimeter")]
+    for table in (rows_as_markdown(rows), table1_as_markdown(rows)):
+        lines = table.splitlines()
+        assert len({len(line) for line in lines}) == 1
+        assert len({line.count("|") for line in lines}) == 1
+    detailed = rows_as_markdown(rows).splitlines()
+    assert detailed[2].split("|")[-2].strip() == "25"  # the paper's ORCA, 90°, 10 humans, 3 robots
+    assert detailed[3].split("|")[-2].strip() == ""
+    first = table1_as_markdown(rows).splitlines()
+    cells = {line.split("|")[1].strip(): line.split("|")[2].strip() for line in first}
+    assert cells["orca"] == "25.0 / 30.2"
+    assert cells["perimeter"] == ""
+    assert cells["paper: SAMARL"] == "93 / -"

@@ -1,0 +1,198 @@
+"""What users do, as they do it: in a folder of their own, from the command line."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from mrsan import Outcome
+from samarl.evaluation.summary import Row
+
+COMMANDS = ("evaluate", "bench", "render")
+
+
+def run(
+    command: str, *arguments: str, cwd: Path, code: int = 0
+) -> subprocess.CompletedProcess[str]:
+    """`python -m samarl.<command> <arguments>`, which must end with `code`."""
+    environment = os.environ | {"NUMBA_NUM_THREADS": "1", "COLUMNS": "200"}
+    environment.pop("HYDRA_FULL_ERROR", None)
+    done = subprocess.run(
+        [sys.executable, "-m", f"samarl.{command}", *arguments],
+        cwd=cwd, env=environment, capture_output=True, text=True,
+    )  # fmt: skip
+    assert done.returncode == code, done.stderr
+    return done
+
+
+def test_one_evaluation_writes_its_row_and_its_episodes(tmp_path: Path) -> None:
+    done = run("evaluate", "agent=straight", "evaluation.cases=6", "scenario.robots=2",
+               "hydra.run.dir=here", cwd=tmp_path)  # fmt: skip
+    saved = json.loads((tmp_path / "here/row.json").read_text())
+    row = saved["row"]
+    assert list(row) == list(Row.__annotations__)
+    assert (row["method"], row["episodes"], row["robots"], row["seed"]) == ("straight", 6, 2, 2**41)
+    assert saved["config"]["scenario"]["robots"] == 2
+    records = [json.loads(line) for line in (tmp_path / "here/episodes.jsonl").open()]
+    assert [record["case"] - 2**41 for record in records] == list(range(6))
+    successes = sum(set(record["outcome"]) == {Outcome.arrived.name} for record in records)
+    assert sum(record["success"] for record in records) == successes
+    assert row["success_rate"] == round(100 * successes / 6, 2)
+    scores = [score for record in records for score in record["social_score"]]
+    assert row["social_score"] == pytest.approx(sum(scores) / 12, abs=0.01)
+    assert "| straight | 360° |" in done.stdout
+
+    # The row's command is all it takes to make it again.
+    words = row["command"].split()
+    assert words[0] == "samarl-evaluate"
+    run("evaluate", *words[1:], "hydra.run.dir=again", cwd=tmp_path)
+    again = json.loads((tmp_path / "again/row.json").read_text())["row"]
+    assert {**again, "command": ""} == {**row, "command": ""}
+    assert (tmp_path / "again/episodes.jsonl").read_text() == (
+        tmp_path / "here/episodes.jsonl"
+    ).read_text()
+
+
+def test_a_sweep_gathers_a_table_and_goes_on_where_it_stopped(tmp_path: Path) -> None:
+    sweep = ["-m", "agent=straight", "scenario.fov_degrees=90,360", "scenario.robots=2,3",
+             "evaluation.cases=4"]  # fmt: skip
+    first = run("evaluate", *sweep, cwd=tmp_path)
+    folder = tmp_path / "outputs/sweep"
+    cells = sorted(folder.glob("**/row.json"))
+    assert len(cells) == 4
+    assert "finished before" not in first.stdout
+    rows = json.loads((folder / "table.json").read_text())
+    columns = [(row["fov_degrees"], row["robots"]) for row in rows]
+    assert columns == [(90.0, 2), (90.0, 3), (360.0, 2), (360.0, 3)]
+    table = (folder / "table.md").read_text()
+    assert len(table.splitlines()) == 2 + 4
+
+    again = run("evaluate", *sweep, cwd=tmp_path)
+    assert again.stdout.count("finished before") == 4
+    assert (folder / "table.md").read_text() == table
+
+    cells[2].unlink()
+    last = run("evaluate", *sweep, cwd=tmp_path)
+    assert last.stdout.count("finished before") == 3
+    assert cells[2].exists()
+    assert json.loads((folder / "table.json").read_text()) == rows
+
+    # Other cases are another question: nothing that was finished answers it.
+    other = run("evaluate", *sweep[:-1], "evaluation.cases=5", cwd=tmp_path)
+    assert "finished before" not in other.stdout
+
+
+def test_the_bench_writes_table_1_in_the_documented_form(tmp_path: Path) -> None:
+    done = run("bench", "evaluation.cases=2", "agents=[orca,perimeter]", "output=mine",
+               cwd=tmp_path)  # fmt: skip
+    rows = json.loads((tmp_path / "mine/table1.json").read_text())
+    assert [list(row) for row in rows] == [list(Row.__annotations__)] * len(rows)
+    columns = [(90.0, 10, 3), (90.0, 10, 5), (360.0, 10, 5), (360.0, 10, 3)]
+    expected = [(method, *column) for column in columns for method in ("orca", "perimeter")]
+    found = [(r["method"], r["fov_degrees"], r["humans"], r["robots"]) for r in rows]
+    assert sorted(found) == sorted(expected)
+    assert {row["episodes"] for row in rows} == {2}
+    page = (tmp_path / "mine/table1.md").read_text()
+    assert "paper: SAMARL" in page
+    verdicts = [
+        line for line in done.stdout.splitlines()
+        if line.split(" ")[0] in ("same", "close", "DIFFERS", "new")
+    ]  # fmt: skip
+    assert len(verdicts) == len(rows)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["agents=[orca,nobody]"],
+        ["columns=[{fov: 90}]"],
+        ["columns=[{robots: 99}]"],
+        ["evaluation.cases=0"],
+        ["colums=[]"],
+    ],
+)
+def test_the_bench_refuses_what_it_cannot_play(tmp_path: Path, arguments: list[str]) -> None:
+    done = run("bench", *arguments, cwd=tmp_path, code=2)
+    assert done.stderr.startswith("error: ")
+    assert len(done.stderr.splitlines()) == 1
+
+
+def test_a_mistake_is_one_line_and_exit_code_2(tmp_path: Path) -> None:
+    done = run("evaluate", "scenario.fov_degrees=400", cwd=tmp_path, code=2)
+    assert done.stderr == "error: scenario.fov_degrees is 400.0; it must lie in (0, 360]\n"
+    assert done.stdout == ""
+
+
+def test_render_draws_a_case(tmp_path: Path) -> None:
+    run("render", "agent=straight", "case=3", "scenario.robots=2", "output=case.png", cwd=tmp_path)
+    picture = (tmp_path / "case.png").read_bytes()
+    assert picture.startswith(b"\x89PNG\r\n")
+    assert len(picture) > 10_000
+    done = run("render", "output=case.txt", cwd=tmp_path, code=2)
+    assert done.stderr == "error: output is 'case.txt'; it must end in .png, .svg or .pdf\n"
+
+
+OWN_AGENT = '''
+from dataclasses import dataclass
+
+import numpy as np
+
+from mrsan.scenario import required
+from samarl.agents import Agent
+
+
+@dataclass
+class Slow(Agent):
+    """Drives ahead."""
+
+    throttle: float = required(0.0, 1.0)
+
+    def act(self, observation):
+        action = np.zeros((*observation.ego.shape[:2], 3), np.float32)
+        action[..., 0] = self.throttle
+        return action
+'''
+
+
+def test_an_agent_of_ones_own_is_one_class_and_one_yaml(tmp_path: Path) -> None:
+    (tmp_path / "my_planner.py").write_text(OWN_AGENT)
+    (tmp_path / "conf/agent").mkdir(parents=True)
+    (tmp_path / "conf/agent/slow.yaml").write_text("_target_: my_planner.Slow\nthrottle: 0.5\n")
+    mine = ["--config-dir", "conf", "agent=slow", "scenario.humans=0", "scenario.robots=1",
+            "evaluation.cases=3", "hydra.run.dir=here"]  # fmt: skip
+    run("evaluate", *mine, cwd=tmp_path)
+    row = json.loads((tmp_path / "here/row.json").read_text())["row"]
+    assert (row["method"], row["success_rate"]) == ("slow", 100.0)
+    done = run("evaluate", *mine, "agent.throttle=2", cwd=tmp_path, code=2)
+    assert done.stderr == "error: agent.throttle is 2.0; it must lie in [0, 1]\n"
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_is_quick_to_say(command: str, tmp_path: Path) -> None:
+    """Every number is shown, and nothing that takes seconds to import is imported."""
+    code = (
+        f"import sys, samarl.{command} as command\n"
+        f"sys.argv = ['samarl-{command}', '--help']\n"
+        "try:\n    command.main()\nfinally:\n"
+        "    heavy = {'torch', 'torchrl', 'pettingzoo', 'matplotlib'} & set(sys.modules)\n"
+        "    print('heavy:', heavy or 'none')\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    assert f"samarl-{command}" in done.stdout
+    assert "heavy: none" in done.stdout
+    if command != "bench":  # whose scenarios are its columns
+        assert "fov_degrees: 360" in done.stdout
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_is_installed(command: str) -> None:
+    found = shutil.which(f"samarl-{command}", path=str(Path(sys.executable).parent))
+    assert found is not None
