@@ -2,4 +2,6 @@
 
 from importlib.metadata import version
 
+import mrsan  # noqa: F401 (first: it sets how threads wait)
+
 __version__ = version("samarl")

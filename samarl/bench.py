@@ -89,9 +89,14 @@ def compare(row: Row, committed: Sequence[Row]) -> str:
     measured = ("episodes", "success_rate", "social_score", "collision_rate", "timeout_rate")
     if all(row[key] == old[key] for key in measured):  # type: ignore[literal-required]
         return f"same     {change}"
-    if old["success_low"] <= row["success_rate"] <= old["success_high"]:
-        return f"close    {change}, within the committed interval"
-    return f"DIFFERS  {change}, outside [{old['success_low']:.1f}, {old['success_high']:.1f}]"
+    for key, low, high in (
+        ("success_rate", "success_low", "success_high"),
+        ("social_score", "social_low", "social_high"),
+    ):
+        if not old[low] <= row[key] <= old[high]:  # type: ignore[literal-required]
+            bounds = f"[{old[low]:.1f}, {old[high]:.1f}]"  # type: ignore[literal-required]
+            return f"DIFFERS  {change}: {key} is outside {bounds}"
+    return f"close    {change}, within the committed intervals"
 
 
 def _scenario(column: Any) -> Scenario:

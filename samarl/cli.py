@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import functools
 import os
@@ -11,6 +12,7 @@ from typing import Any, NoReturn
 
 import hydra
 from hydra.core.config_store import ConfigStore
+from hydra.core.hydra_config import HydraConfig
 from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
@@ -52,6 +54,8 @@ def run_command(task: Callable[[DictConfig], Any], config_name: str, **schemas: 
             _refuse_unknown_keys(config, "")
             return task(config)
         except (ConfigurationError, ActionError, OmegaConfBaseException) as error:
+            with contextlib.suppress(OSError):  # the folder made for this run, if it is empty
+                os.rmdir(HydraConfig.get().runtime.output_dir)
             _fail(error)
 
     try:

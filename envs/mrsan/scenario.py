@@ -201,10 +201,10 @@ class Scenario:
             disc = self.robot_radius + self.spawn_clearance / 2
             room = self.arena_radius - self.robot_radius - jitter
             if 2 * self.robots * disc**2 > 0.35 * room**2:
+                needed = math.sqrt(2 * self.robots / 0.35) * disc + self.robot_radius + jitter
                 raise ConfigurationError(
                     f"scenario.arena_radius is {self.arena_radius}; {self.robots} robots with "
-                    f"scenario.spawn_clearance {self.spawn_clearance} need at least "
-                    f"{math.sqrt(2 * self.robots * disc**2 / 0.35) + self.robot_radius + jitter:.2f}"
+                    f"scenario.spawn_clearance {self.spawn_clearance} need at least {needed:.2f}"
                 )
 
     @property

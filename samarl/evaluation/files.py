@@ -46,13 +46,16 @@ def code_version() -> str:
         commit = _git(source, "rev-parse", "--short=10", "HEAD")
         tracked = _git(source, "ls-files", "--error-unmatch", "__init__.py")
         changes = _git(source, "diff", "HEAD", "--", ":/", ":!/results", ":!/README.md", ":!/docs")
+        new = _git(
+            source, "ls-files", "--others", "--exclude-standard", ":/samarl", ":/envs", ":/conf"
+        )
     except (OSError, subprocess.CalledProcessError):
         return samarl.__version__
     if not tracked:
         return samarl.__version__
-    if not changes:
+    if not changes + new:
         return commit
-    return f"{commit}-dirty.{hashlib.sha256(changes.encode()).hexdigest()[:8]}"
+    return f"{commit}-dirty.{hashlib.sha256((changes + new).encode()).hexdigest()[:8]}"
 
 
 def machine() -> str:

@@ -25,6 +25,8 @@ class Row(TypedDict):
     success_low: float
     success_high: float
     social_score: float
+    social_low: float  # 95 % interval of the mean
+    social_high: float
     collision_rate: float
     human_collision_rate: float
     robot_collision_rate: float
@@ -72,6 +74,8 @@ def summarise(
     low, high = wilson_interval(int(success.sum()), trials)
     arrived = episodes.outcome == Outcome.arrived
     seen = np.isfinite(episodes.closest_human)
+    scores = social_score(episodes).mean(axis=1)
+    social, social_half = float(scores.mean()), _Z95 * float(scores.std()) / math.sqrt(trials)
     return Row(
         method=method,
         fov_degrees=scenario.fov_degrees,
@@ -81,7 +85,9 @@ def summarise(
         success_rate=_percent(success),
         success_low=round(100 * low, 2),
         success_high=round(100 * high, 2),
-        social_score=round(float(social_score(episodes).mean()), 2),
+        social_score=round(social, 2),
+        social_low=round(max(social - social_half, 0.0), 2),
+        social_high=round(min(social + social_half, 100.0), 2),
         collision_rate=_percent(episodes.hit_human | episodes.hit_robot),
         human_collision_rate=_percent(episodes.hit_human),
         robot_collision_rate=_percent(episodes.hit_robot),

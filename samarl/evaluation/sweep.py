@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+from hydra.core.utils import JobReturn
 from hydra.experimental.callback import Callback
 from omegaconf import DictConfig
 
@@ -15,13 +16,26 @@ from samarl.evaluation.table import rows_as_markdown
 
 
 class GatherTable(Callback):
-    """Writes `table.json` and `table.md` of every finished cell in the folder of a sweep."""
+    """Writes `table.json` and `table.md` of the cells of a sweep in its folder.
+
+    A launcher that runs cells in other processes does not report them here; then all finished
+    cells of the folder are gathered.
+    """
+
+    def __init__(self) -> None:
+        """Nothing gathered yet."""
+        self.cells: list[Path] = []
+
+    def on_job_end(self, config: DictConfig, job_return: JobReturn, **kwargs: Any) -> None:
+        """One cell is done."""
+        assert job_return.hydra_cfg is not None
+        self.cells.append(Path(job_return.hydra_cfg.hydra.runtime.output_dir) / "row.json")
 
     def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
         """All cells are done, or one has failed."""
         folder = Path(config.hydra.sweep.dir)
-        cells = sorted(folder.glob("**/row.json"))
-        rows: list[Row] = [json.loads(cell.read_text())["row"] for cell in cells]
+        cells = self.cells or sorted(folder.glob("**/row.json"))
+        rows: list[Row] = [json.loads(cell.read_text())["row"] for cell in cells if cell.exists()]
         if not rows:
             return
         rows.sort(key=lambda r: (r["method"], r["fov_degrees"], r["humans"], r["robots"]))

@@ -59,8 +59,9 @@ def test_a_row_by_hand() -> None:
     expected: dict[str, Any] = {
         "method": "mine", "fov_degrees": 360.0, "humans": 10, "robots": 2, "episodes": 4,
         "success_rate": 25.0, "success_low": 4.56, "success_high": 69.94,
-        # 100, 100 (1/4 + 1/2 (1/4 + 1/4)) = 50, 100 (5/12 + 1/2) = 91.67 and five zeros.
-        "social_score": 30.21,
+        # 100, 100 (1/4 + 1/2 (1/4 + 1/4)) = 50, 100 (5/12 + 1/2) = 91.67 and five zeros;
+        # means of 75, 45.83, 0 and 0 per episode, so 30.21 -+ 1.96 * 31.92 / 2, cut off at 0.
+        "social_score": 30.21, "social_low": 0.0, "social_high": 61.49,
         "collision_rate": 50.0, "human_collision_rate": 25.0, "robot_collision_rate": 25.0,
         "timeout_rate": 25.0, "path_length": 14.0, "time_to_goal": 11.0,
         "closest_human": 0.9, "close_share": 12.5, "jerk": 2.0,
@@ -113,9 +114,11 @@ def test_compare_with_the_committed_row(change: dict[str, Any], said: str) -> No
 def test_compare_shows_both_numbers() -> None:
     line = compare(row(success_rate=80.0, social_score=50.0), [row()])
     assert line == (
-        "DIFFERS  mine 360° 10h 2r: success 25.0 -> 80.0 %, social score 30.2 -> 50.0, "
-        "outside [4.6, 69.9]"
+        "DIFFERS  mine 360° 10h 2r: success 25.0 -> 80.0 %, social score 30.2 -> 50.0: "
+        "success_rate is outside [4.6, 69.9]"
     )
+    line = compare(row(social_score=90.0), [row()])
+    assert line.endswith("social score 30.2 -> 90.0: social_score is outside [0.0, 61.5]")
 
 
 def test_tables_line_up_and_show_the_papers_figures() -> None:

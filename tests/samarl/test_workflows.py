@@ -196,3 +196,16 @@ def test_help_is_quick_to_say(command: str, tmp_path: Path) -> None:
 def test_every_command_is_installed(command: str) -> None:
     found = shutil.which(f"samarl-{command}", path=str(Path(sys.executable).parent))
     assert found is not None
+
+
+def test_the_planner_of_the_readme_runs_as_it_is_printed(tmp_path: Path) -> None:
+    text = (Path(__file__).parents[2] / "README.md").read_text().split("## Your own planner")[1]
+    python = text.split("```python\n")[1].split("```")[0]
+    yaml = text.split("```yaml\n")[1].split("```")[0]
+    assert python.count("\n") <= 25
+    (tmp_path / "my_planner.py").write_text(python)
+    (tmp_path / "my_conf/agent").mkdir(parents=True)
+    (tmp_path / "my_conf/agent/mine.yaml").write_text(yaml)
+    done = run("evaluate", "--config-dir", "my_conf", "agent=mine", "evaluation.cases=3",
+               cwd=tmp_path)  # fmt: skip
+    assert "| mine   |" in done.stdout

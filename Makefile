@@ -1,0 +1,98 @@
+# Everything one does with this repository; `make` alone lists it.
+# Works with GNU make 3.81 (macOS) and later.
+
+PYTHON ?= python3
+TORCH := 2.13.0
+PICTURE_CASE := 28
+
+VENV := .venv
+BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input --quiet --quiet
+STAMP := $(VENV)/.installed
+
+# Threads that wait for work sleep soon instead of spinning: other processes want the cores too.
+GOMP_SPINCOUNT ?= 1000
+export GOMP_SPINCOUNT
+
+.DEFAULT_GOAL := help
+.PHONY: help setup bench test lint results picture throughput soak wheel check-wheel clean
+
+help: ## List what can be made
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+	@echo "Each sets up .venv first if need be, with $(PYTHON) (another one: make PYTHON=python3.12 ...)."
+
+# What is installed is known by content, not by date: a .venv that was kept from an earlier
+# checkout is used again if it was made here, by the same Python, and installs what is missing.
+setup: ## Install everything into .venv, unless it is there
+	@set -e; version='import sys; print("%d.%d" % sys.version_info[:2])'; \
+	python=$$($(PYTHON) -c "$$version" 2>/dev/null) || python="not found"; \
+	case "$$python" in 3.1[1-9]) ;; *) echo "error: $(PYTHON) is $$python; Python 3.11 or later" \
+	  "is needed, say which: make PYTHON=python3.12" >&2; exit 1;; esac; \
+	home="$(CURDIR) Python $$python"; \
+	wanted="$$(echo "$$home"; echo "torch $(TORCH)"; cat pyproject.toml constraints.txt)"; \
+	there=$$($(BIN)/python -c "$$version" 2>/dev/null) || there=nothing; \
+	if [ "$$there" = "$$python" ] && [ "$$wanted" = "$$(cat $(STAMP) 2>/dev/null)" ]; then exit 0; fi; \
+	start=$$(date +%s); \
+	echo "Setting up .venv with Python $$python (once; torch takes minutes) ..."; \
+	if [ "$$there" != "$$python" ] || { [ -f $(STAMP) ] && [ "$$home" != "$$(head -n 1 $(STAMP))" ]; }; \
+	then $(PYTHON) -m venv --clear $(VENV); fi; \
+	echo "  torch $(TORCH)"; $(PIP) install "torch==$(TORCH)"; \
+	echo "  everything else, at the versions of constraints.txt"; \
+	$(PIP) install -c constraints.txt -e ".[dev]"; \
+	echo "$$wanted" > $(STAMP); \
+	echo "Set up in $$(($$(date +%s) - start)) s."
+
+bench: setup ## Play every planner in every column of Table I and compare with results/ (minutes)
+	@$(BIN)/samarl-bench
+
+test: setup ## Run the tests on all cores
+	@$(BIN)/pytest -n auto --maxprocesses 8
+
+lint: setup ## Check style and types
+	@echo "ruff ..."; $(BIN)/ruff check .
+	@$(BIN)/ruff format --check .
+	@echo "mypy ..."; $(BIN)/mypy
+
+results: setup ## Rewrite results/, the table and the picture of the README (nothing else may)
+	@$(BIN)/samarl-bench output=results
+	@$(BIN)/python -m benchmarks.throughput --compile --output results/throughput.json
+	@awk 'FNR == NR { if (/^\|/ && !done) table = table $$0 "\n"; else if (table) done = 1; next } \
+	  /<!-- table1 -->/ { print; printf "%s", table; inside = 1; next } \
+	  /<!-- \/table1 -->/ { inside = 0 } !inside' results/table1.md README.md > README.md.part
+	@mv README.md.part README.md
+	@$(MAKE) --no-print-directory picture
+
+picture: setup ## Draw the picture of the README
+	@$(BIN)/samarl-render agent=model_predictive case=$(PICTURE_CASE) output=docs/images/case.png
+
+throughput: setup ## Measure world-steps per second (a minute)
+	@$(BIN)/python -m benchmarks.throughput --compile
+
+soak: setup ## Drive 4096 worlds at random for ten minutes: no NaN, no growing memory
+	@$(BIN)/python -m benchmarks.soak
+
+wheel: setup ## Build the wheel into dist/
+	@$(BIN)/python -m build --quiet --wheel --outdir dist .
+	@ls dist/*.whl
+
+check-wheel: wheel ## Install the wheel into an environment of its own and run it there (minutes)
+	@set -e; start=$$(date +%s); folder=$$(mktemp -d); trap 'rm -rf "$$folder"' EXIT; \
+	wheel=$$(ls -t "$(CURDIR)"/dist/samarl-*.whl | head -n 1); \
+	pip="$$folder/venv/bin/python -m pip --disable-pip-version-check --no-input --quiet --quiet"; \
+	echo "Installing $$(basename "$$wheel") into an environment of its own (torch takes minutes) ..."; \
+	$(PYTHON) -m venv "$$folder/venv"; \
+	$$pip install "torch==$(TORCH)"; \
+	$$pip install -c constraints.txt "$$wheel"; \
+	cd "$$folder"; PATH="$$folder/venv/bin:$$PATH"; export PATH; \
+	samarl-evaluate agent=orca evaluation.cases=5; \
+	samarl-bench agents='[straight]' evaluation.cases=5 output=bench > bench.txt; \
+	python -c "import os, mrsan, samarl; from samarl.evaluation.files import find_folder; \
+	home = os.path.realpath('venv') + os.sep; \
+	places = [samarl.__file__, mrsan.__file__, *map(str, map(find_folder, ('conf', 'results')))]; \
+	wrong = [p for p in places if not (os.path.realpath(p).startswith(home) and os.path.exists(p))]; \
+	assert not wrong, wrong"; \
+	echo "The wheel works: checked in $$(($$(date +%s) - start)) s."
+
+clean: ## Remove dist/ and caches (.venv and outputs/ stay)
+	@rm -rf dist build .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	@find . -name __pycache__ -type d -not -path './$(VENV)/*' -prune -exec rm -rf {} +

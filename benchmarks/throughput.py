@@ -1,0 +1,259 @@
+"""How many world-steps a second: `python -m benchmarks.throughput`.
+
+A full step moves humans and robots, finds contacts, pays rewards, begins a new episode in every
+world that ended, and writes every robot's observation. Actions are uniformly random, and the
+worlds are in all phases of their episodes when the clock starts.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shlex
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numba
+import numpy as np
+from tqdm import tqdm
+
+from benchmarks.workload import RandomDrive, interruptible, positive_number
+from mrsan.pettingzoo_env import PettingZooEnv
+from samarl.evaluation.files import code_version, machine, write_json
+from samarl.evaluation.table import as_text
+
+WORLDS, HUMANS, ROBOTS = 512, 10, 3
+BY_WORLDS = (1, 64, 512, 4096)
+BY_HUMANS = (0, 1, 2, 5, 10, 20, 40, 64)
+BY_ROBOTS = (1, 2, 3, 5, 8, 16)
+
+_REPETITIONS = 5
+_STARTS = 3  # processes timed for the start from the cache
+_FIRST_STEP = f"""
+import numpy as np
+from mrsan import Scenario, World
+world = World(Scenario(humans={HUMANS}, robots={ROBOTS}), {WORLDS})
+world.reset()
+world.step(np.zeros(({WORLDS}, {ROBOTS}, world.scenario.action_size), np.float32))
+"""
+
+Point = dict[str, Any]
+
+
+def main() -> None:
+    """Measure, print the tables, write the JSON."""
+    arguments = _parse()
+    with interruptible():
+        result = measure(arguments.seconds, arguments.compile)
+    print(as_page(result))
+    output: Path = arguments.output
+    write_json(output, result)
+    print(f"\nwritten to {output}")
+
+
+def measure(seconds: float, with_compile: bool) -> dict[str, Any]:
+    """Everything that `results/throughput.json` holds.
+
+    Args:
+        seconds: how long each point is measured.
+        with_compile: also time the first start ever, which compiles everything (a minute).
+    """
+    points = len(BY_WORLDS) + len(BY_HUMANS) + len(BY_ROBOTS) + 3
+    with tqdm(total=points, desc="throughput", unit="point", disable=None) as bar:
+
+        def point(worlds: int, humans: int, robots: int) -> Point:
+            bar.set_postfix_str(f"{worlds} worlds, {humans} humans, {robots} robots")
+            rates = steps_per_second(RandomDrive(worlds, humans, robots).step, seconds)
+            bar.update()
+            return _point(worlds, humans, robots, [rate * worlds for rate in rates])
+
+        full_step = point(WORLDS, HUMANS, ROBOTS)
+        by_worlds = [point(worlds, HUMANS, ROBOTS) for worlds in BY_WORLDS]
+        by_humans = [point(WORLDS, humans, ROBOTS) for humans in BY_HUMANS]
+        by_robots = [point(WORLDS, HUMANS, robots) for robots in BY_ROBOTS]
+        bar.set_postfix_str("PettingZoo")
+        pettingzoo = _point(1, HUMANS, ROBOTS, steps_per_second(_pettingzoo_step(), seconds))
+        bar.update()
+        bar.set_postfix_str("start")
+        start = {"from_cache_seconds": _start_from_cache(), "compile_seconds": None}
+        if with_compile:
+            bar.set_postfix_str("first compilation")
+            start["compile_seconds"] = _start_without_cache()
+        bar.update()
+    return {
+        "full_step": full_step,
+        "by_worlds": by_worlds,
+        "by_humans": by_humans,
+        "by_robots": by_robots,
+        "pettingzoo": pettingzoo,
+        "start": start,
+        "seconds_per_point": seconds,
+        "repetitions": _REPETITIONS,
+        "machine": machine(),
+        "threads": numba.get_num_threads(),
+        "commit": code_version(),
+        "command": shlex.join(["python", "-m", "benchmarks.throughput", *sys.argv[1:]]),
+    }
+
+
+def steps_per_second(step: Callable[[], Any], seconds: float) -> list[float]:
+    """How often `step` runs in a second, once per repetition; all of them take `seconds`."""
+    count, took = 1, 0.0
+    while took < 0.02 and took < seconds:
+        took = _time(step, count)
+        count *= 2
+    steps = max(1, round(count / 2 * seconds / _REPETITIONS / took))
+    return [steps / _time(step, steps) for _ in range(_REPETITIONS)]
+
+
+def growth_exponent(sizes: Sequence[float], costs: Sequence[float]) -> float:
+    """The x of cost ~ size^x, a least-squares line through the last three points in logarithms."""
+    return float(np.polyfit(np.log(sizes[-3:]), np.log(costs[-3:]), 1)[0])
+
+
+def as_page(result: dict[str, Any]) -> str:
+    """The tables as text."""
+    full, pettingzoo, start = result["full_step"], result["pettingzoo"], result["start"]
+    compile_seconds = start["compile_seconds"]
+    last = {
+        "worlds": "time of one step of all worlds ~ worlds",
+        "humans": "time of one world-step ~ humans",
+        "robots": "time of one world-step ~ robots",
+    }
+    tables = [
+        _table(key, result[f"by_{key}"], text, of_all_worlds=key == "worlds")
+        for key, text in last.items()
+    ]
+    compiled = "not measured (--compile)" if compile_seconds is None else f"{compile_seconds} s"
+    return "\n\n".join(
+        [
+            f"Full step, {WORLDS} worlds, {HUMANS} humans, {ROBOTS} robots: "
+            f"{_range(full)} world-steps/s",
+            *tables,
+            f"PettingZoo, one world: {_range(pettingzoo)} steps/s\n"
+            f"A process up to its first step, compiled before: {start['from_cache_seconds']} s\n"
+            f"The same with nothing compiled: {compiled}",
+            f"Median of {_REPETITIONS} repetitions [smallest, largest], "
+            f"{result['threads']} threads, {result['machine']}, commit {result['commit']}",
+        ]
+    )
+
+
+def _table(key: str, points: Sequence[Point], text: str, of_all_worlds: bool) -> str:
+    header = (key, "world-steps/s", "smallest", "largest", "ns per world-step", "to the previous")
+    lines = []
+    previous = None
+    for p in points:
+        cost = p["ns_per_world_step"]
+        lines.append(
+            [
+                str(p[key]),
+                *(f"{p[name]:,.0f}" for name in ("world_steps_per_second", "min", "max")),
+                f"{cost:,.0f}",
+                "" if previous is None else f"{cost / previous:.2f} x",
+            ]
+        )
+        previous = cost
+    costs = [p["ns_per_world_step"] * (p["worlds"] if of_all_worlds else 1) for p in points]
+    exponent = growth_exponent([p[key] for p in points], costs)
+    return f"{as_text(header, lines)}\n{text}^{exponent:.2f} (through the last three)"
+
+
+def _range(point: Point) -> str:
+    return f"{point['world_steps_per_second']:,.0f} [{point['min']:,.0f}, {point['max']:,.0f}]"
+
+
+def _point(worlds: int, humans: int, robots: int, rates: Sequence[float]) -> Point:
+    median = statistics.median(rates)
+    return {
+        "worlds": worlds,
+        "humans": humans,
+        "robots": robots,
+        "world_steps_per_second": round(median),
+        "min": round(min(rates)),
+        "max": round(max(rates)),
+        "ns_per_world_step": round(1e9 / median, 1),
+    }
+
+
+def _time(step: Callable[[], Any], count: int) -> float:
+    start = time.perf_counter()
+    for _ in range(count):
+        step()
+    return time.perf_counter() - start
+
+
+def _pettingzoo_step() -> Callable[[], None]:
+    """One step of the PettingZoo environment, with the reset when an episode ends."""
+    env = PettingZooEnv(humans=HUMANS, robots=ROBOTS)
+    env.reset(seed=0)
+    for agent in env.possible_agents:
+        env.action_space(agent).seed(0)
+    actions = [
+        {agent: env.action_space(agent).sample() for agent in env.possible_agents}
+        for _ in range(64)
+    ]
+    turn = 0
+
+    def step() -> None:
+        nonlocal turn
+        turn = (turn + 1) % len(actions)
+        env.step(actions[turn])
+        if not env.agents:
+            env.reset()
+
+    return step
+
+
+def _start_from_cache() -> float:
+    _run_first_step({})  # what is not yet in the cache goes there
+    return round(statistics.median(_run_first_step({}) for _ in range(_STARTS)), 2)
+
+
+def _start_without_cache() -> float:
+    with tempfile.TemporaryDirectory() as folder:
+        return round(_run_first_step({"NUMBA_CACHE_DIR": folder}), 2)
+
+
+def _run_first_step(environment: dict[str, str]) -> float:
+    """Seconds from the start of a Python process to the end of its first step."""
+    start = time.perf_counter()
+    command = [sys.executable, "-c", _FIRST_STEP]
+    subprocess.run(command, env=os.environ | environment, check=True, capture_output=True)
+    return time.perf_counter() - start
+
+
+def _parse() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.throughput",
+        description="Measure how many world-steps a second the simulator makes, how that changes "
+        "with worlds, humans and robots, and how long a process takes to start.",
+    )
+    parser.add_argument(
+        "--seconds",
+        type=positive_number,
+        default=2.0,
+        help="how long each of the 20 points is measured (default: 2)",
+    )
+    parser.add_argument(
+        "--compile",
+        action="store_true",
+        help="also time the first start ever, with nothing compiled (half a minute)",
+    )
+    parser.add_argument(
+        "--output",
+        type=Path,
+        default=Path("outputs/throughput.json"),
+        help="the JSON file to write (default: outputs/throughput.json)",
+    )
+    return parser.parse_args()
+
+
+if __name__ == "__main__":
+    main()

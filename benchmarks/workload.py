@@ -1,0 +1,68 @@
+"""What the benchmarks share: worlds driven by random actions, and arguments in range."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import math
+import sys
+from collections.abc import Callable, Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mrsan import Scenario, Step, World
+
+_WARM_UP = 50  # steps, after which the episodes of the worlds are in all phases
+_BATCHES = 16  # of random actions, used in turn: drawing them must not be what is measured
+
+
+class RandomDrive:
+    """E worlds that begin anew by themselves, driven by random actions."""
+
+    def __init__(self, worlds: int, humans: int = 10, robots: int = 3) -> None:
+        """Make the worlds, compile what they need, and let their episodes drift apart."""
+        scenario = Scenario(humans=humans, robots=robots)
+        self.world = World(scenario, worlds, auto_reset=True)
+        self.world.reset(np.arange(worlds))
+        generator = np.random.default_rng(0)
+        shape = (_BATCHES, worlds, robots, scenario.action_size)
+        self._actions: NDArray[np.float32] = generator.uniform(-1.0, 1.0, shape).astype(np.float32)
+        self._turn = 0
+        for _ in range(_WARM_UP):
+            self.step()
+
+    def step(self) -> Step:
+        """One full step: move, begin episodes anew, observe."""
+        self._turn = (self._turn + 1) % _BATCHES
+        return self.world.step(self._actions[self._turn])
+
+
+def positive_number(text: str) -> float:
+    """An argument that must be a finite number above 0."""
+    return _positive(float, text, "a number")
+
+
+def positive_whole_number(text: str) -> int:
+    """An argument that must be a whole number above 0."""
+    return int(_positive(int, text, "a whole number"))
+
+
+def _positive(kind: Callable[[str], float], text: str, what: str) -> float:
+    try:
+        value = kind(text)
+    except ValueError:
+        value = math.nan
+    if not (math.isfinite(value) and value > 0):
+        raise argparse.ArgumentTypeError(f"is {text!r}; it must be {what} above 0")
+    return value
+
+
+@contextlib.contextmanager
+def interruptible() -> Iterator[None]:
+    """Ctrl-C ends in one line, not in a traceback."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        sys.exit(130)

@@ -1,0 +1,259 @@
+"""SAMARL's two levels: a macro actor that picks waypoints, a local actor that drives to them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+from torch.distributions import Independent, Normal
+
+from mrsan import EGO_FEATURES, OTHER_FEATURES, Scenario
+from mrsan.scenario import required
+from samarl.agents.tracker import Tracks
+from samarl.encoders.spatio_temporal import Frames, SpatioTemporalEncoder
+
+LENGTH_SCALE = 5.0  # metres that are 1 to the network
+WAYPOINT_REACHED = 0.3  # m
+NETWORK_EGO_FEATURES = 11
+NETWORK_OTHER_FEATURES = 7
+
+
+@dataclass
+class Architecture:
+    """Sizes of the networks and of the macro level."""
+
+    width: int = required(8, 1024)  # of the encoder, D
+    heads: int = required(1, 64)
+    history: int = required(1, 64)  # frames, H
+    features: int = required(8, 4096)  # length of Y
+    hidden: int = required(8, 4096)  # of the heads of actors and critics
+    macro_steps: int = required(1, 200)  # a waypoint is kept for so many steps, K
+    waypoint_range: float = required(0.1, 100.0)  # how far off a waypoint may be, m
+    track_steps: int = required(0, 1000)  # for how long those out of view are remembered
+
+
+def frames_of(tracks: Tracks, scenario: Scenario) -> Frames:
+    """What the robots know, scaled for the network: B = E N robots, one frame."""
+    ego = torch.from_numpy(tracks.ego).flatten(0, 1)
+    goal, velocity, origin = ego[:, 0:2], ego[:, 2:4], ego[:, 4:6]
+    distance = goal.norm(dim=-1, keepdim=True)
+    view = ego.new_full((len(ego), 1), math.cos(math.radians(scenario.fov_degrees / 2)))
+    own = torch.cat(
+        [
+            goal / LENGTH_SCALE,
+            goal / distance.clamp_min(1e-3),
+            torch.exp(-distance),
+            velocity,
+            origin / LENGTH_SCALE,
+            ego[:, 10:11],
+            view,
+        ],
+        -1,
+    )
+    humans = _others(tracks.humans, tracks.humans_known, scenario.robot_radius)
+    robots = _others(tracks.robots, tracks.robots_known, scenario.robot_radius)
+    return Frames(own.unsqueeze(1), *humans, *robots)
+
+
+def _others(
+    tracks: NDArray[np.float32], known: NDArray[np.bool_], own_radius: float
+) -> tuple[Tensor, Tensor]:
+    others = torch.from_numpy(tracks).flatten(0, 1)
+    mask = torch.from_numpy(known).flatten(0, 1)
+    gap = others[..., 0:2].norm(dim=-1, keepdim=True) - others[..., 4:5] - own_radius
+    features = torch.cat(
+        [
+            others[..., 0:2] / LENGTH_SCALE,
+            others[..., 2:5],
+            torch.exp(-2.0 * gap.clamp_min(0.0)),
+            others[..., 5:6],
+        ],
+        -1,
+    )
+    return (features * mask.unsqueeze(-1)).unsqueeze(1), mask.unsqueeze(1)
+
+
+class Gaussian(nn.Module):
+    """A diagonal Gaussian whose standard deviation is a parameter of its own, capped from above."""
+
+    cap: Tensor
+
+    def __init__(self, inputs: int, hidden: int, mean: list[float], deviation: list[float]) -> None:
+        super().__init__()
+        size = len(mean)
+        last = nn.Linear(hidden, size)
+        self.body = nn.Sequential(nn.Linear(inputs, hidden), nn.Tanh(), last)
+        self.log_deviation = nn.Parameter(torch.tensor(deviation).log())
+        self.register_buffer("cap", torch.tensor(1.0))
+        nn.init.orthogonal_(last.weight, gain=0.01)
+        with torch.no_grad():
+            last.bias.copy_(torch.tensor(mean))
+
+    def forward(self, inputs: Tensor) -> tuple[Tensor, Tensor]:
+        """Mean and standard deviation, [..., A]."""
+        mean = self.body(inputs)
+        deviation = torch.minimum(self.log_deviation.exp(), self.cap)
+        return mean, deviation.expand_as(mean)
+
+    def distribution(self, inputs: Tensor) -> Independent:
+        """The distribution of the action."""
+        return Independent(Normal(*self(inputs)), 1)
+
+
+class Critic(nn.Module):
+    """A central value: the robot's own feature and the mean of its team-mates'."""
+
+    def __init__(self, inputs: int, hidden: int) -> None:
+        super().__init__()
+        self.body = nn.Sequential(
+            nn.Linear(2 * inputs, hidden),
+            nn.Tanh(),
+            nn.Linear(hidden, hidden),
+            nn.Tanh(),
+            nn.Linear(hidden, 1),
+        )
+
+    def forward(self, joint: Tensor) -> Tensor:
+        """Value [..., 1] of joint features [..., 2 F], in units of the value normaliser."""
+        return self.body(joint)
+
+
+def joint_features(own: Tensor) -> Tensor:
+    """Own features and the mean of the other robots', [E, ..., N, F] to [E, ..., N, 2 F]."""
+    n = own.shape[-2]
+    others = (own.sum(-2, keepdim=True) - own) / max(n - 1, 1)
+    return torch.cat([own, others], -1)
+
+
+class HierarchicalPolicy(nn.Module):
+    """All networks of SAMARL: actors on one encoder, critics on another (Algorithm 1)."""
+
+    def __init__(self, architecture: Architecture, action_size: int) -> None:
+        super().__init__()
+        a = architecture
+        self.architecture = architecture
+        self.action_size = action_size
+        sizes = (NETWORK_EGO_FEATURES, NETWORK_OTHER_FEATURES, a.width, a.heads)
+        self.encoder = SpatioTemporalEncoder(*sizes, a.history, a.features)
+        self.critic_encoder = SpatioTemporalEncoder(*sizes, 1, a.features)
+        self.macro_actor = Gaussian(a.features, a.hidden, [0.0, 0.0], [0.5, 0.5])
+        means, deviations = [0.3, 0.0, 0.0], [0.37, 0.37, 0.6]  # it sets out moving forward
+        self.local_actor = Gaussian(
+            a.features + 3, a.hidden, means[:action_size], deviations[:action_size]
+        )
+        self.macro_critic = Critic(a.features, a.hidden)
+        self.local_critic = Critic(a.features + 3, a.hidden)
+
+
+class Waypoints:
+    """The waypoint each robot is driving to, kept in the world frame."""
+
+    def __init__(self, worlds: int, robots: int, steps: int, reach: float) -> None:
+        """Waypoints of `worlds` x `robots` robots, renewed after `steps` steps."""
+        self.position = np.zeros((worlds, robots, 2), np.float32)
+        self.clock = np.zeros((worlds, robots), np.int32)
+        self.steps = steps
+        self.reach = np.float32(reach)
+
+    def due(self, ego: NDArray[np.float32]) -> NDArray[np.bool_]:
+        """Which robots need a new waypoint, [E, N]."""
+        distance = np.linalg.norm(self.seen_from(ego), axis=-1)
+        return (self.clock <= 0) | (distance < WAYPOINT_REACHED)
+
+    def reset(self, worlds: NDArray[np.bool_]) -> None:
+        """Ask for new waypoints in the worlds [E] in which an episode begins."""
+        self.clock[worlds] = 0
+
+    def set(
+        self, ego: NDArray[np.float32], due: NDArray[np.bool_], macro: NDArray[np.float32]
+    ) -> None:
+        """Take up macro actions [E, N, 2] where they are due.
+
+        The waypoint is the point straight towards the goal (as far as `reach`), moved by the
+        macro action in [-1, 1] times `reach`: zero means "to the goal".
+        """
+        goal = ego[..., 0:2]
+        distance = np.maximum(np.linalg.norm(goal, axis=-1, keepdims=True), np.float32(1e-6))
+        ahead = goal * np.minimum(self.reach / distance, 1)
+        target = ahead + self.reach * np.clip(macro, -1, 1)
+        self.position[due] = _to_world(target, ego)[due]
+        self.clock[due] = self.steps
+
+    def tick(self) -> None:
+        """One step has passed."""
+        self.clock -= 1
+
+    def seen_from(self, ego: NDArray[np.float32]) -> NDArray[np.float32]:
+        """The waypoints in the body frames, [E, N, 2] in m."""
+        cos, sin = ego[..., 6], ego[..., 7]
+        x = -(cos * ego[..., 4] - sin * ego[..., 5])
+        y = -(sin * ego[..., 4] + cos * ego[..., 5])
+        dx, dy = self.position[..., 0] - x, self.position[..., 1] - y
+        return np.stack([cos * dx + sin * dy, cos * dy - sin * dx], -1)
+
+    def features(self, ego: NDArray[np.float32]) -> Tensor:
+        """What the local level is told of its waypoint, [E, N, 3]."""
+        seen = torch.from_numpy(self.seen_from(ego))
+        return torch.cat([seen / 2.0, torch.exp(-seen.norm(dim=-1, keepdim=True))], -1)
+
+
+def _to_world(point: NDArray[np.float32], ego: NDArray[np.float32]) -> NDArray[np.float32]:
+    cos, sin = ego[..., 6], ego[..., 7]
+    dx, dy = point[..., 0] - ego[..., 4], point[..., 1] - ego[..., 5]
+    return np.stack([cos * dx - sin * dy, sin * dx + cos * dy], -1)
+
+
+assert len(EGO_FEATURES) == 11
+assert len(OTHER_FEATURES) == 5
+
+
+class Decision(NamedTuple):
+    """What both levels decided, for all robots."""
+
+    macro: Tensor  # [E, N, 2], meaningful where due
+    macro_log_prob: Tensor  # [E, N]
+    due: NDArray[np.bool_]  # [E, N]
+    waypoint: Tensor  # [E, N, 3] features
+    action: Tensor  # [E, N, A] before clipping to [-1, 1]
+    action_log_prob: Tensor  # [E, N]
+
+
+def decide(
+    policy: HierarchicalPolicy,
+    y: Tensor,
+    ego: NDArray[np.float32],
+    waypoints: Waypoints,
+    deterministic: bool,
+    always: bool = False,
+) -> Decision:
+    """Let the macro level choose waypoints where they are due and the local level act.
+
+    Args:
+        policy: the networks.
+        y: [E, N, F] features of the actors' encoder.
+        ego: [E, N, 11] own states.
+        waypoints: updated in place.
+        deterministic: take the means.
+        always: every waypoint is due.
+    """
+    due = np.ones(ego.shape[:2], np.bool_) if always else waypoints.due(ego)
+    macro_distribution = policy.macro_actor.distribution(y)
+    macro = macro_distribution.mean if deterministic else macro_distribution.sample()
+    waypoints.set(ego, due, macro.numpy())
+    told = waypoints.features(ego)
+    distribution = policy.local_actor.distribution(torch.cat([y, told], -1))
+    action = distribution.mean if deterministic else distribution.sample()
+    waypoints.tick()
+    return Decision(
+        macro,
+        macro_distribution.log_prob(macro),
+        due,
+        told,
+        action,
+        distribution.log_prob(action),
+    )

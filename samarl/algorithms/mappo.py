@@ -1,0 +1,350 @@
+"""MAPPO on two levels (SAMARL, Eq. 9 and Algorithm 1) with TorchRL's losses and estimators."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from dataclasses import dataclass
+
+import torch
+from tensordict import TensorDict
+from tensordict.nn import TensorDictModule
+from torch import Tensor, nn
+from torchrl.modules import ProbabilisticActor
+from torchrl.objectives.multiagent import MAPPOLoss
+from torchrl.objectives.value import MultiAgentGAE
+
+from mrsan.scenario import number, required
+from samarl.agents.hierarchical import Critic, Gaussian, HierarchicalPolicy, joint_features
+from samarl.encoders.spatio_temporal import Frames
+from samarl.training.rollout import Batch, Steps
+
+
+@dataclass
+class MAPPO:
+    """Knobs of the update."""
+
+    learning_rate: float = required(0.0, 1.0)
+    epochs: int = required(1, 100)
+    minibatches: int = required(1, 1000)
+    discount: float = required(0.0, 1.0)  # per step, of the macro level
+    local_discount: float = required(0.0, 1.0)  # per step, of the local level
+    gae_lambda: float = required(0.0, 1.0)
+    clip_epsilon: float = required(0.0, 10.0)
+    entropy_coefficient: float = required(0.0, 10.0)
+    critic_coefficient: float = required(0.0, 100.0)
+    max_gradient_norm: float = required(0.0, 1e6)
+    deviation_start: float = number(1.0, 0.01, 10.0)  # cap of the exploration noise ...
+    deviation_end: float = number(0.2, 0.01, 10.0)  # ... falls linearly to this
+
+
+class ValueNormaliser(nn.Module):
+    """Running mean and variance of value targets, as MAPPO uses them (Yu et al., 2022)."""
+
+    mean: Tensor
+    square: Tensor
+    weight: Tensor
+
+    def __init__(self, decay: float = 0.99) -> None:
+        super().__init__()
+        self.decay = decay
+        self.register_buffer("mean", torch.zeros(()))
+        self.register_buffer("square", torch.zeros(()))
+        self.register_buffer("weight", torch.zeros(()))
+
+    def update(self, targets: Tensor) -> None:
+        """Take in targets [R]."""
+        self.mean.mul_(self.decay).add_((1 - self.decay) * targets.mean())
+        self.square.mul_(self.decay).add_((1 - self.decay) * targets.square().mean())
+        self.weight.mul_(self.decay).add_(1 - self.decay)
+
+    def _moments(self) -> tuple[Tensor, Tensor]:
+        weight = self.weight.clamp_min(1e-8)
+        mean = self.mean / weight
+        variance = (self.square / weight - mean.square()).clamp_min(1e-2)
+        return mean, variance.sqrt()
+
+    def normalise(self, value: Tensor) -> Tensor:
+        """From the scale of returns to the scale of the critic."""
+        mean, deviation = self._moments()
+        return (value - mean) / deviation if self.weight > 0 else value
+
+    def denormalise(self, value: Tensor) -> Tensor:
+        """From the scale of the critic to the scale of returns."""
+        mean, deviation = self._moments()
+        return value * deviation + mean if self.weight > 0 else value
+
+
+class Level(nn.Module):
+    """The loss of one level: its actor, its critic, its value scale."""
+
+    def __init__(self, actor: Gaussian, critic: Critic, mappo: MAPPO) -> None:
+        super().__init__()
+        self.critic = critic
+        self.values = ValueNormaliser()
+        operator = ProbabilisticActor(
+            TensorDictModule(actor, in_keys=["feature"], out_keys=["loc", "scale"]),
+            in_keys=["loc", "scale"],
+            out_keys=["action"],
+            distribution_class=_independent_normal,
+            return_log_prob=True,
+        )
+        self.loss = MAPPOLoss(
+            operator,
+            TensorDictModule(critic, in_keys=["joint"], out_keys=["state_value"]),
+            clip_epsilon=mappo.clip_epsilon,
+            entropy_coeff=mappo.entropy_coefficient,
+            critic_coeff=mappo.critic_coefficient,
+            clip_value=True,
+            normalize_advantage=False,
+            functional=False,
+        )
+        self.loss.set_keys(value="state_value", action="action", sample_log_prob="log_prob")
+
+    def value(self, joint: Tensor) -> Tensor:
+        """Value [..., 1] in the scale of returns."""
+        return self.values.denormalise(self.critic(joint))
+
+
+def _independent_normal(loc: Tensor, scale: Tensor) -> torch.distributions.Distribution:
+    return torch.distributions.Independent(torch.distributions.Normal(loc, scale), 1)
+
+
+def advantages(
+    reward: Tensor,
+    value: Tensor,
+    next_value: Tensor,
+    done: Tensor,
+    terminated: Tensor,
+    discount: float,
+    gae_lambda: float,
+    duration: Tensor | None = None,
+) -> tuple[Tensor, Tensor]:
+    """Advantage and value target, [E, T, N], of a level's own time axis.
+
+    Args:
+        reward: [E, T, N]; of a macro action already discounted within its duration.
+        value: [E, T, N].
+        next_value: [E, T, N] of the state each step led to, before any reset.
+        done: [E, T, N] the robot's stream ends here.
+        terminated: [E, T, N] and its value is zero; where only `done`, `next_value` bootstraps.
+        discount: per environment step.
+        gae_lambda: per decision.
+        duration: [E, T, N] environment steps of each decision; None: one each.
+    """
+    estimator = MultiAgentGAE(
+        gamma=discount, lmbda=gae_lambda, value_network=None, average_gae=False, vectorized=False
+    )
+    data = TensorDict(
+        {
+            "state_value": value.unsqueeze(-1),
+            "next": TensorDict(
+                {
+                    "state_value": next_value.unsqueeze(-1),
+                    "reward": reward.unsqueeze(-1),
+                    "done": done.unsqueeze(-1),
+                    "terminated": terminated.unsqueeze(-1),
+                },
+                value.shape[:2],
+            ),
+        },
+        value.shape[:2],
+    )
+    if duration is not None:
+        data["steps_to_next_obs"] = duration.unsqueeze(-1)
+    result = estimator(data)
+    return result["advantage"].squeeze(-1), result["value_target"].squeeze(-1)
+
+
+@dataclass
+class MacroRecords:
+    """The macro actions of a rollout, one after another per robot: [E, K, N]."""
+
+    reward: Tensor  # discounted within the duration
+    duration: Tensor  # environment steps
+    done: Tensor
+    terminated: Tensor
+    start: Tensor  # the step in which each was chosen
+    end: Tensor  # the last step of each
+    valid: Tensor  # False: padding
+
+
+def macro_records(steps: Steps, discount: float) -> MacroRecords:
+    """Cut a rollout at its macro decisions: R = sum of discount^j r_j over the duration."""
+    due, driving = steps.due, steps.driving
+    e, t, n = due.shape
+    number_of = due.long().cumsum(1) - 1  # [E, T, N] which macro action a step belongs to
+    belongs = driving & (number_of >= 0)
+    k = int(number_of.max()) + 1
+    slot = number_of.clamp_min(0)
+    step = torch.arange(t).view(1, t, 1).expand(e, t, n)
+
+    def gather(values: Tensor, reduce: str, where: Tensor, empty: float) -> Tensor:
+        out = values.new_full((e, k + 1, n), empty)
+        index = torch.where(where, slot, k)  # what does not count goes to the slot that is cut off
+        return out.scatter_reduce(1, index, values, reduce, include_self=True)[:, :k]
+
+    start = gather(step, "amax", due, 0)
+    within = step - start.gather(1, slot)
+    reward = gather(steps.reward * discount**within, "sum", belongs, 0.0)
+    duration = gather(torch.ones_like(step), "sum", belongs, 0)
+    end = gather(step, "amax", belongs, 0)
+    valid = duration > 0
+    done = steps.done.gather(1, end) | ~valid
+    terminated = steps.terminated.gather(1, end) | ~valid
+    return MacroRecords(reward, duration, done, terminated, start, end, valid)
+
+
+class Learner:
+    """Updates a hierarchical policy from rollouts."""
+
+    def __init__(self, policy: HierarchicalPolicy, mappo: MAPPO) -> None:
+        """Make the losses of both levels and one optimiser for everything."""
+        self.policy, self.mappo = policy, mappo
+        self.macro = Level(policy.macro_actor, policy.macro_critic, mappo)
+        self.local = Level(policy.local_actor, policy.local_critic, mappo)
+        self.optimiser = torch.optim.Adam(policy.parameters(), lr=mappo.learning_rate, eps=1e-5)
+
+    def set_progress(self, share: float) -> None:
+        """Learning rate and exploration noise after this share of the training."""
+        m = self.mappo
+        for group in self.optimiser.param_groups:
+            group["lr"] = m.learning_rate * max(1.0 - share, 0.02)
+        cap = m.deviation_start + (m.deviation_end - m.deviation_start) * share
+        for actor in (self.policy.macro_actor, self.policy.local_actor):
+            actor.cap.fill_(cap)
+
+    @torch.no_grad()
+    def prepare(self, batch: Batch) -> dict[str, Tensor]:
+        """Advantages and targets of both levels; names begin with `macro_` or `local_`."""
+        e, t, n = batch.steps.driving.shape
+        past = self.policy.architecture.history - 1
+        critic = self.policy.critic_encoder
+
+        def encode(frames: Frames, begins: Tensor) -> Tensor:
+            features = critic(frames, begins)
+            return features.view(e, n, features.shape[1], -1).transpose(1, 2)  # [E, T, N, F]
+
+        own = encode(batch.frames.at(slice(past, past + t)), batch.begins[:, past:])
+        last = encode(batch.last_frames, batch.begins[:, :1])
+        after = torch.cat([own[:, 1:], last], 1)
+        told_after = torch.cat([batch.steps.waypoint[:, 1:], batch.last_waypoint.unsqueeze(1)], 1)
+        cut = batch.steps.truncated
+        if cut.any():
+            final = encode(batch.final_frames, batch.begins[:, past:])
+            after = torch.where(cut[..., None, None], final, after)
+            told_after = torch.where(cut[..., None, None], batch.final_waypoint, told_after)
+        out: dict[str, Tensor] = {}
+        told = torch.cat([own, batch.steps.waypoint], -1)
+        value = self.local.value(joint_features(told)).squeeze(-1)
+        next_value = self.local.value(joint_features(torch.cat([after, told_after], -1))).squeeze(
+            -1
+        )
+        m = self.mappo
+        out["local_advantage"], out["local_target"] = advantages(
+            batch.steps.local_reward, value, next_value, batch.steps.done, batch.steps.terminated,
+            m.local_discount, m.gae_lambda,
+        )  # fmt: skip
+        out["local_value"] = value
+        value = self.macro.value(joint_features(own)).squeeze(-1)
+        next_value = self.macro.value(joint_features(after)).squeeze(-1)
+        records = macro_records(batch.steps, m.discount)
+        advantage, target = advantages(
+            records.reward, value.gather(1, records.start), next_value.gather(1, records.end),
+            records.done, records.terminated, m.discount, m.gae_lambda, records.duration,
+        )  # fmt: skip
+        # Back to the grid of steps, at the step of each decision.
+        start = torch.where(records.valid, records.start, t)
+        grid = value.new_zeros(e, t + 1, n)
+        out["macro_advantage"] = grid.scatter(1, start, advantage)[:, :t]
+        out["macro_target"] = grid.scatter(1, start, target)[:, :t]
+        out["macro_value"] = value
+        for level, where in (("macro", batch.steps.due), ("local", batch.steps.driving)):
+            chosen = out[f"{level}_advantage"][where]
+            mean, deviation = chosen.mean(), chosen.std().clamp_min(1e-4)
+            out[f"{level}_advantage"] = (out[f"{level}_advantage"] - mean) / deviation
+            values = self.macro.values if level == "macro" else self.local.values
+            values.update(out[f"{level}_target"][where])
+            for name in ("target", "value"):
+                out[f"{level}_{name}"] = values.normalise(out[f"{level}_{name}"])
+        return out
+
+    def update(self, batches: list[Batch]) -> dict[str, float]:
+        """All epochs over the rollouts of one or several scenarios; returns mean statistics."""
+        prepared = [self.prepare(batch) for batch in batches]
+        statistics: dict[str, list[float]] = defaultdict(list)
+        for _ in range(self.mappo.epochs):
+            pieces = [
+                torch.randperm(len(batch.steps.driving)).tensor_split(self.mappo.minibatches)
+                for batch in batches
+            ]
+            for minibatch in zip(*pieces, strict=True):
+                self.optimiser.zero_grad(set_to_none=True)
+                for batch, data, worlds in zip(batches, prepared, minibatch, strict=True):
+                    loss = self._loss(batch, data, worlds, statistics) / len(batches)
+                    loss.backward()
+                norm = nn.utils.clip_grad_norm_(
+                    self.policy.parameters(), self.mappo.max_gradient_norm
+                )
+                if not torch.isfinite(norm):
+                    raise FloatingPointError("the gradient is not finite")
+                self.optimiser.step()
+                statistics["losses/gradient_norm"].append(float(norm))
+        return {key: sum(values) / len(values) for key, values in statistics.items()}
+
+    def _loss(
+        self, batch: Batch, data: dict[str, Tensor], worlds: Tensor, statistics: dict
+    ) -> Tensor:
+        e, (_, t, n) = len(worlds), batch.steps.driving.shape
+        past = self.policy.architecture.history - 1
+        rows = (worlds.unsqueeze(1) * n + torch.arange(n)).flatten()
+        frames, begins = batch.frames.of(rows), batch.begins[rows]
+
+        def by_world(features: Tensor) -> Tensor:
+            return features.view(e, n, t, -1).transpose(1, 2)
+
+        y = by_world(self.policy.encoder(frames, begins))
+        critic = by_world(
+            self.policy.critic_encoder(frames.at(slice(past, past + t)), begins[:, past:])
+        )
+        told = batch.steps.waypoint[worlds]
+        total = y.new_zeros(())
+        for name, level, where, feature, own, action, log_prob in (
+            (
+                "macro",
+                self.macro,
+                batch.steps.due,
+                y,
+                critic,
+                batch.steps.macro,
+                batch.steps.macro_log_prob,
+            ),
+            (
+                "local",
+                self.local,
+                batch.steps.driving,
+                torch.cat([y, told], -1),
+                torch.cat([critic, told], -1),
+                batch.steps.action,
+                batch.steps.action_log_prob,
+            ),
+        ):
+            counts = where[worlds]
+            losses = level.loss(
+                TensorDict(
+                    {
+                        "feature": feature[counts],
+                        "joint": joint_features(own)[counts],
+                        "action": action[worlds][counts],
+                        "log_prob": log_prob[worlds][counts],
+                        "advantage": data[f"{name}_advantage"][worlds][counts].unsqueeze(-1),
+                        "value_target": data[f"{name}_target"][worlds][counts].unsqueeze(-1),
+                        "state_value": data[f"{name}_value"][worlds][counts].unsqueeze(-1),
+                    },
+                    [int(counts.sum())],
+                )
+            )
+            total = total + losses["loss_objective"] + losses["loss_critic"]
+            total = total + losses["loss_entropy"]
+            for key in ("loss_objective", "loss_critic", "entropy", "kl_approx", "clip_fraction"):
+                statistics[f"losses/{name}_{key.removeprefix('loss_')}"].append(losses[key].item())
+        return total

@@ -1,0 +1,242 @@
+"""SAMARL's hybrid spatio-temporal transformer (SAMARL, Sec. IV-A, Eq. 5-8).
+
+Shapes: B robots (of all worlds), T frames, M agents of one kind, D features, H frames of history.
+Humans and robots go through separate blocks. What is not known is masked everywhere, and every
+attention also offers a learned "nobody" key, so the result is finite with nobody in view.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+_MASKED = -1e9
+
+
+class Frames(NamedTuple):
+    """What B robots knew in T frames, scaled for the network."""
+
+    ego: Tensor  # [B, T, F_e]
+    humans: Tensor  # [B, T, M, F_h]
+    humans_known: Tensor  # [B, T, M] bool
+    robots: Tensor  # [B, T, N - 1, F_r]
+    robots_known: Tensor  # [B, T, N - 1] bool
+
+    def at(self, frames: slice) -> Frames:
+        """Some of the frames."""
+        return Frames(*(tensor[:, frames] for tensor in self))
+
+    def of(self, robots: Tensor | slice) -> Frames:
+        """Some of the robots."""
+        return Frames(*(tensor[robots] for tensor in self))
+
+
+def _attend(query: Tensor, key_value: Tensor, mask: Tensor, heads: int) -> Tensor:
+    """Multi-head attention (Eq. 5) of `query` [R, Q, D] over `key_value` [R, K, 2 D].
+
+    `mask` is added to the scores and broadcasts to [R, heads, Q, K].
+    """
+    r, q, d = query.shape
+    key, value = key_value.view(r, key_value.shape[1], 2, heads, d // heads).permute(2, 0, 3, 1, 4)
+    query = query.view(r, q, heads, d // heads).transpose(1, 2)
+    mask = mask.expand(r, heads, q, key.shape[2])
+    out = functional.scaled_dot_product_attention(query, key, value, attn_mask=mask)
+    return out.transpose(1, 2).reshape(r, q, d)
+
+
+class Pool(nn.Module):
+    """Attention of the robot itself over a set of agents, with a key for "nobody"."""
+
+    def __init__(self, width: int, heads: int) -> None:
+        super().__init__()
+        self.heads = heads
+        self.query = nn.Linear(width, width)
+        self.key_value = nn.Linear(width, 2 * width)
+        self.nobody = nn.Parameter(torch.zeros(2 * width))
+        self.out = nn.Linear(width, width)
+
+    def forward(self, own: Tensor, tokens: Tensor, masked: Tensor) -> Tensor:
+        """Summary [R, D] of `tokens` [R, M, D] for the robot's own embedding [R, D].
+
+        `masked` [R, M] is zero where an agent is known and very negative elsewhere.
+        """
+        nobody = self.nobody.expand(len(tokens), 1, -1)
+        key_value = torch.cat([nobody, self.key_value(tokens)], 1)
+        mask = functional.pad(masked, (1, 0))[:, None, None, :]
+        query = self.query(own).unsqueeze(1)
+        return self.out(_attend(query, key_value, mask, self.heads).squeeze(1))
+
+
+class SpatialTransformer(nn.Module):
+    """Agents of one frame: attention and graph convolution, fused by a gate (Eq. 6).
+
+    The graph is weighted by proximity, exp(-distance / 2 m): near agents matter more.
+    """
+
+    def __init__(self, width: int, heads: int) -> None:
+        super().__init__()
+        self.heads = heads
+        self.norm = nn.LayerNorm(width)
+        self.query = nn.Linear(width, width)
+        self.key_value = nn.Linear(width, 2 * width)
+        self.graph = nn.Linear(width, width)
+        self.gate = nn.Linear(2 * width, width)
+        self.pool = Pool(width, heads)
+
+    def forward(self, own: Tensor, tokens: Tensor, position: Tensor, masked: Tensor) -> Tensor:
+        """Feature [R, D] of R robot-frames.
+
+        Args:
+            own: [R, D] embedding of the robot itself.
+            tokens: [R, M, D] embeddings of the others.
+            position: [R, M, 2] in units of 5 m.
+            masked: [R, M], zero where an agent is known and very negative elsewhere.
+        """
+        if tokens.shape[1] == 0:
+            return self.pool(own, tokens, masked)
+        normed = self.norm(tokens)
+        attention = _attend(
+            self.query(normed), self.key_value(normed), masked[:, None, None, :], self.heads
+        )
+        near = torch.softmax(-2.5 * torch.cdist(position, position) + masked.unsqueeze(1), -1)
+        graph = torch.relu(torch.bmm(near, self.graph(normed)))
+        gate = torch.sigmoid(self.gate(torch.cat([attention, graph], -1)))
+        fused = tokens + torch.lerp(graph, attention, gate)
+        return self.pool(own, fused, masked)
+
+
+class TemporalTransformer(nn.Module):
+    """Each agent along its own last H frames, causal (Eq. 6).
+
+    Recent frames weigh more by a fixed slope per head, so heads look back differently far.
+    """
+
+    slopes: Tensor  # [heads]
+
+    def __init__(self, width: int, heads: int, history: int) -> None:
+        super().__init__()
+        self.heads = heads
+        self.history = history
+        self.norm = nn.LayerNorm(width)
+        self.query = nn.Linear(width, width)
+        self.key_value = nn.Linear(width, 2 * width)
+        self.register_buffer("slopes", 2.0 ** -torch.arange(heads), persistent=False)
+        self.pool = Pool(width, heads)
+
+    def forward(self, tokens: Tensor, known: Tensor, begins: Tensor) -> Tensor:
+        """Tokens [B, M, T - H + 1, D] of the frames that have H - 1 frames before them.
+
+        Args:
+            tokens: [B, M, T, D] embeddings of all frames.
+            known: [B, M, T].
+            begins: [B, T] whether an episode begins with a frame.
+        """
+        b, m, t, d = tokens.shape
+        normed = self.norm(tokens)
+        present = normed[:, :, self.history - 1 :]
+        if self.history == 1:
+            return tokens + self.key_value(normed)[..., d:]
+        episode = begins.long().cumsum(1)
+        lag = torch.arange(self.history - 1, t).unsqueeze(1) - torch.arange(t)  # [T', T]
+        lag = lag.to(tokens.device)
+        allowed = (lag >= 0) & (lag < self.history)
+        allowed = allowed & (episode[:, self.history - 1 :].unsqueeze(2) == episode.unsqueeze(1))
+        allowed = allowed.unsqueeze(1) & known.unsqueeze(2)  # [B, M, T', T]
+        bias = -self.slopes[:, None, None] * lag.clamp_min(0)
+        mask = bias + torch.where(allowed, 0.0, _MASKED).flatten(0, 1).unsqueeze(1)
+        query, key_value = self.query(present), self.key_value(normed)
+        timed = _attend(query.flatten(0, 1), key_value.flatten(0, 1), mask, self.heads)
+        return tokens[:, :, self.history - 1 :] + timed.view(b, m, present.shape[2], d)
+
+
+class Block(nn.Module):
+    """Embedding, spatial and temporal transformer of one kind of agent."""
+
+    def __init__(self, ego: int, other: int, width: int, heads: int, history: int) -> None:
+        super().__init__()
+        self.embed_ego = nn.Linear(ego, width)
+        self.embed_other = nn.Linear(other, width)
+        self.embed = nn.Linear(width, width)
+        self.spatial = SpatialTransformer(width, heads)
+        self.temporal = TemporalTransformer(width, heads, history)
+
+    def forward(
+        self, own: Tensor, ego: Tensor, others: Tensor, known: Tensor, begins: Tensor
+    ) -> list[Tensor]:
+        """Spatial and temporal feature, each [B T', D], of the frames after the first H - 1."""
+        past = self.temporal.history - 1
+        embedded = self.embed_other(others) + self.embed_ego(ego).unsqueeze(2)
+        tokens = self.embed(torch.relu(embedded))  # [B, T, M, D]
+        masked = torch.where(known[:, past:].flatten(0, 1), 0.0, _MASKED)
+        position = others[:, past:, :, :2].flatten(0, 1)
+        spatial = self.spatial(own, tokens[:, past:].flatten(0, 1), position, masked)
+        timed = self.temporal(tokens.transpose(1, 2), known.transpose(1, 2), begins)
+        timed = timed.transpose(1, 2).flatten(0, 1)
+        return [spatial, self.temporal.pool(own, timed, masked)]
+
+
+class CrossModal(nn.Module):
+    """Each of the four features queries their concatenation, then a transformer (Eq. 7)."""
+
+    def __init__(self, width: int, heads: int, out: int) -> None:
+        super().__init__()
+        self.cross = nn.MultiheadAttention(width, heads, batch_first=True)
+        self.norm = nn.LayerNorm(width)
+        self.final = nn.TransformerEncoderLayer(
+            width, heads, 2 * width, dropout=0.0, batch_first=True, norm_first=True
+        )
+        self.out = nn.Linear(5 * width, out)
+
+    def forward(self, own: Tensor, modalities: Tensor) -> Tensor:
+        """Y [R, out] from the robot's own embedding [R, D] and the features [R, 4, D]."""
+        fused = self.norm(modalities)
+        crossed, _ = self.cross(fused, fused, fused, need_weights=False)
+        final = self.final(modalities + crossed)
+        return torch.relu(self.out(torch.cat([own, final.flatten(1)], -1)))
+
+
+class SpatioTemporalEncoder(nn.Module):
+    """Y_t of each robot from what it knew in its last H frames (Eq. 8)."""
+
+    def __init__(
+        self, ego_features: int, other_features: int, width: int, heads: int, history: int, out: int
+    ) -> None:
+        """Make the encoder.
+
+        Args:
+            ego_features: F_e.
+            other_features: F_h and F_r.
+            width: D.
+            heads: of every attention.
+            history: H, frames; 1 has no memory.
+            out: length of Y.
+        """
+        super().__init__()
+        self.history = history
+        self.width = width
+        self.own = nn.Sequential(nn.Linear(ego_features, width), nn.ReLU(), nn.Linear(width, width))
+        self.humans = Block(ego_features, other_features, width, heads, history)
+        self.robots = Block(ego_features, other_features, width, heads, history)
+        self.cross = CrossModal(width, heads, out)
+
+    def forward(self, frames: Frames, begins: Tensor) -> Tensor:
+        """Y [B, T - H + 1, out] of every frame that has H - 1 frames before it.
+
+        A frame's embedding, keys and values are computed once, however many windows it is in.
+
+        Args:
+            frames: T >= H frames of each robot; those before the first of an episode are ignored.
+            begins: [B, T] bool, whether an episode begins with this frame.
+        """
+        past = self.history - 1
+        own = self.own(frames.ego[:, past:]).flatten(0, 1)
+        features = [
+            *self.robots(own, frames.ego, frames.robots, frames.robots_known, begins),
+            *self.humans(own, frames.ego, frames.humans, frames.humans_known, begins),
+        ]
+        return self.cross(own, torch.stack(features, 1)).unflatten(
+            0, frames.ego[:, past:].shape[:2]
+        )

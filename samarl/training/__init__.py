@@ -1,0 +1,1 @@
+"""Rollouts, the training loop, checkpoints."""

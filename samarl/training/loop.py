@@ -1,0 +1,264 @@
+"""The training loop: collect, update, validate, save; resumes after any interruption."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import time
+from collections import deque
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from safetensors import SafetensorError, safe_open
+from torch import Tensor
+from tqdm import tqdm
+
+from mrsan import ConfigurationError, Scenario, Split, social_score
+from mrsan.scenario import check_numbers, required
+from samarl.agents.hierarchical import Architecture, HierarchicalPolicy
+from samarl.agents.learned import Deployed
+from samarl.algorithms.mappo import MAPPO, Learner
+from samarl.evaluation.files import code_version, machine, write_atomically
+from samarl.evaluation.runner import run_cases
+from samarl.training.checkpoint import load_policy, pack, save_policy, unpack, write_tensors
+from samarl.training.rollout import Rollout
+
+STATE = "state.safetensors"  # everything that is needed to go on
+LAST, BEST = "last.safetensors", "best.safetensors"  # policies
+
+
+@dataclass
+class Training:
+    """Knobs of a training run."""
+
+    steps: int = required(1, 10**12)  # environment steps in all worlds together
+    rollout: int = required(1, 100000)  # steps per world between updates
+    seed: int = required(0, 2**31)
+    threads: int = required(1, 1024)  # of torch and the simulator
+    validate_every: int = required(1, 10**12)  # environment steps
+    validation_cases: int = required(1, 10**6)
+    save_every: int = required(1, 10**12)  # environment steps
+
+    def __post_init__(self) -> None:
+        """Check every number."""
+        check_numbers(self, "training")
+
+
+class Trainer:
+    """One training run in a folder."""
+
+    def __init__(
+        self,
+        folder: Path,
+        training: Training,
+        architecture: Architecture,
+        mappo: MAPPO,
+        groups: list[tuple[Scenario, int]],
+        command: str,
+        initial: Path | None = None,
+    ) -> None:
+        """Set up the run, from the saved state where the folder holds one.
+
+        Args:
+            folder: of the run: the state, the policies, `progress.csv`.
+            training: its knobs.
+            architecture: of the policy.
+            mappo: the knobs of the update.
+            groups: scenarios trained on side by side, each with its number of worlds.
+            command: what started it, for the record.
+            initial: a policy of the same architecture whose weights to begin with.
+
+        Raises:
+            ConfigurationError: the saved state belongs to another configuration.
+        """
+        self.folder, self.training, self.groups = folder, training, groups
+        torch.manual_seed(training.seed)
+        self.policy = HierarchicalPolicy(architecture, groups[0][0].action_size)
+        if initial is not None:
+            self._begin_with(initial)
+        self.learner = Learner(self.policy, mappo)
+        self.rollouts = [
+            Rollout(
+                scenario, self.policy, worlds, training.rollout, (training.seed << 20) + 4096 * i
+            )
+            for i, (scenario, worlds) in enumerate(groups)
+        ]
+        self.steps_done = 0
+        self.seconds = 0.0
+        self.best = -1.0
+        self.recent: deque[float] = deque(maxlen=2000)  # success of the last episodes
+        self.rows: list[dict[str, float]] = []
+        self.configuration = json.loads(
+            json.dumps(
+                {
+                    "training": {**asdict(training), "threads": None},
+                    "architecture": asdict(architecture),
+                    "mappo": asdict(mappo),
+                    "groups": [[asdict(scenario), worlds] for scenario, worlds in groups],
+                },
+                default=str,
+            )
+        )
+        self.made = {"command": command, "commit": code_version(), "machine": machine()}
+        if (folder / STATE).exists():
+            self._restore()
+
+    def run(self) -> None:
+        """Train to the end; an interruption loses at most `save_every` steps."""
+        t = self.training
+        torch.set_num_threads(t.threads)
+        per_round = sum(worlds for _, worlds in self.groups) * t.rollout
+        self.learner.set_progress(self.steps_done / t.steps)
+        bar = tqdm(
+            total=t.steps, initial=self.steps_done, unit="step", unit_scale=True, disable=None
+        )
+        try:
+            while self.steps_done < t.steps:
+                begun = time.perf_counter()
+                batches = [rollout.collect() for rollout in self.rollouts]
+                collected = time.perf_counter()
+                statistics = self.learner.update(batches)
+                before = self.steps_done
+                self.steps_done += per_round
+                self.learner.set_progress(min(self.steps_done / t.steps, 1.0))
+                self.seconds += time.perf_counter() - begun
+                for batch in batches:
+                    for episodes in batch.episodes:
+                        self.recent.extend(episodes.success.astype(float))
+                row = {
+                    "steps": float(self.steps_done),
+                    "seconds": round(self.seconds, 1),
+                    "charts/steps_per_second": round(per_round / (time.perf_counter() - begun), 1),
+                    "charts/collect_share": round(
+                        (collected - begun) / (time.perf_counter() - begun), 3
+                    ),
+                    "charts/success": round(float(np.mean(self.recent or [0.0])), 4),
+                    **{key: round(value, 6) for key, value in statistics.items()},
+                }
+                due = self.steps_done // t.validate_every > before // t.validate_every
+                if due or self.steps_done >= t.steps:
+                    row |= self._validate()
+                self.rows.append(row)
+                bar.set_postfix_str(f"success {100 * row['charts/success']:.1f} %")
+                bar.update(per_round)
+                if self.steps_done // t.save_every > before // t.save_every:
+                    self.save()
+        except FloatingPointError as error:
+            raise ConfigurationError(
+                f"training stopped at step {self.steps_done}: {error}; the last good checkpoint is "
+                f"{self.folder / STATE}"
+            ) from error
+        except KeyboardInterrupt:
+            self.save()
+            raise
+        finally:
+            bar.close()
+        self.save()
+
+    def _begin_with(self, initial: Path) -> None:
+        weights, card = load_policy(initial)
+        try:
+            self.policy.load_state_dict(weights.state_dict())
+        except RuntimeError as error:
+            raise ConfigurationError(
+                f"initial is {str(initial)!r} with {card.architecture}; its sizes must be those of "
+                "this run's architecture"
+            ) from error
+
+    def _validate(self) -> dict[str, float]:
+        """Deterministic success on validation cases with all people present; keeps the best."""
+        cases = Split.validation.case(0) + np.arange(self.training.validation_cases)
+        row: dict[str, float] = {}
+        successes = []
+        for scenario, _ in self.groups:
+            full = replace(scenario, humans_min=None)
+            agent = Deployed(self.policy, full)
+            episodes = run_cases(agent, full, cases, len(cases), "validation")
+            name = f"{full.fov_degrees:g}_{full.humans}h_{full.robots}r"
+            successes.append(float(episodes.success.mean()))
+            row[f"validation/success_{name}"] = round(successes[-1], 4)
+            row[f"validation/social_score_{name}"] = round(float(social_score(episodes).mean()), 2)
+        figures = ", ".join(f"{key.split('/')[1]} {value:g}" for key, value in row.items())
+        tqdm.write(f"step {self.steps_done}, {self.seconds:.0f} s, validation: {figures}")
+        if np.mean(successes) > self.best:
+            self.best = float(np.mean(successes))
+            self._save_policy(BEST, row)
+        return row
+
+    def _save_policy(self, name: str, validation: dict[str, float]) -> None:
+        made = {
+            **self.made,
+            "steps": self.steps_done,
+            "seconds": round(self.seconds),
+            "validation": validation,
+            "configuration": self.configuration,
+        }
+        save_policy(self.folder / name, self.policy, "hierarchical", made)
+
+    def _state(self) -> dict[str, Any]:
+        optimiser = self.learner.optimiser.state_dict()["state"]
+        return {
+            "policy": dict(self.policy.state_dict()),
+            "macro_values": dict(self.learner.macro.values.state_dict()),
+            "local_values": dict(self.learner.local.values.state_dict()),
+            "optimiser": {str(key): value for key, value in optimiser.items()},
+            "random": torch.get_rng_state(),
+            "rollouts": [rollout.state() for rollout in self.rollouts],
+        }
+
+    def save(self) -> None:
+        """Write the state, the last policy and the curve."""
+        tensors: dict[str, Tensor] = {}
+        pack("", self._state(), tensors)
+        progress = {
+            "steps_done": self.steps_done,
+            "seconds": self.seconds,
+            "best": self.best,
+            "recent": list(self.recent),
+            "rows": self.rows,
+            "configuration": self.configuration,
+        }
+        write_tensors(self.folder / STATE, tensors, {"progress": json.dumps(progress)})
+        self._save_policy(LAST, {})
+        keys = list(dict.fromkeys(key for row in self.rows for key in row))
+        text = io.StringIO()
+        writer = csv.DictWriter(text, keys, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(self.rows)
+        write_atomically(self.folder / "progress.csv", text.getvalue())
+
+    def _restore(self) -> None:
+        path = self.folder / STATE
+        try:
+            with safe_open(path, "pt") as file:
+                progress = json.loads(file.metadata()["progress"])
+                tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
+        except (SafetensorError, KeyError, ValueError, TypeError) as error:
+            raise ConfigurationError(f"{path} is damaged ({error})") from error
+        if progress["configuration"] != self.configuration:
+            raise ConfigurationError(
+                f"{path} was written by another configuration; choose another folder, or the one "
+                "it was begun with"
+            )
+        optimiser: dict[int, dict[str, Tensor]] = {}
+        for key, value in tensors.items():
+            if key.startswith("optimiser/"):
+                _, index, name = key.split("/")
+                optimiser.setdefault(int(index), {})[name] = value
+        example = {**self._state(), "optimiser": {}}
+        state = unpack(example, "", {f"/{key}": value for key, value in tensors.items()})
+        self.policy.load_state_dict(state["policy"])
+        self.learner.macro.values.load_state_dict(state["macro_values"])
+        self.learner.local.values.load_state_dict(state["local_values"])
+        groups = self.learner.optimiser.state_dict()["param_groups"]
+        self.learner.optimiser.load_state_dict({"state": optimiser, "param_groups": groups})
+        for rollout, values in zip(self.rollouts, state["rollouts"], strict=True):
+            rollout.restore(values)
+        torch.set_rng_state(state["random"])
+        self.steps_done, self.seconds = progress["steps_done"], progress["seconds"]
+        self.best, self.rows = progress["best"], progress["rows"]
+        self.recent.extend(progress["recent"])

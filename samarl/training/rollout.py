@@ -1,0 +1,200 @@
+"""Rollouts of both levels.
+
+Shapes: E worlds, N robots, T steps, K macro decisions, H frames of history, B = E N robots.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from mrsan import Episodes, Scenario, Split, World
+from mrsan.metrics import episodes_of
+from samarl.agents.hierarchical import (
+    HierarchicalPolicy,
+    Waypoints,
+    decide,
+    frames_of,
+)
+from samarl.agents.tracker import Tracker
+from samarl.encoders.spatio_temporal import Frames
+
+
+class Steps(NamedTuple):
+    """T steps of E worlds; each field is [E, T, N] unless said otherwise."""
+
+    driving: Tensor  # the robot was on its way: the steps that count
+    due: Tensor  # a macro decision was taken
+    macro: Tensor  # [E, T, N, 2] before clipping to [-1, 1]
+    macro_log_prob: Tensor
+    waypoint: Tensor  # [E, T, N, 3] what the local level was told
+    action: Tensor  # [E, T, N, A] before clipping to [-1, 1]
+    action_log_prob: Tensor
+    reward: Tensor  # of the task
+    local_reward: Tensor  # of the local level
+    done: Tensor  # the robot's stream ends with this step
+    terminated: Tensor  # and nothing comes after it
+    truncated: Tensor  # [E, T] the time limit
+
+
+@dataclass
+class Batch:
+    """What happened in one rollout; a row of robot `n` of world `e` is `e * N + n`."""
+
+    frames: Frames  # [B, T + H - 1, ...] the first H - 1 are history
+    begins: Tensor  # [B, T + H - 1]
+    steps: Steps
+    final_frames: Frames  # [B, T, ...] of the time limit's last observation, zero elsewhere
+    final_waypoint: Tensor  # [E, T, N, 3]
+    last_frames: Frames  # [B, 1, ...] after the last step
+    last_waypoint: Tensor  # [E, N, 3]
+    episodes: list[Episodes]  # that ended
+
+
+class Rollout:
+    """Keeps E worlds of one scenario going and collects T steps of them at a time."""
+
+    def __init__(
+        self, scenario: Scenario, policy: HierarchicalPolicy, worlds: int, steps: int, first: int
+    ) -> None:
+        """Begin the training cases `first`, `first + 1`, ... in `worlds` worlds.
+
+        Args:
+            scenario: the task.
+            policy: the networks.
+            worlds: E.
+            steps: T.
+            first: the first case number within the training split.
+        """
+        a = policy.architecture
+        self.scenario, self.policy, self.steps = scenario, policy, steps
+        self.world = World(scenario, worlds)
+        self.tracker = Tracker(a.track_steps, scenario.time_step)
+        self.waypoints = Waypoints(worlds, scenario.robots, a.macro_steps, a.waypoint_range)
+        cases = np.array([Split.training.case(first + e) for e in range(worlds)])
+        self.tracks = self.tracker.update(self.world.reset(cases))
+        self.began = np.ones(worlds, np.bool_)
+        frames = frames_of(self.tracks, scenario)
+        length = a.history - 1 + steps
+        self._frames = Frames(*(_room(tensor, length) for tensor in frames))
+        self._begins = torch.ones(worlds * scenario.robots, length, dtype=torch.bool)
+
+    @torch.no_grad()
+    def collect(self) -> Batch:
+        """T more steps of every world, with exploration noise."""
+        policy, scenario, world = self.policy, self.scenario, self.world
+        e, n, t = world.worlds, scenario.robots, self.steps
+        past = policy.architecture.history - 1
+        for tensor in (*self._frames, self._begins):  # the last frames are the history of the next
+            tensor[:, :past] = tensor[:, t : t + past].clone()
+        frames, begins = self._frames, self._begins
+        final = Frames(*(_room(tensor[:, :1], t) for tensor in frames))
+        final_waypoint = torch.zeros(e, t, n, 3)
+        columns: list[Steps] = []
+        episodes: list[Episodes] = []
+        for step in range(t):
+            now = past + step
+            _store(frames, now, frames_of(self.tracks, scenario))
+            begins[:, now] = torch.from_numpy(np.repeat(self.began, n))
+            window = frames.at(slice(step, now + 1))
+            y = policy.encoder(window, begins[:, step : now + 1]).view(e, n, -1)
+            ego = self.tracks.ego
+            driving = ~world.state.arrived
+            choice = decide(policy, y, ego, self.waypoints, deterministic=False, always=step == 0)
+            before = np.linalg.norm(self.waypoints.seen_from(ego), axis=-1)
+            result = world.step(choice.action.clamp(-1, 1).numpy())
+            tracks = self.tracker.update(result.observation)
+            after = np.linalg.norm(self.waypoints.seen_from(tracks.ego), axis=-1)
+            ended = result.terminated | result.truncated
+            arrived = world.state.arrived & driving
+            local = self._local_reward(result.reward, ego, tracks.ego, before - after, arrived)
+            columns.append(
+                Steps(
+                    torch.from_numpy(driving),
+                    torch.from_numpy(choice.due & driving),
+                    choice.macro,
+                    choice.macro_log_prob,
+                    choice.waypoint,
+                    choice.action,
+                    choice.action_log_prob,
+                    torch.from_numpy(result.reward),
+                    torch.from_numpy(local),
+                    torch.from_numpy(arrived | ended[:, None]),
+                    torch.from_numpy(arrived | result.terminated[:, None]),
+                    torch.from_numpy(result.truncated),
+                )
+            )
+            if result.truncated.any():
+                _store(final, step, frames_of(tracks, scenario))
+                final_waypoint[:, step] = self.waypoints.features(tracks.ego)
+            if ended.any():
+                episodes.append(episodes_of(world.state, scenario, ended))
+                self.tracker.reset(ended)
+                self.waypoints.reset(ended)
+                tracks = self.tracker.update(world.reset(worlds=ended), ended)
+            self.tracks, self.began = tracks, ended
+        return Batch(
+            frames=Frames(*(tensor.clone() for tensor in frames)),
+            begins=begins.clone(),
+            steps=Steps(*(torch.stack(column, 1) for column in zip(*columns, strict=True))),
+            final_frames=final,
+            final_waypoint=final_waypoint,
+            last_frames=frames_of(self.tracks, scenario),
+            last_waypoint=self.waypoints.features(self.tracks.ego),
+            episodes=episodes,
+        )
+
+    def state(self) -> dict[str, Any]:
+        """Everything that the next `collect` depends on, but the networks and torch's generator."""
+        return {
+            "world": self.world.state._asdict(),
+            "tracker": self.tracker.memory(),
+            "waypoint": self.waypoints.position,
+            "clock": self.waypoints.clock,
+            "began": self.began,
+            "frames": list(self._frames),
+            "begins": self._begins,
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on from a saved state."""
+        for name, value in state["world"].items():
+            getattr(self.world.state, name)[:] = value
+        self.tracker.restore(state["tracker"])
+        self.waypoints.position[:], self.waypoints.clock[:] = state["waypoint"], state["clock"]
+        self.began = state["began"].copy()
+        for room, value in zip((*self._frames, self._begins), [*state["frames"], state["begins"]],
+                               strict=True):  # fmt: skip
+            room[:] = value
+        nobody = np.zeros(self.world.worlds, np.bool_)
+        self.tracks = self.tracker.update(self.world.observe(), nobody)
+
+    def _local_reward(
+        self,
+        reward: NDArray[np.float32],
+        ego: NDArray[np.float32],
+        next_ego: NDArray[np.float32],
+        approach: NDArray[np.float32],
+        arrived: NDArray[np.bool_],
+    ) -> NDArray[np.float32]:
+        """The task's reward with progress to the waypoint in the place of progress to the goal."""
+        weights = self.scenario.reward
+        distance = np.linalg.norm(ego[..., 0:2], axis=-1)
+        progress = distance - np.linalg.norm(next_ego[..., 0:2], axis=-1)
+        # A reward that is not the progress term (arrival, collision, discomfort) stays as it is.
+        paid = np.abs(reward - weights.progress * progress) < 1e-3
+        return np.where(paid & ~arrived, weights.progress * approach, reward).astype(np.float32)
+
+
+def _room(example: Tensor, frames: int) -> Tensor:
+    return example.new_zeros((example.shape[0], frames, *example.shape[2:]))
+
+
+def _store(frames: Frames, at: int, frame: Frames) -> None:
+    for room, tensor in zip(frames, frame, strict=True):
+        room[:, at] = tensor[:, 0]

@@ -1,0 +1,134 @@
+"""Training runs that are interrupted, and checkpoints that are not what they should be."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import torch
+
+from mrsan import ConfigurationError, Scenario
+from samarl.agents import build_agent
+from samarl.agents.hierarchical import Architecture, HierarchicalPolicy
+from samarl.evaluation.runner import Evaluation, run_cases
+from samarl.training.checkpoint import load_policy, save_policy
+
+ARCHITECTURE = Architecture(
+    width=8, heads=1, history=3, features=8, hidden=8, macro_steps=4, waypoint_range=2.0,
+    track_steps=4,
+)  # fmt: skip
+SMALL = [
+    "groups=[{worlds: 8, scenario: {humans: 3, humans_min: 0, robots: 2}}]",
+    "architecture.width=8", "architecture.heads=1", "architecture.history=3",
+    "architecture.features=8", "architecture.hidden=8", "training.steps=1024",
+    "training.rollout=16", "training.save_every=128", "training.validate_every=512",
+    "training.validation_cases=4", "training.threads=1", "folder=run",
+]  # fmt: skip
+
+
+def start(folder: Path, *more: str) -> subprocess.Popen[str]:
+    environment = os.environ | {"NUMBA_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+    return subprocess.Popen(
+        [sys.executable, "-m", "samarl.train", *SMALL, *more], cwd=folder, env=environment,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+
+
+def test_a_killed_run_goes_on_bit_for_bit(tmp_path: Path) -> None:
+    whole, cut = tmp_path / "whole", tmp_path / "cut"
+    whole.mkdir()
+    cut.mkdir()
+    process = start(whole)
+    assert process.wait(timeout=240) == 0, process.stderr and process.stderr.read()
+    process = start(cut)
+    deadline = time.monotonic() + 240
+    while not (cut / "run/state.safetensors").exists():
+        assert process.poll() is None
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    process = start(cut)
+    said, errors = process.communicate(timeout=240)
+    assert process.returncode == 0, errors
+    assert "going on at step" in said
+    for policy in ("last", "best"):
+        name = f"run/{policy}.safetensors"
+        assert (whole / name).read_bytes() == (cut / name).read_bytes()
+    # The curves agree in everything but the time it took.
+    curves = [
+        [line.split(",")[:1] + line.split(",")[4:] for line in file.read_text().splitlines()]
+        for file in (whole / "run/progress.csv", cut / "run/progress.csv")
+    ]
+    assert curves[0] == curves[1]
+    assert len(curves[0]) == 1 + 1024 // 128
+    assert not list((cut / "run").glob("*.part"))
+
+    process = start(cut, "mappo.epochs=3")  # another run may not go on in this folder
+    _, errors = process.communicate(timeout=240)
+    assert process.returncode == 2
+    assert "another configuration" in errors
+    assert errors.count("\n") == 1
+
+
+def saved(tmp_path: Path) -> Path:
+    torch.manual_seed(0)
+    path = tmp_path / "policy.safetensors"
+    save_policy(path, HierarchicalPolicy(ARCHITECTURE, 3), "hierarchical", {"command": "test"})
+    return path
+
+
+def learned(path: Path) -> dict[str, str]:
+    return {"_target_": "samarl.agents.learned.Learned", "checkpoint": str(path)}
+
+
+def test_a_saved_policy_drives_as_the_one_that_was_saved(tmp_path: Path) -> None:
+    path = saved(tmp_path)
+    policy, card = load_policy(path)
+    torch.manual_seed(0)
+    original = HierarchicalPolicy(ARCHITECTURE, 3).state_dict()
+    assert all(torch.equal(value, original[key]) for key, value in policy.state_dict().items())
+    assert card.made == {"command": "test"}
+    scenario, cases = Scenario(humans=2), Evaluation(cases=5).numbers()
+    first = run_cases(build_agent(learned(path), scenario), scenario, cases, 5)
+    again = run_cases(build_agent(learned(path), scenario), scenario, cases, 2)
+    assert first.outcome.tolist() == again.outcome.tolist()
+
+
+def test_a_foreign_or_damaged_checkpoint_is_refused_in_words(tmp_path: Path) -> None:
+    path = saved(tmp_path)
+    card = path.with_suffix(".json")
+    good, weights = card.read_text(), path.read_bytes()
+
+    def refused(text: str) -> None:
+        with pytest.raises(ConfigurationError, match=text):
+            build_agent(learned(path), Scenario())
+
+    card.write_text(good.replace("hierarchical", "os.system"))
+    refused("names 'os.system'; it must be among hierarchical")
+    card.write_text(good[: len(good) // 2])
+    refused("is not the card of a policy")
+    card.write_text("[]")
+    refused("is not the card of a policy")
+    card.write_text(json.dumps({**json.loads(good), "format": 99}))
+    refused("has format 99; it must be 1")
+    content = json.loads(good)
+    content["architecture"]["width"] = 16
+    card.write_text(json.dumps(content))
+    refused("does not fit its card")
+    card.write_text(good)
+    path.write_bytes(weights[:-1] + b"x")
+    refused("is damaged")
+    path.unlink()
+    refused("there is no file")
+
+
+def test_a_policy_for_other_robots_is_refused(tmp_path: Path) -> None:
+    from mrsan import Kinematics
+
+    with pytest.raises(ConfigurationError, match="kinematics is holonomic"):
+        build_agent(learned(saved(tmp_path)), Scenario(kinematics=Kinematics.holonomic))

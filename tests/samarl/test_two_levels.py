@@ -1,0 +1,193 @@
+"""The two levels: decentralised at run time, the same when acting as when training."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from mrsan import Scenario, World
+from samarl.agents.hierarchical import Architecture, HierarchicalPolicy, Waypoints
+from samarl.agents.learned import Deployed
+from samarl.algorithms.mappo import MAPPO, Learner, advantages, macro_records
+from samarl.training.rollout import Batch, Rollout, Steps
+
+ARCHITECTURE = Architecture(
+    width=16, heads=2, history=4, features=16, hidden=16, macro_steps=4, waypoint_range=2.0,
+    track_steps=8,
+)  # fmt: skip
+UPDATE = MAPPO(
+    learning_rate=1e-3, epochs=1, minibatches=2, discount=0.9, local_discount=0.95,
+    gae_lambda=0.8, clip_epsilon=0.2, entropy_coefficient=0.01, critic_coefficient=0.5,
+    max_gradient_norm=1.0,
+)  # fmt: skip
+SCENARIO = Scenario(humans=4, robots=2, fov_degrees=120.0, time_limit=5.0)
+
+
+def policy() -> HierarchicalPolicy:
+    torch.manual_seed(0)
+    return HierarchicalPolicy(ARCHITECTURE, action_size=3)
+
+
+def test_training_computes_the_log_probabilities_of_acting() -> None:
+    model = policy()
+    rollout = Rollout(SCENARIO, model, worlds=12, steps=10, first=0)
+    ended = 0
+    for _ in range(3):  # the second and third go on in the middle of episodes
+        batch = rollout.collect()
+        ended += sum(len(episodes.case) for episodes in batch.episodes)
+        steps = batch.steps
+        y = model.encoder(batch.frames, batch.begins).view(12, 2, 10, -1).transpose(1, 2)
+        macro = model.macro_actor.distribution(y).log_prob(steps.macro)
+        told = torch.cat([y, steps.waypoint], -1)
+        local = model.local_actor.distribution(told).log_prob(steps.action)
+        torch.testing.assert_close(macro, steps.macro_log_prob, atol=1e-4, rtol=0)
+        torch.testing.assert_close(local, steps.action_log_prob, atol=1e-4, rtol=0)
+    assert ended > 0
+
+
+def test_a_robot_decides_from_its_own_observations_alone() -> None:
+    model = policy()
+    for name, parameter in model.named_parameters():  # far from the small initial outputs
+        if "actor" in name:
+            torch.nn.init.normal_(parameter, std=0.5)
+    one, other = World(SCENARIO, 3), World(SCENARIO, 3)
+    observations = [world.reset([1, 2, 3]) for world in (one, other)]
+    agents = [Deployed(model, SCENARIO) for _ in range(2)]
+    for agent in agents:
+        agent.reset(np.ones(3, np.bool_))
+    other.state.robot_goal[:, 1] += 3.0  # robot 1's private state
+    observations[1] = other.observe()
+    for _ in range(6):
+        first, second = (a.act(o) for a, o in zip(agents, observations, strict=True))
+        assert (first[:, 0] == second[:, 0]).all()
+        assert (first[:, 1] != second[:, 1]).any()
+        observations = [one.step(first).observation, other.step(first).observation]
+        observations[1] = other.observe()
+
+
+def test_the_batch_does_not_change_a_decision() -> None:
+    model, scenario = policy(), replace(SCENARIO, time_limit=50.0)
+    world = World(scenario, 5)
+    agent, alone = Deployed(model, scenario), Deployed(model, scenario)
+    agent.reset(np.ones(5, np.bool_))
+    alone.reset(np.ones(1, np.bool_))
+    observation = world.reset([0, 1, 2, 3, 4])
+    for _ in range(8):
+        actions = agent.act(observation)
+        third = alone.act(observation.of_worlds(np.array([3])))
+        np.testing.assert_allclose(third[0], actions[3], atol=1e-5)
+        observation = world.step(actions).observation
+
+
+def test_a_waypoint_stays_where_it_is_while_the_robot_moves() -> None:
+    world = World(SCENARIO)
+    ego = world.reset([0]).ego
+    waypoints = Waypoints(1, 2, steps=4, reach=2.0)
+    assert waypoints.due(ego).all()
+    waypoints.set(ego, waypoints.due(ego), np.zeros((1, 2, 2), np.float32))
+    # Zero means straight to the goal, as far as the reach: the robots look at their goals.
+    np.testing.assert_allclose(waypoints.seen_from(ego), [[[2, 0], [2, 0]]], atol=1e-4)
+    waypoints.tick()
+    forward = np.zeros((1, 2, 3), np.float32)
+    forward[..., 0] = 0.8  # to 1 m/s at once: 0.125 m
+    ego = world.step(forward).observation.ego
+    np.testing.assert_allclose(waypoints.seen_from(ego), [[[1.875, 0], [1.875, 0]]], atol=1e-4)
+    assert not waypoints.due(ego).any()
+    for _ in range(3):
+        waypoints.tick()
+    assert waypoints.due(ego).all()
+
+
+def steps_of(**fields: list) -> Steps:
+    """One world, one robot, a list per field; what is not given is zero."""
+    length = len(fields["reward"])
+    default = dict.fromkeys(Steps._fields, [0] * length) | fields
+    flags = ("driving", "due", "done", "terminated")
+    return Steps(
+        **{
+            key: torch.tensor(default[key], dtype=torch.bool if key in flags else torch.float32)
+            .view(1, length, 1)
+            for key in Steps._fields
+        }
+    )  # fmt: skip
+
+
+def test_macro_rewards_are_discounted_sums_over_their_durations() -> None:
+    steps = steps_of(
+        reward=[1, 2, 4, 8, 16, 32, 64],
+        due=[1, 0, 0, 1, 0, 1, 0],
+        driving=[1, 1, 1, 1, 1, 1, 1],
+        done=[0, 0, 0, 0, 1, 0, 0],
+        terminated=[0, 0, 0, 0, 1, 0, 0],
+    )
+    records = macro_records(steps, discount=0.5)
+    assert records.reward.flatten().tolist() == [1 + 1 + 1, 8 + 8, 32 + 32]
+    assert records.duration.flatten().tolist() == [3, 2, 2]
+    assert records.start.flatten().tolist() == [0, 3, 5]
+    assert records.end.flatten().tolist() == [2, 4, 6]
+    assert records.done.flatten().tolist() == [False, True, False]
+    assert records.terminated.flatten().tolist() == [False, True, False]
+    assert records.valid.all()
+
+
+def test_the_macro_level_bootstraps_with_the_discount_of_the_duration() -> None:
+    # Two macro actions of 3 and 2 steps; the stream goes on after the second.
+    reward, value = torch.tensor([[[3.0], [16.0]]]), torch.tensor([[[1.0], [2.0]]])
+    next_value = torch.tensor([[[2.0], [4.0]]])
+    no = torch.zeros(1, 2, 1, dtype=torch.bool)
+    advantage, target = advantages(
+        reward, value, next_value, no, no, 0.5, 0.8, torch.tensor([[[3], [2]]])
+    )
+    second = 16 + 0.5**2 * 4 - 2
+    first = 3 + 0.5**3 * 2 - 1 + 0.5**3 * 0.8 * second
+    assert advantage.flatten().tolist() == pytest.approx([first, second])
+    assert target.flatten().tolist() == pytest.approx([first + 1, second + 2])
+
+
+def test_the_time_limit_bootstraps_and_a_collision_does_not() -> None:
+    reward, value = torch.tensor([[[1.0], [1.0]]]), torch.tensor([[[5.0], [7.0]]])
+    next_value = torch.tensor([[[10.0], [20.0]]])
+    done = torch.ones(1, 2, 1, dtype=torch.bool)
+    collided = torch.tensor([[[False], [True]]])
+    advantage, _ = advantages(reward, value, next_value, done, collided, 0.5, 0.8)
+    assert advantage.flatten().tolist() == pytest.approx([1 + 0.5 * 10 - 5, 1 - 7])
+
+
+def test_an_arrived_robot_ends_its_own_stream() -> None:
+    steps = steps_of(
+        reward=[1, 15, 9, 9], due=[1, 0, 0, 0], driving=[1, 1, 0, 0], done=[0, 1, 0, 0],
+        terminated=[0, 1, 0, 0],
+    )  # fmt: skip
+    records = macro_records(steps, discount=1.0)
+    assert records.reward.flatten().tolist() == [16]
+    assert records.terminated.all()
+
+
+def test_the_last_observation_of_a_timeout_is_what_its_value_is_bootstrapped_from() -> None:
+    model = policy()
+    rollout = Rollout(replace(SCENARIO, humans=0, time_limit=1.0), model, 6, 8, first=0)
+    batch: Batch = rollout.collect()
+    assert batch.steps.truncated[:, 3].all()  # 1 s is 4 steps: everybody is still on the way
+    begins = batch.begins[:, 3:].view(6, 2, -1)[:, 0]
+    assert begins[:, 4].all()  # and the next episode begins
+    # The frame kept is the old episode's end, not the new one's beginning: all time used up.
+    assert (batch.final_frames.ego[:, 3, 9] == 1.0).all()
+    assert (batch.frames.ego[:, 3 + 4, 9] == 0.0).all()
+    assert not batch.steps.terminated[:, 3].any()
+    assert batch.steps.done[:, 3].all()
+
+
+def test_an_update_learns_and_reports_what_it_did() -> None:
+    model = policy()
+    learner = Learner(model, replace(UPDATE, epochs=4))
+    rollout = Rollout(replace(SCENARIO, humans=0), model, worlds=16, steps=16, first=0)
+    before = {name: value.clone() for name, value in model.state_dict().items()}
+    first = learner.update([rollout.collect()])
+    assert all(np.isfinite(value) for value in first.values())
+    changed = {n for n, v in model.state_dict().items() if not torch.equal(v, before[n])}
+    for part in ("encoder", "critic_encoder", "macro_actor", "local_actor", "macro_critic"):
+        assert any(name.startswith(part) for name in changed), part
+    for _ in range(6):
+        last = learner.update([rollout.collect()])
+    assert last["losses/local_critic"] < first["losses/local_critic"]
