@@ -79,9 +79,7 @@ def _others(
 
 
 class Gaussian(nn.Module):
-    """A diagonal Gaussian whose standard deviation is a parameter of its own, capped from above."""
-
-    cap: Tensor
+    """A diagonal Gaussian whose standard deviation is a parameter of its own."""
 
     def __init__(self, inputs: int, hidden: int, mean: list[float], deviation: list[float]) -> None:
         super().__init__()
@@ -89,7 +87,6 @@ class Gaussian(nn.Module):
         last = nn.Linear(hidden, size)
         self.body = nn.Sequential(nn.Linear(inputs, hidden), nn.Tanh(), last)
         self.log_deviation = nn.Parameter(torch.tensor(deviation).log())
-        self.register_buffer("cap", torch.tensor(1.0))
         nn.init.orthogonal_(last.weight, gain=0.01)
         with torch.no_grad():
             last.bias.copy_(torch.tensor(mean))
@@ -97,8 +94,12 @@ class Gaussian(nn.Module):
     def forward(self, inputs: Tensor) -> tuple[Tensor, Tensor]:
         """Mean and standard deviation, [..., A]."""
         mean = self.body(inputs)
-        deviation = torch.minimum(self.log_deviation.exp(), self.cap)
-        return mean, deviation.expand_as(mean)
+        return mean, self.log_deviation.exp().expand_as(mean)
+
+    @torch.no_grad()
+    def cap_deviation(self, largest: float) -> None:
+        """Bring the standard deviation down to `largest` where it is above."""
+        self.log_deviation.clamp_(max=math.log(largest))
 
     def distribution(self, inputs: Tensor) -> Independent:
         """The distribution of the action."""

@@ -211,7 +211,7 @@ class Learner:
             group["lr"] = m.learning_rate * max(1.0 - share, 0.02)
         cap = m.deviation_start + (m.deviation_end - m.deviation_start) * share
         for actor in (self.policy.macro_actor, self.policy.local_actor):
-            actor.cap.fill_(cap)
+            actor.cap_deviation(cap)
 
     @torch.no_grad()
     def prepare(self, batch: Batch) -> dict[str, Tensor]:
