@@ -15,7 +15,7 @@ GOMP_SPINCOUNT ?= 1000
 export GOMP_SPINCOUNT
 
 .DEFAULT_GOAL := help
-.PHONY: help setup bench test lint results picture throughput soak wheel check-wheel clean
+.PHONY: help setup bench test lint train results picture throughput soak wheel check-wheel clean
 
 help: ## List what can be made
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -52,6 +52,9 @@ lint: setup ## Check style and types
 	@echo "ruff ..."; $(BIN)/ruff check .
 	@$(BIN)/ruff format --check .
 	@echo "mypy ..."; $(BIN)/mypy
+
+train: setup ## Train SAMARL with the default recipe, or go on with an interrupted training (hours)
+	@$(BIN)/samarl-train
 
 results: setup ## Rewrite results/, the table and the picture of the README (nothing else may)
 	@$(BIN)/samarl-bench output=results
