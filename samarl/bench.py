@@ -48,7 +48,7 @@ def bench(config: DictConfig) -> None:
     assert isinstance(evaluation, Evaluation)
     names = available_agents() if config.agents is None else list(config.agents)
     scenarios = [_scenario(OmegaConf.to_container(column)) for column in config.columns]
-    agents = [(name, _load_agent(name), scenario) for scenario in scenarios for name in names]
+    agents = [(name, load_agent(name), scenario) for scenario in scenarios for name in names]
     commit = code_version()
     rows = []
     for name, agent_config, scenario in tqdm(agents, desc="table 1", unit="row", disable=None):
@@ -108,7 +108,8 @@ def _scenario(column: Any) -> Scenario:
         ) from error
 
 
-def _load_agent(name: str) -> dict[str, Any]:
+def load_agent(name: str) -> dict[str, Any]:
+    """The configuration of an agent of `conf/agent/`."""
     path = find_folder("conf") / "agent" / f"{name}.yaml"
     if not path.exists():
         choices = ", ".join(available_agents())

@@ -1,0 +1,106 @@
+"""How long one decision takes: `python -m benchmarks.latency [--checkpoint policy.safetensors]`.
+
+One robot among ten people on one core, and a batch of 512 such robots; the observations are those
+of episodes that the agent itself drives.
+"""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+import statistics
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numba
+import numpy as np
+import torch
+from tqdm import tqdm
+
+from benchmarks.workload import interruptible, positive_number
+from mrsan import Scenario, World
+from samarl.agents import build_agent
+from samarl.bench import available_agents, load_agent
+from samarl.evaluation.files import code_version, machine, write_json
+from samarl.evaluation.table import as_text
+
+BATCH = 512
+SCENARIO = Scenario(robots=1, humans=10, fov_degrees=90.0)
+_WARM_UP = 20
+
+
+def main() -> None:
+    """Measure every agent, print the table, write the JSON."""
+    arguments = _parse()
+    numba.set_num_threads(1)
+    torch.set_num_threads(1)
+    agents = {name: load_agent(name) for name in available_agents()}
+    if arguments.checkpoint is not None:
+        target = "samarl.agents.learned.Learned"
+        agents["checkpoint"] = {"_target_": target, "checkpoint": str(arguments.checkpoint)}
+    rows: list[dict[str, Any]] = []
+    with interruptible():
+        for name, config in tqdm(agents.items(), desc="latency", unit="agent", disable=None):
+            one = decision_times(config, 1, arguments.seconds)
+            batch = decision_times(config, BATCH, arguments.seconds)
+            rows.append({"agent": name, "one_robot_ms": one, f"batch_of_{BATCH}_ms": batch})
+    header = ("agent", "one robot ms [smallest, largest]", f"{BATCH} robots ms [smallest, largest]")
+    lines = [
+        [row["agent"], *(_cell(row[key]) for key in ("one_robot_ms", f"batch_of_{BATCH}_ms"))]
+        for row in rows
+    ]
+    print(as_text(header, lines))
+    result = {
+        "agents": rows,
+        "machine": machine(),
+        "commit": code_version(),
+        "command": shlex.join(["python", "-m", "benchmarks.latency", *sys.argv[1:]]),
+        "threads": 1,
+    }
+    write_json(arguments.output, result)
+    print(f"\nmedians, one thread, {machine()}\nwritten to {arguments.output}")
+
+
+def decision_times(config: dict[str, Any], worlds: int, seconds: float) -> dict[str, float]:
+    """Median, smallest and largest time of one `act` for `worlds` robots, in ms."""
+    agent = build_agent(config, SCENARIO)
+    world = World(SCENARIO, worlds, auto_reset=True)
+    observation = world.reset(np.arange(worlds))
+    begins = np.ones(worlds, np.bool_)
+    times: list[float] = []
+    end = float("inf")
+    while time.perf_counter() < end:
+        agent.reset(begins)
+        start = time.perf_counter()
+        action = agent.act(observation)
+        times.append(1e3 * (time.perf_counter() - start))
+        step = world.step(action)
+        observation, begins = step.observation, step.terminated | step.truncated
+        if end == float("inf") and len(times) == _WARM_UP:  # compiled, episodes under way
+            times.clear()
+            end = time.perf_counter() + seconds
+    return {
+        "median": round(statistics.median(times), 4),
+        "smallest": round(min(times), 4),
+        "largest": round(max(times), 4),
+    }
+
+
+def _cell(times: dict[str, float]) -> str:
+    return f"{times['median']:.3f} [{times['smallest']:.3f}, {times['largest']:.3f}]"
+
+
+def _parse() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.latency", description=(__doc__ or "").partition("\n")[0]
+    )
+    parser.add_argument("--seconds", type=positive_number, default=2.0, help="per figure")
+    parser.add_argument("--checkpoint", type=Path, help="a trained policy to measure as well")
+    parser.add_argument("--output", type=Path, default=Path("outputs/latency.json"))
+    return parser.parse_args()
+
+
+if __name__ == "__main__":
+    main()
