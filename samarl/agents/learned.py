@@ -13,7 +13,7 @@ from mrsan import ConfigurationError, Observation, Scenario
 from samarl.agents.agent import Agent
 from samarl.agents.hierarchical import HierarchicalPolicy, Waypoints, decide, frames_of
 from samarl.agents.tracker import Tracker
-from samarl.encoders.spatio_temporal import Frames
+from samarl.encoders.spatio_temporal import Window
 
 
 class Deployed:
@@ -45,8 +45,7 @@ class Deployed:
         a, robots = self.policy.architecture, self.scenario.robots
         self._worlds = worlds
         self.waypoints = Waypoints(worlds, robots, a.macro_steps, a.waypoint_range)
-        self._frames: Frames | None = None
-        self._begins = torch.ones(worlds * robots, a.history, dtype=torch.bool)
+        self._windows: tuple[Window, Window] | None = None
         self._began = np.ones(worlds, np.bool_)
 
     @torch.no_grad()
@@ -55,16 +54,12 @@ class Deployed:
         e, n = observation.ego.shape[:2]
         tracks = self.tracker.update(observation)
         frame = frames_of(tracks, self.scenario)
-        if self._frames is None:
-            length = self.policy.architecture.history
-            self._frames = Frames(*(x.repeat_interleave(length, 1) for x in frame))
-        self._frames = Frames(
-            *(torch.cat([old[:, 1:], x], 1) for old, x in zip(self._frames, frame, strict=True))
-        )
-        began = torch.from_numpy(np.repeat(self._began, n)).unsqueeze(1)
-        self._begins = torch.cat([self._begins[:, 1:], began], 1)
+        if self._windows is None:
+            self._windows = self.policy.encoder.windows(frame)
+        began = torch.from_numpy(np.repeat(self._began, n))
         self._began = np.zeros(e, np.bool_)
-        y = self.policy.encoder(self._frames, self._begins).view(e, n, -1)
+        y, self._windows = self.policy.encoder.step(frame, began, self._windows)
+        y = y.view(e, n, -1)
         choice = decide(self.policy, y, tracks.ego, self.waypoints, deterministic=True)
         return choice.action.clamp(-1, 1).numpy()
 

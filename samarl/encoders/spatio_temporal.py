@@ -108,6 +108,21 @@ class SpatialTransformer(nn.Module):
         return self.pool(own, fused, masked)
 
 
+class Window(NamedTuple):
+    """What the temporal transformer keeps of the last H frames, the newest last."""
+
+    key_value: Tensor  # [B, M, H, 2 D]
+    known: Tensor  # [B, M, H] in this episode
+
+    def follow(self, key_value: Tensor, known: Tensor, begins: Tensor) -> Window:
+        """One frame later: keys and values [B, M, 2 D], `known` [B, M], `begins` [B]."""
+        past = self.known[:, :, 1:] & ~begins[:, None, None]
+        return Window(
+            torch.cat([self.key_value[:, :, 1:], key_value.unsqueeze(2)], 2),
+            torch.cat([past, known.unsqueeze(2)], 2),
+        )
+
+
 class TemporalTransformer(nn.Module):
     """Each agent along its own last H frames, causal (Eq. 6).
 
@@ -151,6 +166,17 @@ class TemporalTransformer(nn.Module):
         timed = _attend(query.flatten(0, 1), key_value.flatten(0, 1), mask, self.heads)
         return tokens[:, :, self.history - 1 :] + timed.view(b, m, present.shape[2], d)
 
+    def step(self, tokens: Tensor, window: Window) -> Tensor:
+        """Tokens [B, M, D] of the newest frame over the window that ends with it."""
+        b, m, d = tokens.shape
+        lag = torch.arange(self.history - 1, -1, -1, device=tokens.device)
+        bias = (-self.slopes[:, None] * lag).unsqueeze(1)  # [heads, 1, H]
+        mask = bias + torch.where(window.known, 0.0, _MASKED).view(b * m, 1, 1, self.history)
+        query = self.query(self.norm(tokens)).view(b * m, 1, d)
+        return tokens + _attend(query, window.key_value.flatten(0, 1), mask, self.heads).view(
+            b, m, d
+        )
+
 
 class Block(nn.Module):
     """Embedding, spatial and temporal transformer of one kind of agent."""
@@ -168,14 +194,35 @@ class Block(nn.Module):
     ) -> list[Tensor]:
         """Spatial and temporal feature, each [B T', D], of the frames after the first H - 1."""
         past = self.temporal.history - 1
-        embedded = self.embed_other(others) + self.embed_ego(ego).unsqueeze(2)
-        tokens = self.embed(torch.relu(embedded))  # [B, T, M, D]
+        tokens = self._embedded(ego, others)  # [B, T, M, D]
         masked = torch.where(known[:, past:].flatten(0, 1), 0.0, _MASKED)
         position = others[:, past:, :, :2].flatten(0, 1)
         spatial = self.spatial(own, tokens[:, past:].flatten(0, 1), position, masked)
         timed = self.temporal(tokens.transpose(1, 2), known.transpose(1, 2), begins)
         timed = timed.transpose(1, 2).flatten(0, 1)
         return [spatial, self.temporal.pool(own, timed, masked)]
+
+    def step(
+        self,
+        own: Tensor,
+        ego: Tensor,
+        others: Tensor,
+        known: Tensor,
+        begins: Tensor,
+        window: Window,
+    ) -> tuple[list[Tensor], Window]:
+        """The same of one more frame (T = 1), and the window that ends with it."""
+        tokens = self._embedded(ego, others)[:, 0]
+        masked = torch.where(known[:, 0], 0.0, _MASKED)
+        spatial = self.spatial(own, tokens, others[:, 0, :, :2], masked)
+        temporal = self.temporal
+        key_value = temporal.key_value(temporal.norm(tokens))
+        window = window.follow(key_value, known[:, 0], begins)
+        return [spatial, temporal.pool(own, temporal.step(tokens, window), masked)], window
+
+    def _embedded(self, ego: Tensor, others: Tensor) -> Tensor:
+        embedded = self.embed_other(others) + self.embed_ego(ego).unsqueeze(2)
+        return self.embed(torch.relu(embedded))
 
 
 class CrossModal(nn.Module):
@@ -237,6 +284,31 @@ class SpatioTemporalEncoder(nn.Module):
             *self.robots(own, frames.ego, frames.robots, frames.robots_known, begins),
             *self.humans(own, frames.ego, frames.humans, frames.humans_known, begins),
         ]
-        return self.cross(own, torch.stack(features, 1)).unflatten(
-            0, frames.ego[:, past:].shape[:2]
-        )
+        y = self.cross(own, torch.stack(features, 1))
+        return y.unflatten(0, frames.ego[:, past:].shape[:2])
+
+    def windows(self, frame: Frames) -> tuple[Window, Window]:
+        """Empty windows of robots and humans, for `step`."""
+
+        def empty(known: Tensor) -> Window:
+            b, _, m = known.shape
+            key_value = frame.ego.new_zeros(b, m, self.history, 2 * self.width)
+            return Window(key_value, known.new_zeros(b, m, self.history))
+
+        return empty(frame.robots_known), empty(frame.humans_known)
+
+    def step(
+        self, frame: Frames, begins: Tensor, windows: tuple[Window, Window]
+    ) -> tuple[Tensor, tuple[Window, Window]]:
+        """Y [B, out] of one more frame, without computing the earlier ones again.
+
+        Args:
+            frame: what each robot knows now, T = 1.
+            begins: [B] bool, whether an episode begins with this frame.
+            windows: of the last step.
+        """
+        own = self.own(frame.ego[:, 0])
+        f, robots, humans = frame, *windows
+        of_robots, robots = self.robots.step(own, f.ego, f.robots, f.robots_known, begins, robots)
+        of_humans, humans = self.humans.step(own, f.ego, f.humans, f.humans_known, begins, humans)
+        return self.cross(own, torch.stack([*of_robots, *of_humans], 1)), (robots, humans)

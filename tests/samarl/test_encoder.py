@@ -35,6 +35,18 @@ def test_whole_sequences_give_what_single_windows_give() -> None:
         torch.testing.assert_close(one[:, 0], whole[:, t], atol=1e-5, rtol=0)
 
 
+def test_frame_by_frame_it_gives_what_the_whole_sequence_gives() -> None:
+    model, data = encoder(), frames(t=20)
+    begins = torch.rand(6, 20) < 0.15
+    begins[:, 0] = True
+    whole = model(data, begins)
+    windows = model.windows(data.at(slice(0, 1)))
+    for t in range(20):
+        y, windows = model.step(data.at(slice(t, t + 1)), begins[:, t], windows)
+        if t >= HISTORY - 1:
+            torch.testing.assert_close(y, whole[:, t - HISTORY + 1], atol=1e-5, rtol=0)
+
+
 def test_history_counts_within_an_episode_and_not_across_its_beginning() -> None:
     model, data = encoder(), frames(t=HISTORY)
     never, now = torch.zeros(6, HISTORY, dtype=torch.bool), torch.zeros(6, HISTORY)
