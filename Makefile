@@ -26,7 +26,7 @@ help: ## List what can be made
 setup: ## Install everything into .venv, unless it is there
 	@set -e; version='import sys; print("%d.%d" % sys.version_info[:2])'; \
 	python=$$($(PYTHON) -c "$$version" 2>/dev/null) || python="not found"; \
-	case "$$python" in 3.1[1-9]) ;; *) echo "error: $(PYTHON) is $$python; Python 3.11 or later" \
+	case "$$python" in 3.11|3.12) ;; *) echo "error: $(PYTHON) is $$python; Python 3.11 or 3.12" \
 	  "is needed, say which: make PYTHON=python3.12" >&2; exit 1;; esac; \
 	home="$(CURDIR) Python $$python"; \
 	wanted="$$(echo "$$home"; echo "torch $(TORCH)"; cat pyproject.toml constraints.txt)"; \

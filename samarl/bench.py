@@ -2,19 +2,26 @@
 
 from __future__ import annotations
 
+import contextlib
+import dataclasses
 import json
 import shlex
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from enum import Enum
 from pathlib import Path
 from typing import Any
 
+from hydra import compose, initialize_config_dir
+from hydra.core.config_loader import ConfigLoader
+from hydra.core.global_hydra import GlobalHydra
 from omegaconf import MISSING, DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
 from tqdm import tqdm
 
-from mrsan import ConfigurationError, Scenario
+from mrsan import ConfigurationError, Reward, Scenario
 from samarl.agents import build_agent
-from samarl.cli import run_command
+from samarl.cli import register_schemas, run_command
 from samarl.evaluation.files import (
     code_version,
     find_folder,
@@ -48,7 +55,13 @@ def bench(config: DictConfig) -> None:
     assert isinstance(evaluation, Evaluation)
     names = available_agents() if config.agents is None else list(config.agents)
     scenarios = [_scenario(OmegaConf.to_container(column)) for column in config.columns]
+    if not names or not scenarios:
+        raise ConfigurationError("agents and columns are empty; name at least one of each")
+    if len({(s.fov_degrees, s.humans, s.robots) for s in scenarios}) < len(scenarios):
+        raise ConfigurationError("columns has two with the same fov_degrees, humans and robots")
     agents = [(name, load_agent(name), scenario) for scenario in scenarios for name in names]
+    output = Path(config.output)
+    output.mkdir(parents=True, exist_ok=True)
     commit = code_version()
     rows = []
     for name, agent_config, scenario in tqdm(agents, desc="table 1", unit="row", disable=None):
@@ -63,15 +76,38 @@ def bench(config: DictConfig) -> None:
     print(rows_as_markdown(rows), "\n")
     for row in rows:
         print(compare(row, known))
-    output = Path(config.output)
     write_json(output / "table1.json", rows)
     write_atomically(output / "table1.md", _page(rows, commit))
     print(f"\nwritten to {output}/table1.json and table1.md")
 
 
 def available_agents() -> list[str]:
-    """The names of all agents in `conf/agent/`."""
-    return sorted(path.stem for path in (find_folder("conf") / "agent").glob("*.yaml"))
+    """The names of all agents in `conf/agent/`, and in that of `--config-dir`."""
+    with _hydra() as loader:
+        return sorted(loader.get_group_options("agent"))
+
+
+def load_agent(name: str) -> dict[str, Any]:
+    """The configuration of an agent of `conf/agent/`."""
+    if name not in available_agents():
+        choices = ", ".join(available_agents())
+        raise ConfigurationError(f"agents has {name!r}; it must be among {choices}")
+    with _hydra():
+        config = OmegaConf.to_container(compose("config", [f"agent={name}"]).agent)
+    assert isinstance(config, dict)
+    return {str(key): value for key, value in config.items()}
+
+
+@contextlib.contextmanager
+def _hydra() -> Iterator[ConfigLoader]:
+    """The configuration of the command that runs, or outside of one that in `conf/`."""
+    known = GlobalHydra.instance()
+    if known.is_initialized():
+        yield known.config_loader()
+        return
+    register_schemas()
+    with initialize_config_dir(str(find_folder("conf").resolve()), version_base="1.3"):
+        yield GlobalHydra.instance().config_loader()
 
 
 def compare(row: Row, committed: Sequence[Row]) -> str:
@@ -89,43 +125,47 @@ def compare(row: Row, committed: Sequence[Row]) -> str:
     measured = ("episodes", "success_rate", "social_score", "collision_rate", "timeout_rate")
     if all(row[key] == old[key] for key in measured):  # type: ignore[literal-required]
         return f"same     {change}"
-    for key, low, high in (
-        ("success_rate", "success_low", "success_high"),
-        ("social_score", "social_low", "social_high"),
+    if row["command"] != old["command"]:
+        return f"other    {change}; the committed row is of {old['command']}"
+    one_episode = 100.0 / row["episodes"]  # may end otherwise on another processor
+    for key, low, high, slack in (
+        ("success_rate", "success_low", "success_high", 0.0),
+        ("social_score", "social_low", "social_high", one_episode),
     ):
-        if not old[low] <= row[key] <= old[high]:  # type: ignore[literal-required]
-            bounds = f"[{old[low]:.1f}, {old[high]:.1f}]"  # type: ignore[literal-required]
-            return f"DIFFERS  {change}: {key} is outside {bounds}"
+        smallest, largest = old[low], old[high]  # type: ignore[literal-required]
+        if not smallest - slack <= row[key] <= largest + slack:  # type: ignore[literal-required]
+            return f"DIFFERS  {change}: {key} is outside [{smallest:.1f}, {largest:.1f}]"
     return f"close    {change}, within the committed intervals"
 
 
 def _scenario(column: Any) -> Scenario:
     try:
-        return Scenario(**column)
-    except TypeError as error:
-        raise ConfigurationError(
-            f"columns has {column}; its keys must be those of scenario"
-        ) from error
-
-
-def load_agent(name: str) -> dict[str, Any]:
-    """The configuration of an agent of `conf/agent/`."""
-    path = find_folder("conf") / "agent" / f"{name}.yaml"
-    if not path.exists():
-        choices = ", ".join(available_agents())
-        raise ConfigurationError(f"agents has {name!r}; it must be among {choices}")
-    config = OmegaConf.to_container(OmegaConf.load(path))
-    assert isinstance(config, dict)
-    return {str(key): value for key, value in config.items()}
+        scenario = OmegaConf.to_object(OmegaConf.merge(OmegaConf.structured(Scenario), column))
+    except OmegaConfBaseException as error:
+        reason = str(error).splitlines()[0]
+        raise ConfigurationError(f"columns has {column}: {reason}") from error
+    assert isinstance(scenario, Scenario)
+    return scenario
 
 
 def _command(name: str, scenario: Scenario, evaluation: Evaluation) -> str:
+    """The evaluation that gives one row: the column, and whatever is not as by default."""
     words = ["samarl-evaluate", f"agent={name}"]
     words += [
         f"scenario.{key}={getattr(scenario, key):g}" for key in ("fov_degrees", "humans", "robots")
     ]
-    if evaluation.cases != Evaluation.cases:
-        words.append(f"evaluation.cases={evaluation.cases}")
+    column = {f"scenario.{key}" for key in ("fov_degrees", "humans", "robots")}
+    for path, given, default in (
+        ("scenario", scenario, Scenario()),
+        ("scenario.reward", scenario.reward, Reward()),
+        ("evaluation", evaluation, Evaluation()),
+    ):
+        for f in dataclasses.fields(given):
+            key, value = f"{path}.{f.name}", getattr(given, f.name)
+            if key in column or key in ("scenario.reward", "evaluation.batch"):
+                continue
+            if value != getattr(default, f.name):
+                words.append(f"{key}={value.name if isinstance(value, Enum) else value}")
     return shlex.join(words)
 
 

@@ -6,6 +6,7 @@ import contextlib
 import dataclasses
 import functools
 import os
+import shlex
 import sys
 from collections.abc import Callable
 from typing import Any, NoReturn
@@ -14,17 +15,28 @@ import hydra
 from hydra.core.config_store import ConfigStore
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import HydraException
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import MISSING, DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
+from yaml import YAMLError
 
 from mrsan import ActionError, ConfigurationError, Scenario
 from samarl.evaluation.files import find_folder
 from samarl.evaluation.runner import Evaluation
 
 
+@dataclasses.dataclass
+class Config:
+    """Schema of `conf/config.yaml`: one evaluation."""
+
+    scenario: Any = MISSING
+    agent: Any = MISSING
+    evaluation: Any = MISSING
+
+
 def register_schemas() -> None:
     """Let Hydra check types and names against the dataclasses."""
     store = ConfigStore.instance()
+    store.store(name="config_schema", node=Config)
     store.store(group="scenario", name="schema", node=Scenario)
     store.store(group="evaluation", name="schema", node=Evaluation)
 
@@ -53,14 +65,19 @@ def run_command(task: Callable[[DictConfig], Any], config_name: str, **schemas: 
         try:
             _refuse_unknown_keys(config, "")
             return task(config)
-        except (ConfigurationError, ActionError, OmegaConfBaseException) as error:
+        except BrokenPipeError:
+            raise
+        except (ConfigurationError, ActionError, OmegaConfBaseException, OSError) as error:
             with contextlib.suppress(OSError):  # the folder made for this run, if it is empty
                 os.rmdir(HydraConfig.get().runtime.output_dir)
             _fail(error)
 
     try:
         decorate(checked)()
-    except (HydraException, OmegaConfBaseException) as error:
+    except BrokenPipeError:  # the reader, `head` for example, has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(1)
+    except (HydraException, OmegaConfBaseException, YAMLError, OSError) as error:
         _fail(error)
     except ValueError as error:
         if not str(error).startswith("Config group override"):
@@ -69,6 +86,16 @@ def run_command(task: Callable[[DictConfig], Any], config_name: str, **schemas: 
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         sys.exit(130)
+
+
+def command_line(program: str) -> str:
+    """The command that is running, as one would type it."""
+    hydra_config = HydraConfig.get()
+    words = [program]
+    for source in hydra_config.runtime.config_sources:
+        if source.provider == "command-line":
+            words += ["--config-dir", source.path]
+    return shlex.join([*words, *hydra_config.overrides.task])
 
 
 def _refuse_unknown_keys(config: DictConfig, path: str) -> None:

@@ -2,37 +2,28 @@
 
 from __future__ import annotations
 
+import hashlib
+import inspect
 import json
-import shlex
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
-from omegaconf import MISSING, DictConfig, OmegaConf
+from omegaconf import DictConfig, OmegaConf
 
 from mrsan import Episodes, Outcome, Scenario, social_score
-from samarl.agents import build_agent
-from samarl.cli import run_command
+from samarl.agents import Agent, build_agent
+from samarl.cli import command_line, run_command
 from samarl.evaluation.files import code_version, write_atomically, write_json
 from samarl.evaluation.runner import Evaluation, run_cases
 from samarl.evaluation.summary import Row, summarise
 from samarl.evaluation.table import rows_as_markdown
 
 
-@dataclass
-class Config:
-    """Schema of `conf/config.yaml`."""
-
-    scenario: Any = MISSING
-    agent: Any = MISSING
-    evaluation: Any = MISSING
-
-
 def main() -> None:
     """Entry point."""
-    run_command(evaluate, "config", config_schema=Config)
+    run_command(evaluate, "config")
 
 
 def evaluate(config: DictConfig) -> Row:
@@ -45,17 +36,17 @@ def evaluate(config: DictConfig) -> Row:
     hydra = HydraConfig.get()
     folder = Path(hydra.runtime.output_dir)
     finished = folder / "row.json"
-    marker = {"config": _plain(config), "commit": code_version()}
+    agent = build_agent(config.agent, scenario)
+    marker = {"config": _plain(config), "commit": code_version(), "agent": source_digest(agent)}
     if hydra.mode == RunMode.MULTIRUN and finished.exists():
         known = json.loads(finished.read_text())
         if {key: known.get(key) for key in marker} == marker:
             print(f"finished before: {folder}")
             row: Row = known["row"]
             return row
-    agent = build_agent(config.agent, scenario)
     name = str(hydra.runtime.choices.agent)
     episodes = run_cases(agent, scenario, evaluation.numbers(), evaluation.batch, name)
-    command = shlex.join(["samarl-evaluate", *hydra.overrides.task])
+    command = command_line("samarl-evaluate")
     seed = int(evaluation.numbers()[0])
     row = summarise(episodes, scenario, name, command, marker["commit"], seed)
     write_atomically(folder / "episodes.jsonl", episodes_as_jsonl(episodes))
@@ -72,6 +63,15 @@ def objects(config: DictConfig) -> tuple[Scenario, Evaluation]:
     assert isinstance(scenario, Scenario)
     assert isinstance(evaluation, Evaluation)
     return scenario, evaluation
+
+
+def source_digest(agent: Agent) -> str:
+    """A digest of the files that define the agent's class and its bases: users edit theirs."""
+    files = {inspect.getsourcefile(base) for base in type(agent).__mro__[:-2]}
+    digest = hashlib.sha256()
+    for file in sorted(filter(None, files)):
+        digest.update(Path(file).read_bytes())
+    return digest.hexdigest()[:16]
 
 
 def episodes_as_jsonl(episodes: Episodes) -> str:

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import shlex
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numba
-from hydra.core.hydra_config import HydraConfig
 from omegaconf import MISSING, DictConfig, OmegaConf
 
 from mrsan import ConfigurationError, Scenario
 from mrsan.scenario import check_numbers, number
-from samarl.cli import run_command
+from samarl.cli import command_line, run_command
 
 
 @dataclass
@@ -60,8 +58,18 @@ def train(config: DictConfig) -> None:
     architecture, mappo = build(Architecture, "architecture"), build(MAPPO, "mappo")
     check_numbers(architecture, "architecture")
     check_numbers(mappo, "mappo")
+    if architecture.width % architecture.heads:
+        raise ConfigurationError(
+            f"architecture.heads is {architecture.heads}; it must divide architecture.width "
+            f"({architecture.width})"
+        )
+    kinematics = {group.scenario.kinematics.name for group in groups}
+    if len(kinematics) > 1:
+        raise ConfigurationError(
+            f"groups have kinematics {', '.join(sorted(kinematics))}; one policy needs one kind"
+        )
     numba.set_num_threads(min(training.threads, numba.config.NUMBA_NUM_THREADS))
-    command = shlex.join(["samarl-train", *HydraConfig.get().overrides.task])
+    command = command_line("samarl-train")
     pairs = [(group.scenario, group.worlds) for group in groups]
     folder = Path(config.folder)
     initial = None if config.initial is None else Path(config.initial)

@@ -62,6 +62,14 @@ def end_info(world: World, index: int, robot: int) -> dict[str, Any]:
     }
 
 
+def refuse_rendering(render_mode: object) -> None:
+    """There is nothing to render with."""
+    if render_mode is not None:
+        raise ConfigurationError(
+            f"render_mode is {render_mode!r}; it must be None (samarl-render draws a case)"
+        )
+
+
 def _arrays(observation: Observation) -> dict[str, Array]:
     arrays: dict[str, Array] = observation._asdict()
     arrays["humans_visible"] = observation.humans_visible.view(np.int8)
@@ -94,8 +102,11 @@ class GymnasiumEnv(gymnasium.Env[dict[str, Array], Array]):
     observation_space: spaces.Space[Any]
     action_space: spaces.Space[Any]
 
-    def __init__(self, scenario: Scenario | None = None, **overrides: Any) -> None:
+    def __init__(
+        self, scenario: Scenario | None = None, render_mode: None = None, **overrides: Any
+    ) -> None:
         """Make a world of `scenario` (SAMARL's with one robot) with `overrides` of its fields."""
+        refuse_rendering(render_mode)
         self.scenario = _single_robot(scenario, overrides)
         self.world = World(self.scenario)
         self.observation_space, self.action_space = as_spaces(self.scenario)
@@ -145,9 +156,11 @@ class GymnasiumVectorEnv(VectorEnv[dict[str, Array], Array, Array]):
         num_envs: int = 1,
         scenario: Scenario | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        render_mode: None = None,
         **overrides: Any,
     ) -> None:
         """Make `num_envs` worlds of `scenario` with `overrides` of its fields."""
+        refuse_rendering(render_mode)
         self.scenario = _single_robot(scenario, overrides)
         self.num_envs = num_envs
         self.autoreset_mode = AutoresetMode(autoreset_mode)

@@ -8,13 +8,11 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mrsan.kernels.step import HIT_HUMAN, HIT_ROBOT
+from mrsan.kernels.step import HIT_HUMAN, HIT_ROBOT, PERSONAL_SPACE
 from mrsan.scenario import Scenario
 
 if TYPE_CHECKING:
     from mrsan.world import State
-
-PERSONAL_SPACE = 0.45  # intimate distance of proxemics, surface to surface, m (SAMARL, Eq. 10)
 
 
 class Outcome(IntEnum):

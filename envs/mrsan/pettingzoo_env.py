@@ -10,7 +10,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
 
-from mrsan.gymnasium_env import as_spaces, end_info, robot_observation
+from mrsan.gymnasium_env import as_spaces, end_info, refuse_rendering, robot_observation
 from mrsan.scenario import Scenario
 from mrsan.world import ActionError, Observation, World
 
@@ -37,8 +37,11 @@ class PettingZooEnv(ParallelEnv[str, dict[str, Array], Array]):
         "is_parallelizable": True,
     }
 
-    def __init__(self, scenario: Scenario | None = None, **overrides: Any) -> None:
+    def __init__(
+        self, scenario: Scenario | None = None, render_mode: None = None, **overrides: Any
+    ) -> None:
         """Make one world of `scenario` (SAMARL's by default) with `overrides` of its fields."""
+        refuse_rendering(render_mode)
         self.scenario = replace(scenario or Scenario(), **overrides)
         self.world = World(self.scenario)
         self.render_mode = None
@@ -106,7 +109,7 @@ class PettingZooEnv(ParallelEnv[str, dict[str, Array], Array]):
                 infos[agent] |= end_info(self.world, 0, i)
             self.agents = []
         return (
-            self._split(step.observation),
+            {agent: robot_observation(step.observation, 0, i) for i, agent in enumerate(agents)},
             {agent: float(step.reward[0, i]) for i, agent in enumerate(agents)},
             dict.fromkeys(agents, terminated),
             dict.fromkeys(agents, truncated),

@@ -65,7 +65,9 @@ def check_numbers(config: Any, path: str) -> None:
     for f in dataclasses.fields(config):
         name, value, hint = f"{path}.{f.name}", getattr(config, f.name), hints[f.name]
         if isinstance(hint, type) and issubclass(hint, Enum):
-            if not isinstance(value, hint):
+            if isinstance(value, str) and value in hint.__members__:
+                setattr(config, f.name, hint[value])
+            elif not isinstance(value, hint):
                 choices = ", ".join(hint.__members__)
                 raise ConfigurationError(f"{name} is {value!r}; it must be one of {choices}")
         elif hint is bool:

@@ -69,7 +69,7 @@ class State(NamedTuple):
     path_length: Floats  # [E, N]
     closest_human: Floats  # [E, N] smallest surface distance, during steps too
     driven_steps: NDArray[np.int32]  # [E, N]
-    close_steps: NDArray[np.int32]  # [E, N] that ended nearer than the discomfort distance
+    close_steps: NDArray[np.int32]  # [E, N] that ended in personal space (0.45 m)
     jerk_sum: Floats  # [E, N] of the norm, m/s^3
 
     @property
@@ -131,14 +131,15 @@ class World:
                 the last observation and the record of what ended. Without it a world that has
                 ended stands still until it is reset.
         """
-        if worlds < 1:
-            raise ValueError(f"worlds is {worlds}; it must be at least 1")
+        if not isinstance(scenario, Scenario):
+            raise TypeError(f"scenario is {scenario!r}; it must be a Scenario")
+        if not isinstance(worlds, int | np.integer) or worlds < 1:
+            raise ValueError(f"worlds is {worlds!r}; it must be a whole number of at least 1")
         self.scenario = scenario
         self.worlds = worlds
         self.auto_reset = auto_reset
         self.state = _empty_state(worlds, scenario.robots, scenario.humans)
         self._parameters = scenario.parameters()
-        self._begun = False
 
     def reset(self, cases: ArrayLike | None = None, worlds: ArrayLike | None = None) -> Observation:
         """Begin an episode in every world, or in some.
@@ -150,7 +151,9 @@ class World:
         Returns:
             The observation of all worlds.
         """
-        mask = np.ones(self.worlds, np.bool_) if worlds is None else np.array(worlds, np.bool_)
+        mask = np.ones(self.worlds, np.bool_) if worlds is None else np.asarray(worlds)
+        if mask.shape != (self.worlds,) or mask.dtype != np.bool_:
+            raise ValueError(f"worlds is {worlds!r}; it must be {self.worlds} booleans")
         if cases is not None:
             numbers = np.asarray(cases)
             if numbers.shape != (self.worlds,) or not np.issubdtype(numbers.dtype, np.integer):
@@ -164,7 +167,6 @@ class World:
         else:
             self.state.episode[mask] += 1
         begin_episodes(self.worlds, mask, self.state, self._parameters)
-        self._begun = True
         return self.observe()
 
     def observe(self) -> Observation:
@@ -191,9 +193,10 @@ class World:
         Raises:
             ActionError: an action is not a number, out of range or of the wrong shape.
         """
-        if not self._begun:
-            raise RuntimeError("the world has not been reset; call reset() before step()")
         state = self.state
+        if (state.episode < 0).any():
+            number = int(np.flatnonzero(state.episode < 0)[0])
+            raise RuntimeError(f"world {number} has not been reset; call reset() before step()")
         action = self._checked(actions)
         reward = np.empty(action.shape[:2], np.float32)
         advance(self.worlds, state, action, self._parameters, reward)
@@ -209,7 +212,10 @@ class World:
         return Step(observation, reward, terminated, truncated, final, finished)
 
     def _checked(self, actions: ArrayLike) -> Floats:
-        action = np.ascontiguousarray(actions, np.float32)
+        try:
+            action = np.ascontiguousarray(actions, np.float32)
+        except (TypeError, ValueError) as error:
+            raise ActionError(f"actions are not an array of numbers ({error})") from error
         shape = (self.worlds, self.scenario.robots, self.scenario.action_size)
         if action.shape != shape:
             raise ActionError(f"actions have shape {action.shape}; they must have {shape}")

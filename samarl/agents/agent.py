@@ -12,7 +12,7 @@ from typing import Any, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
-from omegaconf import MISSING, OmegaConf
+from omegaconf import MISSING, DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from mrsan import ConfigurationError, Observation, Scenario
@@ -50,6 +50,8 @@ def build_agent(config: Mapping[str, Any], scenario: Scenario) -> Agent:
     Raises:
         ConfigurationError: the class cannot be found or one of its fields is wrong.
     """
+    if not isinstance(config, Mapping | DictConfig):
+        raise ConfigurationError(f"agent is {config!r}; it must have `_target_` and its numbers")
     values = dict(config)
     target = values.pop("_target_", None)
     agent_class = _find_class(target)
@@ -58,10 +60,9 @@ def build_agent(config: Mapping[str, Any], scenario: Scenario) -> Agent:
     if inspect.isabstract(agent_class):
         raise ConfigurationError(f"agent._target_ is {target!r}; it must define `act`")
     hints = get_type_hints(agent_class)
-    knobs = [field for field in dataclasses.fields(agent_class) if field.name != "scenario"]
+    knobs = [f for f in dataclasses.fields(agent_class) if f.init and f.name != "scenario"]
     schema = dataclasses.make_dataclass(
-        agent_class.__name__,
-        [(f.name, hints[f.name], dataclasses.field(default=MISSING)) for f in knobs],
+        agent_class.__name__, [(f.name, hints[f.name], _default(f)) for f in knobs]
     )
     try:
         merged = OmegaConf.merge(OmegaConf.structured(schema), values)
@@ -73,6 +74,14 @@ def build_agent(config: Mapping[str, Any], scenario: Scenario) -> Agent:
     knob_values: dict[str, Any] = {str(key): value for key, value in fields.items()}
     agent: Agent = agent_class(scenario=scenario, **knob_values)
     return agent
+
+
+def _default(field: dataclasses.Field) -> Any:
+    """The same default for the schema; what has none must be in the YAML file."""
+    if field.default_factory is not dataclasses.MISSING:
+        return dataclasses.field(default_factory=field.default_factory)
+    missing = field.default is dataclasses.MISSING
+    return dataclasses.field(default=MISSING if missing else field.default)
 
 
 def _find_class(target: Any) -> Any:

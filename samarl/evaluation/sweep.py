@@ -8,6 +8,7 @@ from typing import Any
 
 from hydra.core.utils import JobReturn
 from hydra.experimental.callback import Callback
+from hydra.types import RunMode
 from omegaconf import DictConfig
 
 from samarl.evaluation.files import write_atomically, write_json
@@ -30,16 +31,24 @@ class GatherTable(Callback):
         """One cell is done."""
         assert job_return.hydra_cfg is not None
         self.cells.append(Path(job_return.hydra_cfg.hydra.runtime.output_dir) / "row.json")
+        if job_return.hydra_cfg.hydra.mode == RunMode.MULTIRUN:
+            self._write(Path(config.hydra.sweep.dir))
 
     def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
-        """All cells are done, or one has failed."""
+        """All cells are done."""
         folder = Path(config.hydra.sweep.dir)
+        text = self._write(folder)
+        if text:
+            print(f"\n{text}\nwritten to {folder}/table.md")
+
+    def _write(self, folder: Path) -> str:
+        """The table of the cells that are done so far."""
         cells = self.cells or sorted(folder.glob("**/row.json"))
         rows: list[Row] = [json.loads(cell.read_text())["row"] for cell in cells if cell.exists()]
         if not rows:
-            return
+            return ""
         rows.sort(key=lambda r: (r["method"], r["fov_degrees"], r["humans"], r["robots"]))
-        text = rows_as_markdown(rows)
+        text = rows_as_markdown(rows, with_settings=True)
         write_json(folder / "table.json", rows)
         write_atomically(folder / "table.md", text + "\n")
-        print(f"\n{text}\nwritten to {folder}/table.md")
+        return text

@@ -20,6 +20,7 @@ PAPER_SUCCESS: dict[Column, dict[str, int]] = {
         "ORCA": 23, "CADRL": 63, "SAMARL-PPO": 72, "SAMARL-SRNN": 87, "SAMARL": 95,
     },
 }  # fmt: skip
+_COLUMNS = ("agent=", "scenario.fov_degrees=", "scenario.humans=", "scenario.robots=")
 PAPER_NAME = {"orca": "ORCA"}  # what the paper calls our rows
 
 
@@ -41,13 +42,25 @@ def as_text(header: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
     return "\n".join([line(header), rule, *(line(cells) for cells in lines)])
 
 
-def rows_as_markdown(rows: Sequence[Row]) -> str:
-    """All rows with what is measured of each."""
-    header = (
+def rows_as_markdown(rows: Sequence[Row], with_settings: bool = False) -> str:
+    """All rows with what is measured of each.
+
+    Args:
+        rows: the rows.
+        with_settings: say what else was set on the command line, where that tells rows apart.
+    """
+    header: tuple[str, ...] = (
         "method", "FOV", "humans", "robots", "success % [95 %]", "social score", "hit human %",
         "hit robot %", "timeout %", "path m", "time s", "paper's success %",
     )  # fmt: skip
-    return as_text(header, [_cells(row) for row in rows])
+    lines = [_cells(row) for row in rows]
+    names = {(row["method"], column_of(row)) for row in rows}
+    if with_settings and len(names) < len(rows):
+        header += ("settings",)
+        for line, row in zip(lines, rows, strict=True):
+            words = [w for w in row["command"].split() if "=" in w and not w.startswith(_COLUMNS)]
+            line.append(" ".join(words))
+    return as_text(header, lines)
 
 
 def _cells(row: Row) -> list[str]:

@@ -135,3 +135,8 @@ def test_tables_line_up_and_show_the_papers_figures() -> None:
     assert cells["orca"] == "25.0 / 30.2"
     assert cells["perimeter"] == ""
     assert cells["paper: SAMARL"] == "93 / -"
+
+
+def test_other_cases_are_not_held_against_the_committed_row() -> None:
+    line = compare(row(success_rate=80.0, command="command evaluation.cases=50"), [row()])
+    assert line.startswith("other    mine 360° 10h 2r: success 25.0 -> 80.0 %")

@@ -100,7 +100,7 @@ def test_the_bench_writes_table_1_in_the_documented_form(tmp_path: Path) -> None
     assert "paper: SAMARL" in page
     verdicts = [
         line for line in done.stdout.splitlines()
-        if line.split(" ")[0] in ("same", "close", "DIFFERS", "new")
+        if line.split(" ")[0] in ("same", "close", "DIFFERS", "new", "other")
     ]  # fmt: skip
     assert len(verdicts) == len(rows)
 

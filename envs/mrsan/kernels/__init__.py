@@ -54,7 +54,8 @@ def _compile(source: Callable[..., Any], variant: str, parallel: bool) -> Any:
     dispatcher = numba.njit(cache=True, parallel=parallel, error_model="numpy")(copy)
     # Numba looks only at the entry point's own file when it decides whether a cached kernel is
     # still good; the stamp below covers every file the kernel may be built from.
-    dispatcher._cache._cache_file._source_stamp = _stamp(Path(source.__code__.co_filename))
+    if hasattr(dispatcher, "_cache"):  # not with NUMBA_DISABLE_JIT
+        dispatcher._cache._cache_file._source_stamp = _stamp(Path(source.__code__.co_filename))
     return dispatcher
 
 

@@ -8,6 +8,7 @@ from mrsan.kernels import function
 
 _ZERO = np.float32(0.0)
 _TINY = np.float32(1e-6)
+_STEEPEST = np.float32(20.0)  # an exponent beyond which nothing changes but the overflow
 
 
 @function
@@ -45,7 +46,7 @@ def social_force_velocity(
         dx, dy = agents[i, 0] - agents[j, 0], agents[i, 1] - agents[j, 1]
         distance = max(math.sqrt(dx * dx + dy * dy), _TINY)
         gap = distance - agents[i, 4] - agents[j, 4]
-        push = strength * math.exp(-gap / reach)
+        push = strength * math.exp(min(-gap / reach, _STEEPEST))
         ax += push * dx / distance
         ay += push * dy / distance
     vx = agents[i, 2] + ax * time_step

@@ -17,6 +17,8 @@ ORCA = 0
 SOCIAL_FORCE = 1
 STILL = 2
 
+PERSONAL_SPACE = np.float32(0.45)  # intimate distance of proxemics, surface to surface, m
+
 HIT_HUMAN = 1
 HIT_ROBOT = 2
 
@@ -200,7 +202,7 @@ def _find_contacts(state, e, p, moved, gap):
             before_x, before_y = dx - moved[k, 0] + moved[i, 0], dy - moved[k, 1] + moved[i, 1]
             if closest_approach(before_x, before_y, dx, dy) < robot_radius + robot_radius:
                 collision[e, i] = HIT_ROBOT
-        if gap[i] < p.discomfort_distance:
+        if gap[i] < PERSONAL_SPACE:
             state.close_steps[e, i] += 1
 
 

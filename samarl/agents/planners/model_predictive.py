@@ -110,7 +110,7 @@ def _plan(
                     angle = goal_angle + _TWO_PI * direction
                     wanted = p.robot_speed * np.float32(plan // directions % speeds + 1)
                     wanted /= np.float32(speeds)
-                    hold = horizon // (plan // (directions * speeds) + 1)
+                    hold = max(horizon // (plan // (directions * speeds) + 1), 1)
                     if plan == directions * speeds * holds:  # stand still
                         wanted, hold = _ZERO, horizon
                     vx, vy = wanted * math.cos(angle), wanted * math.sin(angle)

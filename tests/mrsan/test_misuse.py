@@ -1,0 +1,73 @@
+"""What a user of the Python API gets wrong is said, not guessed at."""
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+
+from mrsan import ActionError, ConfigurationError, Crowd, Scenario, World
+from mrsan.pettingzoo_env import PettingZooEnv
+
+
+def test_a_world_that_was_never_reset_is_not_stepped() -> None:
+    world = World(Scenario(robots=1), 3)
+    world.reset([5, 6, 7], np.array([True, False, True]))
+    with pytest.raises(RuntimeError, match="world 1 has not been reset"):
+        world.step(np.zeros((3, 1, 3)))
+
+
+@pytest.mark.parametrize("worlds", [[0, 2], [True], np.array([1, 0])])
+def test_worlds_are_chosen_by_a_mask(worlds: Any) -> None:
+    with pytest.raises(ValueError, match="it must be 2 booleans"):
+        World(Scenario(), 2).reset([0, 1], worlds)
+
+
+@pytest.mark.parametrize("worlds", ["2", 2.5, 0, None])
+def test_a_number_of_worlds_is_a_number(worlds: Any) -> None:
+    with pytest.raises(ValueError, match="it must be a whole number of at least 1"):
+        World(Scenario(), worlds)
+
+
+@pytest.mark.parametrize("actions", ["abc", [[1, 2], [3]], None])
+def test_actions_are_numbers(actions: Any) -> None:
+    world = World(Scenario(), 1)
+    world.reset([0])
+    with pytest.raises(ActionError, match="actions"):
+        world.step(actions)
+
+
+def test_enums_may_be_named() -> None:
+    assert Scenario(crowd="still").crowd is Crowd.still  # type: ignore[arg-type]
+    with pytest.raises(ConfigurationError, match="it must be one of orca, social_force, still"):
+        Scenario(crowd="stil")  # type: ignore[arg-type]
+
+
+def test_there_is_nothing_to_render_with() -> None:
+    gymnasium.make("mrsan/SocialNavigation-v0", render_mode=None).close()
+    with pytest.raises(ConfigurationError, match="render_mode is 'human'"):
+        PettingZooEnv(render_mode="human")  # type: ignore[arg-type]
+
+
+def test_a_crowd_that_is_pushed_hard_stays_finite() -> None:
+    scenario = Scenario(crowd=Crowd.social_force, human_safety_space=5.0, force_range=0.1)
+    world = World(scenario, 2)
+    world.reset([0, 1])
+    for _ in range(20):
+        world.step(np.zeros((2, 3, 3)))
+    assert np.isfinite(world.state.human_position).all()
+
+
+def test_a_reward_weight_does_not_change_the_metrics() -> None:
+    shares = []
+    for distance in (0.0, 2.0):
+        scenario = Scenario()
+        scenario.reward.discomfort_distance = distance
+        world = World(scenario, 8)
+        world.reset(np.arange(8))
+        forward = np.tile(np.float32([0.5, 0, 0]), (8, 3, 1))
+        for _ in range(20):
+            world.step(forward)
+        shares.append(world.state.close_steps.tolist())
+    assert shares[0] == shares[1]
+    assert np.sum(shares) > 0
