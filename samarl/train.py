@@ -11,6 +11,7 @@ from omegaconf import MISSING, DictConfig, OmegaConf
 
 from mrsan import ConfigurationError, Scenario
 from mrsan.scenario import check_numbers, number
+from samarl.agents.planners.perimeter import Route
 from samarl.cli import command_line, run_command
 
 
@@ -19,6 +20,7 @@ class Group:
     """A scenario that is trained on, and how many worlds of it."""
 
     worlds: int = number(MISSING, 1, 10**6)
+    route: Route = Route.goal  # along which the macro level is rewarded for progress: goal, round
     scenario: Scenario = field(default_factory=Scenario)
 
 
@@ -70,7 +72,7 @@ def train(config: DictConfig) -> None:
         )
     numba.set_num_threads(min(training.threads, numba.config.NUMBA_NUM_THREADS))
     command = command_line("samarl-train")
-    pairs = [(group.scenario, group.worlds) for group in groups]
+    pairs = [(group.scenario, group.worlds, group.route) for group in groups]
     folder = Path(config.folder)
     initial = None if config.initial is None else Path(config.initial)
     trainer = Trainer(folder, training, architecture, mappo, pairs, command, initial)

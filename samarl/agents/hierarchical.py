@@ -33,7 +33,8 @@ class Architecture:
     features: int = required(8, 4096)  # length of Y
     hidden: int = required(8, 4096)  # of the heads of actors and critics
     macro_steps: int = required(1, 200)  # a waypoint is kept for so many steps, K
-    waypoint_range: float = required(0.1, 100.0)  # how far off a waypoint may be, m
+    waypoint_ahead: float = required(0.0, 100.0)  # where it is unmoved: so far towards the goal, m
+    waypoint_range: float = required(0.1, 100.0)  # how far the macro level may move it, m
     track_steps: int = required(0, 1000)  # for how long those out of view are remembered
 
 
@@ -154,12 +155,13 @@ class HierarchicalPolicy(nn.Module):
 class Waypoints:
     """The waypoint each robot is driving to, kept in the world frame."""
 
-    def __init__(self, worlds: int, robots: int, steps: int, reach: float) -> None:
-        """Waypoints of `worlds` x `robots` robots, renewed after `steps` steps."""
+    def __init__(self, worlds: int, robots: int, architecture: Architecture) -> None:
+        """Waypoints of `worlds` x `robots` robots, renewed after K steps."""
         self.position = np.zeros((worlds, robots, 2), np.float32)
         self.clock = np.zeros((worlds, robots), np.int32)
-        self.steps = steps
-        self.reach = np.float32(reach)
+        self.steps = architecture.macro_steps
+        self.ahead = np.float32(architecture.waypoint_ahead)
+        self.range = np.float32(architecture.waypoint_range)
 
     def due(self, ego: NDArray[np.float32]) -> NDArray[np.bool_]:
         """Which robots need a new waypoint, [E, N]."""
@@ -175,14 +177,13 @@ class Waypoints:
     ) -> None:
         """Take up macro actions [E, N, 2] where they are due.
 
-        The waypoint is the point straight towards the goal (as far as `reach`), moved by the
-        macro action in [-1, 1] times `reach`: zero means "to the goal".
+        The waypoint is the point straight towards the goal (as far as `waypoint_ahead`), moved by
+        the macro action in [-1, 1] times `waypoint_range`: zero means "to the goal".
         """
         goal = ego[..., 0:2]
         distance = np.maximum(np.linalg.norm(goal, axis=-1, keepdims=True), np.float32(1e-6))
-        ahead = goal * np.minimum(self.reach / distance, 1)
-        target = ahead + self.reach * np.clip(macro, -1, 1)
-        self.position[due] = _to_world(target, ego)[due]
+        target = goal * np.minimum(self.ahead / distance, 1) + self.range * np.clip(macro, -1, 1)
+        self.position[due] = to_world(target, ego)[due]
         self.clock[due] = self.steps
 
     def tick(self) -> None:
@@ -203,7 +204,8 @@ class Waypoints:
         return torch.cat([seen / 2.0, torch.exp(-seen.norm(dim=-1, keepdim=True))], -1)
 
 
-def _to_world(point: NDArray[np.float32], ego: NDArray[np.float32]) -> NDArray[np.float32]:
+def to_world(point: NDArray[np.float32], ego: NDArray[np.float32]) -> NDArray[np.float32]:
+    """From the body frames to the world frame, [E, N, 2]."""
     cos, sin = ego[..., 6], ego[..., 7]
     dx, dy = point[..., 0] - ego[..., 4], point[..., 1] - ego[..., 5]
     return np.stack([cos * dx - sin * dy, sin * dx + cos * dy], -1)

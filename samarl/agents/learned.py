@@ -42,9 +42,8 @@ class Deployed:
         self._began |= worlds
 
     def _remember_nothing(self, worlds: int) -> None:
-        a, robots = self.policy.architecture, self.scenario.robots
         self._worlds = worlds
-        self.waypoints = Waypoints(worlds, robots, a.macro_steps, a.waypoint_range)
+        self.waypoints = Waypoints(worlds, self.scenario.robots, self.policy.architecture)
         self._windows: tuple[Window, Window] | None = None
         self._began = np.ones(worlds, np.bool_)
 

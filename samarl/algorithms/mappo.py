@@ -185,7 +185,7 @@ def macro_records(steps: Steps, discount: float) -> MacroRecords:
 
     start = gather(step, "amax", due, 0)
     within = step - start.gather(1, slot)
-    reward = gather(steps.reward * discount**within, "sum", belongs, 0.0)
+    reward = gather(steps.macro_reward * discount**within, "sum", belongs, 0.0)
     duration = gather(torch.ones_like(step), "sum", belongs, 0)
     end = gather(step, "amax", belongs, 0)
     valid = duration > 0

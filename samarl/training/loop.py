@@ -21,6 +21,7 @@ from mrsan import ConfigurationError, Scenario, Split, social_score
 from mrsan.scenario import check_numbers, required
 from samarl.agents.hierarchical import Architecture, HierarchicalPolicy
 from samarl.agents.learned import Deployed
+from samarl.agents.planners.perimeter import Route
 from samarl.algorithms.mappo import MAPPO, Learner
 from samarl.evaluation.files import code_version, machine, write_atomically
 from samarl.evaluation.runner import run_cases
@@ -57,7 +58,7 @@ class Trainer:
         training: Training,
         architecture: Architecture,
         mappo: MAPPO,
-        groups: list[tuple[Scenario, int]],
+        groups: list[tuple[Scenario, int, Route]],
         command: str,
         initial: Path | None = None,
     ) -> None:
@@ -68,7 +69,7 @@ class Trainer:
             training: its knobs.
             architecture: of the policy.
             mappo: the knobs of the update.
-            groups: scenarios trained on side by side, each with its number of worlds.
+            groups: scenarios trained on side by side, each with its worlds and its route.
             command: what started it, for the record.
             initial: a policy of the same architecture whose weights to begin with.
 
@@ -83,9 +84,14 @@ class Trainer:
         self.learner = Learner(self.policy, mappo)
         self.rollouts = [
             Rollout(
-                scenario, self.policy, worlds, training.rollout, (training.seed << 20) + 4096 * i
+                scenario,
+                self.policy,
+                worlds,
+                training.rollout,
+                (training.seed << 20) + 4096 * i,
+                route,
             )
-            for i, (scenario, worlds) in enumerate(groups)
+            for i, (scenario, worlds, route) in enumerate(groups)
         ]
         self.steps_done = 0
         self.seconds = 0.0
@@ -98,7 +104,10 @@ class Trainer:
                     "training": {**asdict(training), "threads": None},
                     "architecture": asdict(architecture),
                     "mappo": asdict(mappo),
-                    "groups": [[asdict(scenario), worlds] for scenario, worlds in groups],
+                    "groups": [
+                        {"worlds": worlds, "route": route.name, "scenario": asdict(scenario)}
+                        for scenario, worlds, route in groups
+                    ],
                 },
                 default=str,
             )
@@ -111,7 +120,7 @@ class Trainer:
         """Train to the end; an interruption loses at most `save_every` steps."""
         t = self.training
         torch.set_num_threads(t.threads)
-        per_round = sum(worlds for _, worlds in self.groups) * t.rollout
+        per_round = sum(worlds for _, worlds, _ in self.groups) * t.rollout
         self.learner.set_progress(self.steps_done / t.steps)
         bar = tqdm(
             total=t.steps, initial=self.steps_done, unit="step", unit_scale=True, disable=None
@@ -174,7 +183,7 @@ class Trainer:
         cases = Split.validation.case(0) + np.arange(self.training.validation_cases)
         row: dict[str, float] = {}
         successes = []
-        for scenario, _ in self.groups:
+        for scenario, *_ in self.groups:
             full = replace(scenario, humans_min=None)
             agent = Deployed(self.policy, full)
             episodes = run_cases(agent, full, cases, len(cases), "validation")

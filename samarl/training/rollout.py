@@ -20,9 +20,13 @@ from samarl.agents.hierarchical import (
     Waypoints,
     decide,
     frames_of,
+    to_world,
 )
+from samarl.agents.planners.perimeter import Route, way_round
 from samarl.agents.tracker import Tracker
 from samarl.encoders.spatio_temporal import Frames
+
+WAY_ROUND = {"radius": 7.5, "lookahead": 0.3, "entry_angle": 0.15}  # m, rad, rad
 
 
 class Steps(NamedTuple):
@@ -35,8 +39,8 @@ class Steps(NamedTuple):
     waypoint: Tensor  # [E, T, N, 3] what the local level was told
     action: Tensor  # [E, T, N, A] before clipping to [-1, 1]
     action_log_prob: Tensor
-    reward: Tensor  # of the task
-    local_reward: Tensor  # of the local level
+    macro_reward: Tensor
+    local_reward: Tensor
     done: Tensor  # the robot's stream ends with this step
     terminated: Tensor  # and nothing comes after it
     truncated: Tensor  # [E, T] the time limit
@@ -60,7 +64,13 @@ class Rollout:
     """Keeps E worlds of one scenario going and collects T steps of them at a time."""
 
     def __init__(
-        self, scenario: Scenario, policy: HierarchicalPolicy, worlds: int, steps: int, first: int
+        self,
+        scenario: Scenario,
+        policy: HierarchicalPolicy,
+        worlds: int,
+        steps: int,
+        first: int,
+        route: Route = Route.goal,
     ) -> None:
         """Begin the training cases `first`, `first + 1`, ... in `worlds` worlds.
 
@@ -70,12 +80,14 @@ class Rollout:
             worlds: E.
             steps: T.
             first: the first case number within the training split.
+            route: where the macro level is rewarded for progress to.
         """
+        self.route = route
         a = policy.architecture
         self.scenario, self.policy, self.steps = scenario, policy, steps
         self.world = World(scenario, worlds)
         self.tracker = Tracker(a.track_steps, scenario.time_step)
-        self.waypoints = Waypoints(worlds, scenario.robots, a.macro_steps, a.waypoint_range)
+        self.waypoints = Waypoints(worlds, scenario.robots, a)
         cases = np.array([Split.training.case(first + e) for e in range(worlds)])
         self.tracks = self.tracker.update(self.world.reset(cases))
         self.began = np.ones(worlds, np.bool_)
@@ -106,13 +118,11 @@ class Rollout:
             ego = self.tracks.ego
             driving = ~world.state.arrived
             choice = decide(policy, y, ego, self.waypoints, deterministic=False, always=step == 0)
-            before = np.linalg.norm(self.waypoints.seen_from(ego), axis=-1)
             result = world.step(choice.action.clamp(-1, 1).numpy())
             tracks = self.tracker.update(result.observation)
-            after = np.linalg.norm(self.waypoints.seen_from(tracks.ego), axis=-1)
             ended = result.terminated | result.truncated
             arrived = world.state.arrived & driving
-            local = self._local_reward(result.reward, ego, tracks.ego, before - after, arrived)
+            macro, local = self._rewards(result.reward, ego, tracks.ego, arrived)
             columns.append(
                 Steps(
                     torch.from_numpy(driving),
@@ -122,7 +132,7 @@ class Rollout:
                     choice.waypoint,
                     choice.action,
                     choice.action_log_prob,
-                    torch.from_numpy(result.reward),
+                    torch.from_numpy(macro),
                     torch.from_numpy(local),
                     torch.from_numpy(arrived | ended[:, None]),
                     torch.from_numpy(arrived | result.terminated[:, None]),
@@ -174,21 +184,32 @@ class Rollout:
         nobody = np.zeros(self.world.worlds, np.bool_)
         self.tracks = self.tracker.update(self.world.observe(), nobody)
 
-    def _local_reward(
+    def _rewards(
         self,
         reward: NDArray[np.float32],
         ego: NDArray[np.float32],
         next_ego: NDArray[np.float32],
-        approach: NDArray[np.float32],
         arrived: NDArray[np.bool_],
-    ) -> NDArray[np.float32]:
-        """The task's reward with progress to the waypoint in the place of progress to the goal."""
-        weights = self.scenario.reward
-        distance = np.linalg.norm(ego[..., 0:2], axis=-1)
-        progress = distance - np.linalg.norm(next_ego[..., 0:2], axis=-1)
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Of the macro and the local level, [E, N] each.
+
+        The task's reward, with progress along the route (macro) and to the waypoint (local) in the
+        place of progress to the goal.
+        """
+        weight = np.float32(self.scenario.reward.progress)
+        here, there = (to_world(np.zeros_like(own[..., :2]), own) for own in (ego, next_ego))
+        goal = to_world(ego[..., 0:2], ego)
+        aim = goal
+        if self.route is Route.round:
+            aim = to_world(way_round(ego, **WAY_ROUND), ego)
+        to_goal, to_aim, to_waypoint = (
+            np.linalg.norm(here - target, axis=-1) - np.linalg.norm(there - target, axis=-1)
+            for target in (goal, aim, self.waypoints.position)
+        )
         # A reward that is not the progress term (arrival, collision, discomfort) stays as it is.
-        paid = np.abs(reward - weights.progress * progress) < 1e-3
-        return np.where(paid & ~arrived, weights.progress * approach, reward).astype(np.float32)
+        paid = (np.abs(reward - weight * to_goal) < 1e-3) & ~arrived
+        macro, local = (np.where(paid, weight * by, reward) for by in (to_aim, to_waypoint))
+        return macro, local
 
 
 def _room(example: Tensor, frames: int) -> Tensor:

@@ -18,8 +18,8 @@ from samarl.evaluation.runner import Evaluation, run_cases
 from samarl.training.checkpoint import load_policy, save_policy
 
 ARCHITECTURE = Architecture(
-    width=8, heads=1, history=3, features=8, hidden=8, macro_steps=4, waypoint_range=2.0,
-    track_steps=4,
+    width=8, heads=1, history=3, features=8, hidden=8, macro_steps=4,
+    waypoint_ahead=2.0, waypoint_range=2.0, track_steps=4,
 )  # fmt: skip
 SMALL = [
     "groups=[{worlds: 8, scenario: {humans: 3, humans_min: 0, robots: 2}}]",

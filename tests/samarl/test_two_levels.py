@@ -13,8 +13,8 @@ from samarl.algorithms.mappo import MAPPO, Learner, advantages, macro_records
 from samarl.training.rollout import Batch, Rollout, Steps
 
 ARCHITECTURE = Architecture(
-    width=16, heads=2, history=4, features=16, hidden=16, macro_steps=4, waypoint_range=2.0,
-    track_steps=8,
+    width=16, heads=2, history=4, features=16, hidden=16, macro_steps=4,
+    waypoint_ahead=2.0, waypoint_range=2.0, track_steps=8,
 )  # fmt: skip
 UPDATE = MAPPO(
     learning_rate=1e-3, epochs=1, minibatches=2, discount=0.9, local_discount=0.95,
@@ -83,7 +83,7 @@ def test_the_batch_does_not_change_a_decision() -> None:
 def test_a_waypoint_stays_where_it_is_while_the_robot_moves() -> None:
     world = World(SCENARIO)
     ego = world.reset([0]).ego
-    waypoints = Waypoints(1, 2, steps=4, reach=2.0)
+    waypoints = Waypoints(1, 2, ARCHITECTURE)
     assert waypoints.due(ego).all()
     waypoints.set(ego, waypoints.due(ego), np.zeros((1, 2, 2), np.float32))
     # Zero means straight to the goal, as far as the reach: the robots look at their goals.
@@ -101,7 +101,7 @@ def test_a_waypoint_stays_where_it_is_while_the_robot_moves() -> None:
 
 def steps_of(**fields: list) -> Steps:
     """One world, one robot, a list per field; what is not given is zero."""
-    length = len(fields["reward"])
+    length = len(fields["macro_reward"])
     default = dict.fromkeys(Steps._fields, [0] * length) | fields
     flags = ("driving", "due", "done", "terminated")
     return Steps(
@@ -115,7 +115,7 @@ def steps_of(**fields: list) -> Steps:
 
 def test_macro_rewards_are_discounted_sums_over_their_durations() -> None:
     steps = steps_of(
-        reward=[1, 2, 4, 8, 16, 32, 64],
+        macro_reward=[1, 2, 4, 8, 16, 32, 64],
         due=[1, 0, 0, 1, 0, 1, 0],
         driving=[1, 1, 1, 1, 1, 1, 1],
         done=[0, 0, 0, 0, 1, 0, 0],
@@ -156,7 +156,7 @@ def test_the_time_limit_bootstraps_and_a_collision_does_not() -> None:
 
 def test_an_arrived_robot_ends_its_own_stream() -> None:
     steps = steps_of(
-        reward=[1, 15, 9, 9], due=[1, 0, 0, 0], driving=[1, 1, 0, 0], done=[0, 1, 0, 0],
+        macro_reward=[1, 15, 9, 9], due=[1, 0, 0, 0], driving=[1, 1, 0, 0], done=[0, 1, 0, 0],
         terminated=[0, 1, 0, 0],
     )  # fmt: skip
     records = macro_records(steps, discount=1.0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import Enum
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,12 +24,32 @@ class Perimeter(Agent):
 
     def act(self, observation: Observation) -> NDArray[np.float32]:
         """Towards the next point of the way round."""
-        ego = observation.ego
-        goal = np.arctan2(ego[..., 1] - ego[..., 5], ego[..., 0] - ego[..., 4])
-        here = np.arctan2(-ego[..., 5], -ego[..., 4])  # bearings from the origin, body frame
-        onward = here + np.float32(self.lookahead)
-        circle = np.float32(self.radius) * np.stack([np.cos(onward), np.sin(onward)], -1)
-        remaining = np.abs((goal - here + np.pi) % (2 * np.pi) - np.pi)
-        turn_in = (remaining < self.entry_angle)[..., None]
-        targets = np.where(turn_in, ego[..., 0:2], circle + ego[..., 4:6])
-        return drive_towards(observation, targets.astype(np.float32), self.scenario)
+        targets = way_round(observation.ego, self.radius, self.lookahead, self.entry_angle)
+        return drive_towards(observation, targets, self.scenario)
+
+
+def way_round(
+    ego: NDArray[np.float32], radius: float, lookahead: float, entry_angle: float
+) -> NDArray[np.float32]:
+    """The next point on the way round the crowd in the body frame, [E, N, 2] in m.
+
+    Args:
+        ego: [E, N, 11] own states.
+        radius: of the circle round the crowd, m.
+        lookahead: how far ahead on the circle it is, rad.
+        entry_angle: it is the goal when that is so near in bearing, rad.
+    """
+    goal = np.arctan2(ego[..., 1] - ego[..., 5], ego[..., 0] - ego[..., 4])
+    here = np.arctan2(-ego[..., 5], -ego[..., 4])  # bearings from the origin, body frame
+    onward = here + np.float32(lookahead)
+    circle = np.float32(radius) * np.stack([np.cos(onward), np.sin(onward)], -1)
+    remaining = np.abs((goal - here + np.pi) % (2 * np.pi) - np.pi)
+    turn_in = (remaining < entry_angle)[..., None]
+    return np.where(turn_in, ego[..., 0:2], circle + ego[..., 4:6]).astype(np.float32)
+
+
+class Route(Enum):
+    """What a learner's progress is measured along."""
+
+    goal = "straight to the goal, as in SAMARL, Eq. 10"
+    round = "the way round the crowd"
