@@ -31,6 +31,20 @@ class Config:
     scenario: Any = MISSING
     agent: Any = MISSING
     evaluation: Any = MISSING
+    checkpoint: str | None = None
+
+
+def chosen_agent(config: DictConfig) -> DictConfig:
+    """The configuration of the agent, with the checkpoint that was asked for."""
+    agent: DictConfig = config.agent
+    if config.checkpoint is not None:
+        if "checkpoint" not in agent:
+            raise ConfigurationError(
+                f"checkpoint is {config.checkpoint!r}; it must be null for an agent without one "
+                "(agent=samarl has one)"
+            )
+        agent.checkpoint = config.checkpoint
+    return agent
 
 
 def register_schemas() -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import inspect
 import json
 from pathlib import Path
 from typing import Any
@@ -13,8 +11,8 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
 from mrsan import Episodes, Outcome, Scenario, social_score
-from samarl.agents import Agent, build_agent
-from samarl.cli import command_line, run_command
+from samarl.agents import build_agent
+from samarl.cli import chosen_agent, command_line, run_command
 from samarl.evaluation.files import code_version, write_atomically, write_json
 from samarl.evaluation.runner import Evaluation, run_cases
 from samarl.evaluation.summary import Row, summarise
@@ -36,8 +34,8 @@ def evaluate(config: DictConfig) -> Row:
     hydra = HydraConfig.get()
     folder = Path(hydra.runtime.output_dir)
     finished = folder / "row.json"
-    agent = build_agent(config.agent, scenario)
-    marker = {"config": _plain(config), "commit": code_version(), "agent": source_digest(agent)}
+    agent = build_agent(chosen_agent(config), scenario)
+    marker = {"config": _plain(config), "commit": code_version(), "agent": agent.version()}
     if hydra.mode == RunMode.MULTIRUN and finished.exists():
         known = json.loads(finished.read_text())
         if {key: known.get(key) for key in marker} == marker:
@@ -63,15 +61,6 @@ def objects(config: DictConfig) -> tuple[Scenario, Evaluation]:
     assert isinstance(scenario, Scenario)
     assert isinstance(evaluation, Evaluation)
     return scenario, evaluation
-
-
-def source_digest(agent: Agent) -> str:
-    """A digest of the files that define the agent's class and its bases: users edit theirs."""
-    files = {inspect.getsourcefile(base) for base in type(agent).__mro__[:-2]}
-    digest = hashlib.sha256()
-    for file in sorted(filter(None, files)):
-        digest.update(Path(file).read_bytes())
-    return digest.hexdigest()[:16]
 
 
 def episodes_as_jsonl(episodes: Episodes) -> str:

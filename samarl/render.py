@@ -12,7 +12,7 @@ from omegaconf import MISSING, DictConfig, OmegaConf
 from mrsan import ConfigurationError, Scenario, Split
 from mrsan.scenario import check_numbers, number
 from samarl.agents import build_agent
-from samarl.cli import run_command
+from samarl.cli import chosen_agent, run_command
 from samarl.evaluation.recording import record_episode
 
 
@@ -25,6 +25,7 @@ class Render:
     output: str = MISSING
     scenario: Any = MISSING
     agent: Any = MISSING
+    checkpoint: str | None = None
 
 
 def main() -> None:
@@ -42,7 +43,7 @@ def render(config: DictConfig) -> None:
     path = Path(config.output)
     if path.suffix not in (".png", ".svg", ".pdf"):
         raise ConfigurationError(f"output is {config.output!r}; it must end in .png, .svg or .pdf")
-    agent = build_agent(config.agent, scenario)
+    agent = build_agent(chosen_agent(config), scenario)
     recording = record_episode(agent, scenario, config.split.case(config.case))
     name = HydraConfig.get().runtime.choices.agent
     title = (

@@ -9,19 +9,10 @@ from typing import Any
 import numba
 from omegaconf import MISSING, DictConfig, OmegaConf
 
-from mrsan import ConfigurationError, Scenario
-from mrsan.scenario import check_numbers, number
-from samarl.agents.planners.perimeter import Route
+from mrsan import ConfigurationError
+from mrsan.scenario import check_numbers
 from samarl.cli import command_line, run_command
-
-
-@dataclass
-class Group:
-    """A scenario that is trained on, and how many worlds of it."""
-
-    worlds: int = number(MISSING, 1, 10**6)
-    route: Route = Route.goal  # along which the macro level is rewarded for progress: goal, round
-    scenario: Scenario = field(default_factory=Scenario)
+from samarl.training.curriculum import Group
 
 
 @dataclass
@@ -53,9 +44,12 @@ def train(config: DictConfig) -> None:
 
     groups: list[Group] = OmegaConf.to_object(config.groups)  # type: ignore[assignment]
     for index, group in enumerate(groups):
-        check_numbers(group, f"groups[{index}]")
-    if not groups:
-        raise ConfigurationError("groups is []; it must name at least one scenario to train on")
+        group.check(f"groups[{index}]")
+    for share in (0.0, *(group.end for group in groups)):
+        if share < 1.0 and not any(group.begin <= share < group.end for group in groups):
+            raise ConfigurationError(
+                f"groups has none for the time from {share:g} of the training on; it must have one"
+            )
     training = build(Training, "training")
     architecture, mappo = build(Architecture, "architecture"), build(MAPPO, "mappo")
     check_numbers(architecture, "architecture")
@@ -72,10 +66,9 @@ def train(config: DictConfig) -> None:
         )
     numba.set_num_threads(min(training.threads, numba.config.NUMBA_NUM_THREADS))
     command = command_line("samarl-train")
-    pairs = [(group.scenario, group.worlds, group.route) for group in groups]
     folder = Path(config.folder)
     initial = None if config.initial is None else Path(config.initial)
-    trainer = Trainer(folder, training, architecture, mappo, pairs, command, initial)
+    trainer = Trainer(folder, training, architecture, mappo, groups, command, initial)
     if trainer.steps_done:
         print(f"going on at step {trainer.steps_done} of {training.steps}")
     trainer.run()

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import importlib
 import inspect
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, get_type_hints
 
 import numpy as np
@@ -34,6 +36,14 @@ class Agent(ABC):
 
     def reset(self, worlds: NDArray[np.bool_]) -> None:  # noqa: B027 (planners remember nothing)
         """Forget what was remembered of the worlds [E] in which an episode begins."""
+
+    def version(self) -> str:
+        """A digest of what decides its actions besides its fields: the files of its class."""
+        files = {inspect.getsourcefile(base) for base in type(self).__mro__[:-2]}
+        digest = hashlib.sha256()
+        for file in sorted(filter(None, files)):
+            digest.update(Path(file).read_bytes())
+        return digest.hexdigest()[:16]
 
     @abstractmethod
     def act(self, observation: Observation) -> NDArray[np.float32]:

@@ -21,6 +21,7 @@ LENGTH_SCALE = 5.0  # metres that are 1 to the network
 WAYPOINT_REACHED = 0.3  # m
 NETWORK_EGO_FEATURES = 11
 NETWORK_OTHER_FEATURES = 7
+WAYPOINT_FEATURES = 3
 
 
 @dataclass
@@ -32,6 +33,7 @@ class Architecture:
     history: int = required(1, 64)  # frames, H
     features: int = required(8, 4096)  # length of Y
     hidden: int = required(8, 4096)  # of the heads of actors and critics
+    levels: int = required(1, 2)  # 1: a flat agent, without the macro level
     macro_steps: int = required(1, 200)  # a waypoint is kept for so many steps, K
     waypoint_ahead: float = required(0.0, 100.0)  # where it is unmoved: so far towards the goal, m
     waypoint_range: float = required(0.1, 100.0)  # how far the macro level may move it, m
@@ -146,10 +148,10 @@ class HierarchicalPolicy(nn.Module):
         self.macro_actor = Gaussian(a.features, a.hidden, [0.0, 0.0], [0.5, 0.5])
         means, deviations = [0.3, 0.0, 0.0], [0.37, 0.37, 0.6]  # it sets out moving forward
         self.local_actor = Gaussian(
-            a.features + 3, a.hidden, means[:action_size], deviations[:action_size]
+            a.features + WAYPOINT_FEATURES, a.hidden, means[:action_size], deviations[:action_size]
         )
         self.macro_critic = Critic(a.features, a.hidden)
-        self.local_critic = Critic(a.features + 3, a.hidden)
+        self.local_critic = Critic(a.features + WAYPOINT_FEATURES, a.hidden)
 
 
 class Waypoints:
@@ -159,12 +161,15 @@ class Waypoints:
         """Waypoints of `worlds` x `robots` robots, renewed after K steps."""
         self.position = np.zeros((worlds, robots, 2), np.float32)
         self.clock = np.zeros((worlds, robots), np.int32)
+        self.levels = architecture.levels
         self.steps = architecture.macro_steps
         self.ahead = np.float32(architecture.waypoint_ahead)
         self.range = np.float32(architecture.waypoint_range)
 
     def due(self, ego: NDArray[np.float32]) -> NDArray[np.bool_]:
-        """Which robots need a new waypoint, [E, N]."""
+        """Which robots need a new waypoint, [E, N]; of a flat agent none ever does."""
+        if self.levels == 1:
+            return np.zeros(ego.shape[:2], np.bool_)
         distance = np.linalg.norm(self.seen_from(ego), axis=-1)
         return (self.clock <= 0) | (distance < WAYPOINT_REACHED)
 
@@ -199,7 +204,9 @@ class Waypoints:
         return np.stack([cos * dx + sin * dy, cos * dy - sin * dx], -1)
 
     def features(self, ego: NDArray[np.float32]) -> Tensor:
-        """What the local level is told of its waypoint, [E, N, 3]."""
+        """What the local level is told of its waypoint, [E, N, 3]; in a flat agent nothing."""
+        if self.levels == 1:
+            return torch.zeros(*ego.shape[:2], WAYPOINT_FEATURES)
         seen = torch.from_numpy(self.seen_from(ego))
         return torch.cat([seen / 2.0, torch.exp(-seen.norm(dim=-1, keepdim=True))], -1)
 
@@ -232,7 +239,6 @@ def decide(
     ego: NDArray[np.float32],
     waypoints: Waypoints,
     deterministic: bool,
-    always: bool = False,
 ) -> Decision:
     """Let the macro level choose waypoints where they are due and the local level act.
 
@@ -242,9 +248,8 @@ def decide(
         ego: [E, N, 11] own states.
         waypoints: updated in place.
         deterministic: take the means.
-        always: every waypoint is due.
     """
-    due = np.ones(ego.shape[:2], np.bool_) if always else waypoints.due(ego)
+    due = waypoints.due(ego)
     macro_distribution = policy.macro_actor.distribution(y)
     macro = macro_distribution.mean if deterministic else macro_distribution.sample()
     waypoints.set(ego, due, macro.numpy())

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
+from enum import Enum
 
 import numpy as np
 import torch
@@ -11,9 +11,52 @@ from numpy.typing import NDArray
 
 from mrsan import ConfigurationError, Observation, Scenario
 from samarl.agents.agent import Agent
-from samarl.agents.hierarchical import HierarchicalPolicy, Waypoints, decide, frames_of
+from samarl.agents.hierarchical import (
+    Architecture,
+    HierarchicalPolicy,
+    Waypoints,
+    decide,
+    frames_of,
+)
 from samarl.agents.tracker import Tracker
 from samarl.encoders.spatio_temporal import Window
+
+
+class FirstWaypoints(Waypoints):
+    """An ablation: the waypoint an episode began with is never renewed."""
+
+    def due(self, ego: NDArray[np.float32]) -> NDArray[np.bool_]:
+        """Only at the beginning, [E, N]."""
+        return super().due(ego) & (self.clock <= 0)
+
+    def tick(self) -> None:
+        """Time does not count."""
+
+
+class RandomWaypoints(Waypoints):
+    """An ablation: waypoints are drawn uniformly from where the macro level could put them."""
+
+    def __init__(self, worlds: int, robots: int, architecture: Architecture) -> None:
+        """The same draws every time."""
+        super().__init__(worlds, robots, architecture)
+        self.random = np.random.default_rng(0)
+
+    def set(
+        self, ego: NDArray[np.float32], due: NDArray[np.bool_], macro: NDArray[np.float32]
+    ) -> None:
+        """Ignore the macro actions [E, N, 2]."""
+        super().set(ego, due, self.random.uniform(-1, 1, macro.shape).astype(np.float32))
+
+
+class Plan(Enum):
+    """Which waypoints the local level is given."""
+
+    learned = "those of the macro level"
+    first = "the one an episode began with"
+    random = "random ones"
+
+
+WAYPOINTS = {Plan.learned: Waypoints, Plan.first: FirstWaypoints, Plan.random: RandomWaypoints}
 
 
 class Deployed:
@@ -22,14 +65,16 @@ class Deployed:
     Every robot's action depends on its own observations alone.
     """
 
-    def __init__(self, policy: HierarchicalPolicy, scenario: Scenario) -> None:
+    def __init__(
+        self, policy: HierarchicalPolicy, scenario: Scenario, plan: Plan = Plan.learned
+    ) -> None:
         """Deploy `policy` in worlds of `scenario`, without exploration noise."""
         if policy.action_size != scenario.action_size:
             raise ConfigurationError(
                 f"scenario.kinematics is {scenario.kinematics.name} with {scenario.action_size} "
                 f"numbers per action; this policy was trained with {policy.action_size}"
             )
-        self.policy, self.scenario = policy, scenario
+        self.policy, self.scenario, self.plan = policy, scenario, plan
         self.tracker = Tracker(policy.architecture.track_steps, scenario.time_step)
         self._worlds = 0
 
@@ -43,7 +88,8 @@ class Deployed:
 
     def _remember_nothing(self, worlds: int) -> None:
         self._worlds = worlds
-        self.waypoints = Waypoints(worlds, self.scenario.robots, self.policy.architecture)
+        robots, architecture = self.scenario.robots, self.policy.architecture
+        self.waypoints: Waypoints = WAYPOINTS[self.plan](worlds, robots, architecture)
         self._windows: tuple[Window, Window] | None = None
         self._began = np.ones(worlds, np.bool_)
 
@@ -65,17 +111,22 @@ class Deployed:
 
 @dataclass
 class Learned(Agent):
-    """A policy from a checkpoint file."""
+    """A policy from a checkpoint."""
 
-    checkpoint: str
+    checkpoint: str  # a file, or the name of one that is shipped
+    waypoints: Plan = Plan.learned
 
     def __post_init__(self) -> None:
         """Load the checkpoint."""
-        from samarl.training.checkpoint import load_policy
+        from samarl.training.checkpoint import find_policy, load_policy
 
         super().__post_init__()
-        policy, self.card = load_policy(Path(self.checkpoint))
-        self._deployed = Deployed(policy, self.scenario)
+        policy, self.card = load_policy(find_policy(self.checkpoint))
+        self._deployed = Deployed(policy, self.scenario, self.waypoints)
+
+    def version(self) -> str:
+        """A digest of the code and of the weights."""
+        return f"{super().version()}.{self.card.sha256[:16]}"
 
     def reset(self, worlds: NDArray[np.bool_]) -> None:
         """Forget the worlds [E] in which an episode begins."""

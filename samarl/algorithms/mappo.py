@@ -202,6 +202,9 @@ class Learner:
         self.policy, self.mappo = policy, mappo
         self.macro = Level(policy.macro_actor, policy.macro_critic, mappo)
         self.local = Level(policy.local_actor, policy.local_critic, mappo)
+        self.levels = {"macro": self.macro, "local": self.local}
+        if policy.architecture.levels == 1:
+            del self.levels["macro"]
         self.optimiser = torch.optim.Adam(policy.parameters(), lr=mappo.learning_rate, eps=1e-5)
 
     def set_progress(self, share: float) -> None:
@@ -234,39 +237,50 @@ class Learner:
             after = torch.where(cut[..., None, None], final, after)
             told_after = torch.where(cut[..., None, None], batch.final_waypoint, told_after)
         out: dict[str, Tensor] = {}
-        told = torch.cat([own, batch.steps.waypoint], -1)
-        value = self.local.value(joint_features(told)).squeeze(-1)
-        next_value = self.local.value(joint_features(torch.cat([after, told_after], -1))).squeeze(
-            -1
-        )
-        m = self.mappo
-        out["local_advantage"], out["local_target"] = advantages(
-            batch.steps.local_reward, value, next_value, batch.steps.done, batch.steps.terminated,
-            m.local_discount, m.gae_lambda,
-        )  # fmt: skip
-        out["local_value"] = value
+        for name, level in self.levels.items():
+            steps, where = batch.steps, self._decided(name, batch.steps)
+            if name == "macro":
+                advantage, target, value = self._macro_advantages(steps, own, after)
+            else:
+                value = level.value(joint_features(torch.cat([own, steps.waypoint], -1)))
+                next_value = level.value(joint_features(torch.cat([after, told_after], -1)))
+                value = value.squeeze(-1)
+                advantage, target = advantages(
+                    steps.local_reward, value, next_value.squeeze(-1), steps.done,
+                    steps.terminated, self.mappo.local_discount, self.mappo.gae_lambda,
+                )  # fmt: skip
+            chosen = advantage[where]
+            mean, deviation = chosen.mean(), chosen.std().clamp_min(1e-4)
+            level.values.update(target[where])
+            out[f"{name}_advantage"] = (advantage - mean) / deviation
+            out[f"{name}_target"] = level.values.normalise(target)
+            out[f"{name}_value"] = level.values.normalise(value)
+        return out
+
+    def _macro_advantages(
+        self, steps: Steps, own: Tensor, after: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Advantage and target, [E, T, N] at the step of each decision, and the values."""
+        e, t, n = steps.driving.shape
         value = self.macro.value(joint_features(own)).squeeze(-1)
         next_value = self.macro.value(joint_features(after)).squeeze(-1)
-        records = macro_records(batch.steps, m.discount)
-        advantage, target = advantages(
+        records = macro_records(steps, self.mappo.discount)
+        found = advantages(
             records.reward, value.gather(1, records.start), next_value.gather(1, records.end),
-            records.done, records.terminated, m.discount, m.gae_lambda, records.duration,
+            records.done, records.terminated, self.mappo.discount, self.mappo.gae_lambda,
+            records.duration,
         )  # fmt: skip
-        # Back to the grid of steps, at the step of each decision.
         start = torch.where(records.valid, records.start, t)
-        grid = value.new_zeros(e, t + 1, n)
-        out["macro_advantage"] = grid.scatter(1, start, advantage)[:, :t]
-        out["macro_target"] = grid.scatter(1, start, target)[:, :t]
-        out["macro_value"] = value
-        for level, where in (("macro", batch.steps.due), ("local", batch.steps.driving)):
-            chosen = out[f"{level}_advantage"][where]
-            mean, deviation = chosen.mean(), chosen.std().clamp_min(1e-4)
-            out[f"{level}_advantage"] = (out[f"{level}_advantage"] - mean) / deviation
-            values = self.macro.values if level == "macro" else self.local.values
-            values.update(out[f"{level}_target"][where])
-            for name in ("target", "value"):
-                out[f"{level}_{name}"] = values.normalise(out[f"{level}_{name}"])
-        return out
+        advantage, target = (
+            value.new_zeros(e, t + 1, n).scatter(1, start, of_records)[:, :t]
+            for of_records in found
+        )
+        return advantage, target, value
+
+    @staticmethod
+    def _decided(level: str, steps: Steps) -> Tensor:
+        """In which steps [E, T, N] a level decided something."""
+        return steps.due if level == "macro" else steps.driving
 
     def update(self, batches: list[Batch]) -> dict[str, float]:
         """All epochs over the rollouts of one or several scenarios; returns mean statistics."""
@@ -308,27 +322,13 @@ class Learner:
         )
         told = batch.steps.waypoint[worlds]
         total = y.new_zeros(())
-        for name, level, where, feature, own, action, log_prob in (
-            (
-                "macro",
-                self.macro,
-                batch.steps.due,
-                y,
-                critic,
-                batch.steps.macro,
-                batch.steps.macro_log_prob,
-            ),
-            (
-                "local",
-                self.local,
-                batch.steps.driving,
-                torch.cat([y, told], -1),
-                torch.cat([critic, told], -1),
-                batch.steps.action,
-                batch.steps.action_log_prob,
-            ),
-        ):
-            counts = where[worlds]
+        for name, level in self.levels.items():
+            feature, own = y, critic
+            action, log_prob = batch.steps.macro, batch.steps.macro_log_prob
+            if name == "local":
+                feature, own = torch.cat([y, told], -1), torch.cat([critic, told], -1)
+                action, log_prob = batch.steps.action, batch.steps.action_log_prob
+            counts = self._decided(name, batch.steps)[worlds]
             losses = level.loss(
                 TensorDict(
                     {

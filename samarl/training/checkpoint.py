@@ -21,7 +21,7 @@ from torch import Tensor
 
 from mrsan import ConfigurationError
 from samarl.agents.hierarchical import Architecture, HierarchicalPolicy
-from samarl.evaluation.files import write_json
+from samarl.evaluation.files import find_folder, write_json
 
 POLICIES: dict[str, tuple[type[HierarchicalPolicy], type[Architecture]]] = {
     "hierarchical": (HierarchicalPolicy, Architecture),
@@ -37,6 +37,7 @@ class PolicyCard:
     action_size: int
     architecture: dict[str, Any]
     made: dict[str, Any]  # the command, commit, scenario, steps ... that made it
+    sha256: str  # digest of the file of the weights
 
 
 def write_tensors(path: Path, tensors: dict[str, Tensor], metadata: dict[str, str]) -> str:
@@ -55,8 +56,24 @@ def write_tensors(path: Path, tensors: dict[str, Tensor], metadata: dict[str, st
 def save_policy(path: Path, policy: HierarchicalPolicy, name: str, made: dict[str, Any]) -> None:
     """Write `path` (ending in .safetensors) and its card beside it."""
     digest = write_tensors(path, dict(policy.state_dict()), {})
-    card = PolicyCard(name, policy.action_size, asdict(policy.architecture), made)
-    write_json(path.with_suffix(".json"), {"format": FORMAT, "sha256": digest, **asdict(card)})
+    card = PolicyCard(name, policy.action_size, asdict(policy.architecture), made, digest)
+    write_json(path.with_suffix(".json"), {"format": FORMAT, **asdict(card)})
+
+
+def find_policy(name: str) -> Path:
+    """The file of a policy: a path, or the name of a shipped one.
+
+    Raises:
+        ConfigurationError: it is neither.
+    """
+    shipped = find_folder("results") / "checkpoints"
+    for path in (Path(name), shipped / f"{name}.safetensors"):
+        if path.is_file():
+            return path
+    names = ", ".join(sorted(path.stem for path in shipped.glob("*.safetensors")))
+    raise ConfigurationError(
+        f"checkpoint is {name!r}; it must be a .safetensors file or one of the shipped: {names}"
+    )
 
 
 def load_policy(path: Path) -> tuple[HierarchicalPolicy, PolicyCard]:
@@ -71,7 +88,7 @@ def load_policy(path: Path) -> tuple[HierarchicalPolicy, PolicyCard]:
             raise ConfigurationError(f"checkpoint is {str(path)!r}; there is no file {needed}")
     try:
         content = json.loads(card_path.read_text(encoding="utf-8"))
-        version, digest = content.pop("format"), content.pop("sha256")
+        version = content.pop("format")
         card = PolicyCard(**content)
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise ConfigurationError(f"{card_path} is not the card of a policy ({error})") from error
@@ -80,7 +97,7 @@ def load_policy(path: Path) -> tuple[HierarchicalPolicy, PolicyCard]:
     if card.policy not in POLICIES:
         choices = ", ".join(POLICIES)
         raise ConfigurationError(f"{card_path} names {card.policy!r}; it must be among {choices}")
-    if hashlib.sha256(path.read_bytes()).hexdigest() != digest:
+    if hashlib.sha256(path.read_bytes()).hexdigest() != card.sha256:
         raise ConfigurationError(
             f"{path} is damaged: it is not the file that {card_path} describes"
         )

@@ -15,17 +15,18 @@ import numpy as np
 import torch
 from safetensors import SafetensorError, safe_open
 from torch import Tensor
+from torch.utils.tensorboard import SummaryWriter
 from tqdm import tqdm
 
-from mrsan import ConfigurationError, Scenario, Split, social_score
+from mrsan import ConfigurationError, Split, social_score
 from mrsan.scenario import check_numbers, required
 from samarl.agents.hierarchical import Architecture, HierarchicalPolicy
 from samarl.agents.learned import Deployed
-from samarl.agents.planners.perimeter import Route
 from samarl.algorithms.mappo import MAPPO, Learner
 from samarl.evaluation.files import code_version, machine, write_atomically
 from samarl.evaluation.runner import run_cases
 from samarl.training.checkpoint import load_policy, pack, save_policy, unpack, write_tensors
+from samarl.training.curriculum import Group
 from samarl.training.rollout import Rollout
 
 STATE = "state.safetensors"  # everything that is needed to go on
@@ -43,6 +44,7 @@ class Training:
     validate_every: int = required(1, 10**12)  # environment steps
     validation_cases: int = required(1, 10**6)
     save_every: int = required(1, 10**12)  # environment steps
+    wandb: str | None = None  # project to which the TensorBoard curves are sent as well
 
     def __post_init__(self) -> None:
         """Check every number."""
@@ -58,7 +60,7 @@ class Trainer:
         training: Training,
         architecture: Architecture,
         mappo: MAPPO,
-        groups: list[tuple[Scenario, int, Route]],
+        groups: list[Group],
         command: str,
         initial: Path | None = None,
     ) -> None:
@@ -69,7 +71,7 @@ class Trainer:
             training: its knobs.
             architecture: of the policy.
             mappo: the knobs of the update.
-            groups: scenarios trained on side by side, each with its worlds and its route.
+            groups: what is trained on.
             command: what started it, for the record.
             initial: a policy of the same architecture whose weights to begin with.
 
@@ -78,20 +80,20 @@ class Trainer:
         """
         self.folder, self.training, self.groups = folder, training, groups
         torch.manual_seed(training.seed)
-        self.policy = HierarchicalPolicy(architecture, groups[0][0].action_size)
+        self.policy = HierarchicalPolicy(architecture, groups[0].scenario.action_size)
         if initial is not None:
             self._begin_with(initial)
         self.learner = Learner(self.policy, mappo)
         self.rollouts = [
             Rollout(
-                scenario,
+                group.scenario,
                 self.policy,
-                worlds,
+                group.worlds,
                 training.rollout,
                 (training.seed << 20) + 4096 * i,
-                route,
+                group.route,
             )
-            for i, (scenario, worlds, route) in enumerate(groups)
+            for i, group in enumerate(groups)
         ]
         self.steps_done = 0
         self.seconds = 0.0
@@ -101,13 +103,10 @@ class Trainer:
         self.configuration = json.loads(
             json.dumps(
                 {
-                    "training": {**asdict(training), "threads": None},
+                    "training": {**asdict(training), "threads": None, "wandb": None},
                     "architecture": asdict(architecture),
                     "mappo": asdict(mappo),
-                    "groups": [
-                        {"worlds": worlds, "route": route.name, "scenario": asdict(scenario)}
-                        for scenario, worlds, route in groups
-                    ],
+                    "groups": [asdict(group) for group in groups],
                 },
                 default=str,
             )
@@ -120,18 +119,25 @@ class Trainer:
         """Train to the end; an interruption loses at most `save_every` steps."""
         t = self.training
         torch.set_num_threads(t.threads)
-        per_round = sum(worlds for _, worlds, _ in self.groups) * t.rollout
         self.learner.set_progress(self.steps_done / t.steps)
+        writer = self._writer()
         bar = tqdm(
             total=t.steps, initial=self.steps_done, unit="step", unit_scale=True, disable=None
         )
         try:
             while self.steps_done < t.steps:
                 begun = time.perf_counter()
-                batches = [rollout.collect() for rollout in self.rollouts]
+                share = self.steps_done / t.steps
+                active = [group.begin <= share < group.end for group in self.groups]
+                batches = [
+                    rollout.collect()
+                    for rollout, now in zip(self.rollouts, active, strict=True)
+                    if now
+                ]
                 collected = time.perf_counter()
                 statistics = self.learner.update(batches)
                 before = self.steps_done
+                per_round = sum(batch.steps.truncated.numel() for batch in batches)
                 self.steps_done += per_round
                 self.learner.set_progress(min(self.steps_done / t.steps, 1.0))
                 self.seconds += time.perf_counter() - begun
@@ -152,6 +158,8 @@ class Trainer:
                 if due or self.steps_done >= t.steps:
                     row |= self._validate()
                 self.rows.append(row)
+                for key, value in row.items():
+                    writer.add_scalar(key, value, self.steps_done)
                 bar.set_postfix_str(f"success {100 * row['charts/success']:.1f} %")
                 bar.update(per_round)
                 if self.steps_done // t.save_every > before // t.save_every:
@@ -166,7 +174,27 @@ class Trainer:
             raise
         finally:
             bar.close()
+            writer.close()
         self.save()
+
+    def _writer(self) -> SummaryWriter:
+        """TensorBoard's curves; what an interrupted run wrote after its last save is dropped."""
+        if self.training.wandb is not None:
+            try:
+                import wandb
+            except ImportError as error:
+                raise ConfigurationError(
+                    f"training.wandb is {self.training.wandb!r}; it needs: pip install wandb"
+                ) from error
+            wandb.init(
+                project=self.training.wandb,
+                name=self.folder.name,
+                dir=self.folder,
+                config=self.configuration,
+                sync_tensorboard=True,
+            )
+        purge = self.steps_done + 1 if self.steps_done else None
+        return SummaryWriter(str(self.folder / "tensorboard"), purge_step=purge)
 
     def _begin_with(self, initial: Path) -> None:
         weights, card = load_policy(initial)
@@ -179,12 +207,17 @@ class Trainer:
             ) from error
 
     def _validate(self) -> dict[str, float]:
-        """Deterministic success on validation cases with all people present; keeps the best."""
+        """Deterministic success on validation cases with all people present; keeps the best.
+
+        Only the scenarios that the training ends with count.
+        """
         cases = Split.validation.case(0) + np.arange(self.training.validation_cases)
         row: dict[str, float] = {}
         successes = []
-        for scenario, *_ in self.groups:
-            full = replace(scenario, humans_min=None)
+        for group in self.groups:
+            if group.end < 1.0:
+                continue
+            full = replace(group.scenario, humans_min=None)
             agent = Deployed(self.policy, full)
             episodes = run_cases(agent, full, cases, len(cases), "validation")
             name = f"{full.fov_degrees:g}_{full.humans}h_{full.robots}r"

@@ -22,11 +22,12 @@ from samarl.agents.hierarchical import (
     frames_of,
     to_world,
 )
-from samarl.agents.planners.perimeter import Route, way_round
+from samarl.agents.planners.perimeter import way_round
 from samarl.agents.tracker import Tracker
 from samarl.encoders.spatio_temporal import Frames
+from samarl.training.curriculum import Route
 
-WAY_ROUND = {"radius": 7.5, "lookahead": 0.3, "entry_angle": 0.15}  # m, rad, rad
+ROUND_RADIUS = 7.0  # of the way round that is rewarded, m
 
 
 class Steps(NamedTuple):
@@ -107,6 +108,7 @@ class Rollout:
         frames, begins = self._frames, self._begins
         final = Frames(*(_room(tensor[:, :1], t) for tensor in frames))
         final_waypoint = torch.zeros(e, t, n, 3)
+        self.waypoints.reset(np.ones(e, np.bool_))  # every rollout begins with macro decisions
         columns: list[Steps] = []
         episodes: list[Episodes] = []
         for step in range(t):
@@ -117,7 +119,7 @@ class Rollout:
             y = policy.encoder(window, begins[:, step : now + 1]).view(e, n, -1)
             ego = self.tracks.ego
             driving = ~world.state.arrived
-            choice = decide(policy, y, ego, self.waypoints, deterministic=False, always=step == 0)
+            choice = decide(policy, y, ego, self.waypoints, deterministic=False)
             result = world.step(choice.action.clamp(-1, 1).numpy())
             tracks = self.tracker.update(result.observation)
             ended = result.terminated | result.truncated
@@ -194,14 +196,14 @@ class Rollout:
         """Of the macro and the local level, [E, N] each.
 
         The task's reward, with progress along the route (macro) and to the waypoint (local) in the
-        place of progress to the goal.
+        place of progress to the goal; a flat agent's only level gets that of the macro level.
         """
         weight = np.float32(self.scenario.reward.progress)
         here, there = (to_world(np.zeros_like(own[..., :2]), own) for own in (ego, next_ego))
         goal = to_world(ego[..., 0:2], ego)
         aim = goal
         if self.route is Route.round:
-            aim = to_world(way_round(ego, **WAY_ROUND), ego)
+            aim = to_world(way_round(ego, ROUND_RADIUS, 0.3, 0.15, shorter=True), ego)
         to_goal, to_aim, to_waypoint = (
             np.linalg.norm(here - target, axis=-1) - np.linalg.norm(there - target, axis=-1)
             for target in (goal, aim, self.waypoints.position)
@@ -209,7 +211,7 @@ class Rollout:
         # A reward that is not the progress term (arrival, collision, discomfort) stays as it is.
         paid = (np.abs(reward - weight * to_goal) < 1e-3) & ~arrived
         macro, local = (np.where(paid, weight * by, reward) for by in (to_aim, to_waypoint))
-        return macro, local
+        return macro, local if self.policy.architecture.levels == 2 else macro
 
 
 def _room(example: Tensor, frames: int) -> Tensor:

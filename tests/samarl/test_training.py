@@ -10,19 +10,22 @@ from pathlib import Path
 
 import pytest
 import torch
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from mrsan import ConfigurationError, Scenario
 from samarl.agents import build_agent
 from samarl.agents.hierarchical import Architecture, HierarchicalPolicy
 from samarl.evaluation.runner import Evaluation, run_cases
+from samarl.train import main
 from samarl.training.checkpoint import load_policy, save_policy
 
 ARCHITECTURE = Architecture(
     width=8, heads=1, history=3, features=8, hidden=8, macro_steps=4,
-    waypoint_ahead=2.0, waypoint_range=2.0, track_steps=4,
+    levels=2, waypoint_ahead=2.0, waypoint_range=2.0, track_steps=4,
 )  # fmt: skip
 SMALL = [
-    "groups=[{worlds: 8, scenario: {humans: 3, humans_min: 0, robots: 2}}]",
+    "groups=[{worlds: 8, scenario: {humans: 3, humans_min: 0, robots: 2}, end: 0.5},"
+    "{worlds: 8, scenario: {humans: 3, robots: 3, fov_degrees: 90}, begin: 0.5, route: round}]",
     "architecture.width=8", "architecture.heads=1", "architecture.history=3",
     "architecture.features=8", "architecture.hidden=8", "training.steps=1024",
     "training.rollout=16", "training.save_every=128", "training.validate_every=512",
@@ -59,6 +62,7 @@ def test_a_killed_run_goes_on_bit_for_bit(tmp_path: Path) -> None:
     for policy in ("last", "best"):
         name = f"run/{policy}.safetensors"
         assert (whole / name).read_bytes() == (cut / name).read_bytes()
+    header = (cut / "run/progress.csv").read_text().splitlines()[0].split(",")
     # The curves agree in everything but the time it took.
     curves = [
         [line.split(",")[:1] + line.split(",")[4:] for line in file.read_text().splitlines()]
@@ -67,6 +71,10 @@ def test_a_killed_run_goes_on_bit_for_bit(tmp_path: Path) -> None:
     assert curves[0] == curves[1]
     assert len(curves[0]) == 1 + 1024 // 128
     assert not list((cut / "run").glob("*.part"))
+    # Validation is on what the curriculum ends with; TensorBoard has every point of the curve once.
+    assert [name for name in header if "success_" in name] == ["validation/success_90_3h_3r"]
+    events = EventAccumulator(str(cut / "run/tensorboard")).Reload()
+    assert [event.step for event in events.Scalars("charts/success")] == list(range(128, 1025, 128))
 
     process = start(cut, "mappo.epochs=3")  # another run may not go on in this folder
     _, errors = process.communicate(timeout=240)
@@ -124,7 +132,50 @@ def test_a_foreign_or_damaged_checkpoint_is_refused_in_words(tmp_path: Path) -> 
     path.write_bytes(weights[:-1] + b"x")
     refused("is damaged")
     path.unlink()
-    refused("there is no file")
+    refused("it must be a .safetensors file or one of the shipped")
+
+
+@pytest.mark.parametrize(
+    ("groups", "message"),
+    [
+        ("[]", "groups has none for the time from 0 "),
+        ("[{worlds: 1, end: 0.5}]", "groups has none for the time from 0.5 "),
+        ("[{worlds: 1, begin: 0.7, end: 0.5}]", "groups[0].begin is 0.7; it must be less than"),
+        ("[{worlds: 0}]", "groups[0].worlds is 0; it must be"),
+        ("[{worlds: 1, route: up}]", "Invalid value 'up'"),
+    ],
+)
+def test_a_curriculum_with_a_mistake_is_refused(
+    groups: str, message: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+) -> None:  # fmt: skip
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["samarl-train", f"groups={groups}"])
+    with pytest.raises(SystemExit) as stopped:
+        main()
+    assert stopped.value.code == 2
+    errors = capsys.readouterr().err
+    assert message in errors
+    assert errors.count("\n") == 1
+
+
+@pytest.mark.parametrize("plan", ["first", "random"])
+def test_without_its_waypoints_it_drives_otherwise(plan: str, tmp_path: Path) -> None:
+    policy = HierarchicalPolicy(ARCHITECTURE, 3)
+    with torch.no_grad():  # of a new policy the mean of the actions hardly depends on anything
+        for part in (policy.macro_actor, policy.local_actor):
+            part.body[-1].weight.mul_(100)
+    path = tmp_path / "policy.safetensors"
+    save_policy(path, policy, "hierarchical", {})
+    scenario, cases = Scenario(humans=2), Evaluation(cases=3).numbers()
+    with_waypoints = run_cases(build_agent(learned(path), scenario), scenario, cases, 3)
+    agent = build_agent({**learned(path), "waypoints": plan}, scenario)
+    without = run_cases(agent, scenario, cases, 3)
+    assert (without.path_length != with_waypoints.path_length).any()
+    again = run_cases(
+        build_agent({**learned(path), "waypoints": plan}, scenario), scenario, cases, 3
+    )
+    assert (again.path_length == without.path_length).all()
 
 
 def test_a_policy_for_other_robots_is_refused(tmp_path: Path) -> None:

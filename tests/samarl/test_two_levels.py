@@ -10,11 +10,12 @@ from mrsan import Scenario, World
 from samarl.agents.hierarchical import Architecture, HierarchicalPolicy, Waypoints
 from samarl.agents.learned import Deployed
 from samarl.algorithms.mappo import MAPPO, Learner, advantages, macro_records
+from samarl.training.curriculum import Route
 from samarl.training.rollout import Batch, Rollout, Steps
 
 ARCHITECTURE = Architecture(
     width=16, heads=2, history=4, features=16, hidden=16, macro_steps=4,
-    waypoint_ahead=2.0, waypoint_range=2.0, track_steps=8,
+    levels=2, waypoint_ahead=2.0, waypoint_range=2.0, track_steps=8,
 )  # fmt: skip
 UPDATE = MAPPO(
     learning_rate=1e-3, epochs=1, minibatches=2, discount=0.9, local_discount=0.95,
@@ -191,3 +192,33 @@ def test_an_update_learns_and_reports_what_it_did() -> None:
     for _ in range(6):
         last = learner.update([rollout.collect()])
     assert last["losses/local_critic"] < first["losses/local_critic"]
+
+
+def test_a_flat_agent_learns_without_waypoints() -> None:
+    model = HierarchicalPolicy(replace(ARCHITECTURE, levels=1), 3)
+    learner = Learner(model, UPDATE)
+    rollout = Rollout(replace(SCENARIO, humans=0), model, worlds=16, steps=16, first=0)
+    before = {name: value.clone() for name, value in model.state_dict().items()}
+    batch = rollout.collect()
+    assert not batch.steps.due.any()
+    assert (batch.steps.waypoint == 0).all()
+    assert torch.equal(batch.steps.local_reward, batch.steps.macro_reward)  # the task's own
+    statistics = learner.update([batch])
+    assert all(np.isfinite(value) for value in statistics.values())
+    changed = {n for n, v in model.state_dict().items() if not torch.equal(v, before[n])}
+    assert any(name.startswith("local_actor") for name in changed)
+    assert not any(name.startswith("macro") for name in changed)
+
+
+def test_progress_is_measured_along_the_route() -> None:
+    model = policy()
+    scenario = replace(SCENARIO, humans=0)
+    straight = Rollout(scenario, model, worlds=8, steps=4, first=0)
+    torch.manual_seed(1)
+    of_goal = straight.collect().steps
+    torch.manual_seed(1)
+    of_round = Rollout(scenario, model, 8, 4, first=0, route=Route.round).collect().steps
+    assert torch.equal(of_goal.local_reward, of_round.local_reward)
+    # They set out towards the goal, through the middle: that is no progress on the way round.
+    assert of_goal.macro_reward.mean() > 0.05
+    assert of_round.macro_reward.mean() < -0.05

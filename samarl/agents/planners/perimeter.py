@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import Enum
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +28,11 @@ class Perimeter(Agent):
 
 
 def way_round(
-    ego: NDArray[np.float32], radius: float, lookahead: float, entry_angle: float
+    ego: NDArray[np.float32],
+    radius: float,
+    lookahead: float,
+    entry_angle: float,
+    shorter: bool = False,
 ) -> NDArray[np.float32]:
     """The next point on the way round the crowd in the body frame, [E, N, 2] in m.
 
@@ -38,18 +41,12 @@ def way_round(
         radius: of the circle round the crowd, m.
         lookahead: how far ahead on the circle it is, rad.
         entry_angle: it is the goal when that is so near in bearing, rad.
+        shorter: whichever way round is shorter; otherwise counter-clockwise.
     """
     goal = np.arctan2(ego[..., 1] - ego[..., 5], ego[..., 0] - ego[..., 4])
     here = np.arctan2(-ego[..., 5], -ego[..., 4])  # bearings from the origin, body frame
-    onward = here + np.float32(lookahead)
+    remaining = (goal - here + np.pi) % (2 * np.pi) - np.pi
+    onward = here + np.float32(lookahead) * (np.sign(remaining) if shorter else 1)
     circle = np.float32(radius) * np.stack([np.cos(onward), np.sin(onward)], -1)
-    remaining = np.abs((goal - here + np.pi) % (2 * np.pi) - np.pi)
-    turn_in = (remaining < entry_angle)[..., None]
+    turn_in = (np.abs(remaining) < entry_angle)[..., None]
     return np.where(turn_in, ego[..., 0:2], circle + ego[..., 4:6]).astype(np.float32)
-
-
-class Route(Enum):
-    """What a learner's progress is measured along."""
-
-    goal = "straight to the goal, as in SAMARL, Eq. 10"
-    round = "the way round the crowd"
