@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import numba
 from omegaconf import MISSING, DictConfig, OmegaConf
 
 from mrsan import ConfigurationError
 from mrsan.scenario import check_numbers
 from samarl.cli import command_line, run_command
 from samarl.training.curriculum import Group
+
+if TYPE_CHECKING:
+    from samarl.training.loop import Trainer
 
 
 @dataclass
@@ -34,6 +36,23 @@ def main() -> None:
 
 def train(config: DictConfig) -> None:
     """Train; the same command again goes on where the last one was interrupted."""
+    trainer = build_trainer(config, command_line("samarl-train"))
+    if trainer.steps_done:
+        print(f"going on at step {trainer.steps_done} of {trainer.training.steps}")
+    trainer.run()
+    print(f"written to {trainer.folder}: best validation success {100 * trainer.best:.1f} %")
+
+
+def build_trainer(config: DictConfig, command: str) -> Trainer:
+    """The training run that a composed `conf/train.yaml` describes.
+
+    Args:
+        config: the composed configuration.
+        command: what started it, for the record.
+
+    Raises:
+        ConfigurationError: a number is wrong, or the folder holds another run.
+    """
     from samarl.agents.hierarchical import Architecture
     from samarl.algorithms.mappo import MAPPO
     from samarl.training.loop import Trainer, Training
@@ -64,15 +83,8 @@ def train(config: DictConfig) -> None:
         raise ConfigurationError(
             f"groups have kinematics {', '.join(sorted(kinematics))}; one policy needs one kind"
         )
-    numba.set_num_threads(min(training.threads, numba.config.NUMBA_NUM_THREADS))
-    command = command_line("samarl-train")
-    folder = Path(config.folder)
     initial = None if config.initial is None else Path(config.initial)
-    trainer = Trainer(folder, training, architecture, mappo, groups, command, initial)
-    if trainer.steps_done:
-        print(f"going on at step {trainer.steps_done} of {training.steps}")
-    trainer.run()
-    print(f"written to {folder}: best validation success {100 * trainer.best:.1f} %")
+    return Trainer(Path(config.folder), training, architecture, mappo, groups, command, initial)
 
 
 if __name__ == "__main__":

@@ -14,6 +14,7 @@ from torch.distributions import Independent, Normal
 
 from mrsan import EGO_FEATURES, OTHER_FEATURES, Scenario
 from mrsan.scenario import required
+from samarl.agents.planners.perimeter import way_round
 from samarl.agents.tracker import Tracks
 from samarl.encoders.spatio_temporal import Frames, SpatioTemporalEncoder
 
@@ -35,7 +36,9 @@ class Architecture:
     hidden: int = required(8, 4096)  # of the heads of actors and critics
     levels: int = required(1, 2)  # 1: a flat agent, without the macro level
     macro_steps: int = required(1, 200)  # a waypoint is kept for so many steps, K
-    waypoint_ahead: float = required(0.0, 100.0)  # where it is unmoved: so far towards the goal, m
+    round_below: float = required(0.0, 360.0)  # a narrower view goes round the crowd, degrees ...
+    round_radius: float = required(0.1, 1000.0)  # ... on a circle about the origin, m
+    waypoint_ahead: float = required(0.0, 100.0)  # where it is unmoved: so far along the route, m
     waypoint_range: float = required(0.1, 100.0)  # how far the macro level may move it, m
     track_steps: int = required(0, 1000)  # for how long those out of view are remembered
 
@@ -157,18 +160,16 @@ class HierarchicalPolicy(nn.Module):
 class Waypoints:
     """The waypoint each robot is driving to, kept in the world frame."""
 
-    def __init__(self, worlds: int, robots: int, architecture: Architecture) -> None:
-        """Waypoints of `worlds` x `robots` robots, renewed after K steps."""
-        self.position = np.zeros((worlds, robots, 2), np.float32)
-        self.clock = np.zeros((worlds, robots), np.int32)
-        self.levels = architecture.levels
-        self.steps = architecture.macro_steps
-        self.ahead = np.float32(architecture.waypoint_ahead)
-        self.range = np.float32(architecture.waypoint_range)
+    def __init__(self, worlds: int, scenario: Scenario, architecture: Architecture) -> None:
+        """Waypoints of all robots of `worlds` worlds, renewed after K steps."""
+        self.position = np.zeros((worlds, scenario.robots, 2), np.float32)
+        self.clock = np.zeros((worlds, scenario.robots), np.int32)
+        self.architecture = architecture
+        self.round = scenario.fov_degrees < architecture.round_below
 
     def due(self, ego: NDArray[np.float32]) -> NDArray[np.bool_]:
         """Which robots need a new waypoint, [E, N]; of a flat agent none ever does."""
-        if self.levels == 1:
+        if self.architecture.levels == 1:
             return np.zeros(ego.shape[:2], np.bool_)
         distance = np.linalg.norm(self.seen_from(ego), axis=-1)
         return (self.clock <= 0) | (distance < WAYPOINT_REACHED)
@@ -182,14 +183,24 @@ class Waypoints:
     ) -> None:
         """Take up macro actions [E, N, 2] where they are due.
 
-        The waypoint is the point straight towards the goal (as far as `waypoint_ahead`), moved by
-        the macro action in [-1, 1] times `waypoint_range`: zero means "to the goal".
+        The waypoint is a point on the route, as far ahead as `waypoint_ahead`, moved by the macro
+        action in [-1, 1] times `waypoint_range`: zero means "along the route".
         """
-        goal = ego[..., 0:2]
-        distance = np.maximum(np.linalg.norm(goal, axis=-1, keepdims=True), np.float32(1e-6))
-        target = goal * np.minimum(self.ahead / distance, 1) + self.range * np.clip(macro, -1, 1)
+        a, aim = self.architecture, self.aim(ego)
+        distance = np.maximum(np.linalg.norm(aim, axis=-1, keepdims=True), np.float32(1e-6))
+        ahead = aim * np.minimum(np.float32(a.waypoint_ahead) / distance, 1)
+        target = ahead + np.float32(a.waypoint_range) * np.clip(macro, -1, 1)
         self.position[due] = to_world(target, ego)[due]
-        self.clock[due] = self.steps
+        self.clock[due] = a.macro_steps
+
+    def aim(self, ego: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Where the route leads next in the body frames, [E, N, 2] in m.
+
+        Straight to the goal, or with a narrow view counter-clockwise round the crowd.
+        """
+        if self.round:
+            return way_round(ego, self.architecture.round_radius, 0.3, 0.15)
+        return ego[..., 0:2]
 
     def tick(self) -> None:
         """One step has passed."""
@@ -205,7 +216,7 @@ class Waypoints:
 
     def features(self, ego: NDArray[np.float32]) -> Tensor:
         """What the local level is told of its waypoint, [E, N, 3]; in a flat agent nothing."""
-        if self.levels == 1:
+        if self.architecture.levels == 1:
             return torch.zeros(*ego.shape[:2], WAYPOINT_FEATURES)
         seen = torch.from_numpy(self.seen_from(ego))
         return torch.cat([seen / 2.0, torch.exp(-seen.norm(dim=-1, keepdim=True))], -1)

@@ -36,9 +36,9 @@ class FirstWaypoints(Waypoints):
 class RandomWaypoints(Waypoints):
     """An ablation: waypoints are drawn uniformly from where the macro level could put them."""
 
-    def __init__(self, worlds: int, robots: int, architecture: Architecture) -> None:
+    def __init__(self, worlds: int, scenario: Scenario, architecture: Architecture) -> None:
         """The same draws every time."""
-        super().__init__(worlds, robots, architecture)
+        super().__init__(worlds, scenario, architecture)
         self.random = np.random.default_rng(0)
 
     def set(
@@ -88,8 +88,8 @@ class Deployed:
 
     def _remember_nothing(self, worlds: int) -> None:
         self._worlds = worlds
-        robots, architecture = self.scenario.robots, self.policy.architecture
-        self.waypoints: Waypoints = WAYPOINTS[self.plan](worlds, robots, architecture)
+        kind = WAYPOINTS[self.plan]
+        self.waypoints: Waypoints = kind(worlds, self.scenario, self.policy.architecture)
         self._windows: tuple[Window, Window] | None = None
         self._began = np.ones(worlds, np.bool_)
 

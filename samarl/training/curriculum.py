@@ -3,19 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from enum import Enum
 
 from omegaconf import MISSING
 
 from mrsan import ConfigurationError, Scenario
 from mrsan.scenario import check_numbers, number
-
-
-class Route(Enum):
-    """What a learner's progress is measured along."""
-
-    goal = "straight to the goal, as in SAMARL, Eq. 10"
-    round = "the way round the crowd"
 
 
 @dataclass
@@ -25,7 +17,6 @@ class Group:
     worlds: int = number(MISSING, 1, 10**6)
     begin: float = number(0.0, 0.0, 1.0)  # share of the training after which it is trained on ...
     end: float = number(1.0, 0.0, 1.0)  # ... and until which
-    route: Route = Route.goal  # along which the macro level is rewarded for progress: goal, round
     scenario: Scenario = field(default_factory=Scenario)
 
     def check(self, name: str) -> None:

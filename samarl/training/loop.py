@@ -11,6 +11,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numba
 import numpy as np
 import torch
 from safetensors import SafetensorError, safe_open
@@ -27,7 +28,7 @@ from samarl.evaluation.files import code_version, machine, write_atomically
 from samarl.evaluation.runner import run_cases
 from samarl.training.checkpoint import load_policy, pack, save_policy, unpack, write_tensors
 from samarl.training.curriculum import Group
-from samarl.training.rollout import Rollout
+from samarl.training.rollout import Batch, Rollout
 
 STATE = "state.safetensors"  # everything that is needed to go on
 LAST, BEST = "last.safetensors", "best.safetensors"  # policies
@@ -79,6 +80,8 @@ class Trainer:
             ConfigurationError: the saved state belongs to another configuration.
         """
         self.folder, self.training, self.groups = folder, training, groups
+        torch.set_num_threads(training.threads)
+        numba.set_num_threads(min(training.threads, numba.config.NUMBA_NUM_THREADS))
         torch.manual_seed(training.seed)
         self.policy = HierarchicalPolicy(architecture, groups[0].scenario.action_size)
         if initial is not None:
@@ -91,7 +94,6 @@ class Trainer:
                 group.worlds,
                 training.rollout,
                 (training.seed << 20) + 4096 * i,
-                group.route,
             )
             for i, group in enumerate(groups)
         ]
@@ -118,7 +120,6 @@ class Trainer:
     def run(self) -> None:
         """Train to the end; an interruption loses at most `save_every` steps."""
         t = self.training
-        torch.set_num_threads(t.threads)
         self.learner.set_progress(self.steps_done / t.steps)
         writer = self._writer()
         bar = tqdm(
@@ -127,13 +128,7 @@ class Trainer:
         try:
             while self.steps_done < t.steps:
                 begun = time.perf_counter()
-                share = self.steps_done / t.steps
-                active = [group.begin <= share < group.end for group in self.groups]
-                batches = [
-                    rollout.collect()
-                    for rollout, now in zip(self.rollouts, active, strict=True)
-                    if now
-                ]
+                batches = self.collect()
                 collected = time.perf_counter()
                 statistics = self.learner.update(batches)
                 before = self.steps_done
@@ -176,6 +171,15 @@ class Trainer:
             bar.close()
             writer.close()
         self.save()
+
+    def collect(self) -> list[Batch]:
+        """One rollout of every group that is trained on now."""
+        share = self.steps_done / self.training.steps
+        return [
+            rollout.collect()
+            for group, rollout in zip(self.groups, self.rollouts, strict=True)
+            if group.begin <= share < group.end
+        ]
 
     def _writer(self) -> SummaryWriter:
         """TensorBoard's curves; what an interrupted run wrote after its last save is dropped."""

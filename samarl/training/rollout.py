@@ -22,12 +22,8 @@ from samarl.agents.hierarchical import (
     frames_of,
     to_world,
 )
-from samarl.agents.planners.perimeter import way_round
 from samarl.agents.tracker import Tracker
 from samarl.encoders.spatio_temporal import Frames
-from samarl.training.curriculum import Route
-
-ROUND_RADIUS = 7.0  # of the way round that is rewarded, m
 
 
 class Steps(NamedTuple):
@@ -71,7 +67,6 @@ class Rollout:
         worlds: int,
         steps: int,
         first: int,
-        route: Route = Route.goal,
     ) -> None:
         """Begin the training cases `first`, `first + 1`, ... in `worlds` worlds.
 
@@ -81,14 +76,12 @@ class Rollout:
             worlds: E.
             steps: T.
             first: the first case number within the training split.
-            route: where the macro level is rewarded for progress to.
         """
-        self.route = route
         a = policy.architecture
         self.scenario, self.policy, self.steps = scenario, policy, steps
         self.world = World(scenario, worlds)
         self.tracker = Tracker(a.track_steps, scenario.time_step)
-        self.waypoints = Waypoints(worlds, scenario.robots, a)
+        self.waypoints = Waypoints(worlds, scenario, a)
         cases = np.array([Split.training.case(first + e) for e in range(worlds)])
         self.tracks = self.tracker.update(self.world.reset(cases))
         self.began = np.ones(worlds, np.bool_)
@@ -201,9 +194,7 @@ class Rollout:
         weight = np.float32(self.scenario.reward.progress)
         here, there = (to_world(np.zeros_like(own[..., :2]), own) for own in (ego, next_ego))
         goal = to_world(ego[..., 0:2], ego)
-        aim = goal
-        if self.route is Route.round:
-            aim = to_world(way_round(ego, ROUND_RADIUS, 0.3, 0.15, shorter=True), ego)
+        aim = to_world(self.waypoints.aim(ego), ego)
         to_goal, to_aim, to_waypoint = (
             np.linalg.norm(here - target, axis=-1) - np.linalg.norm(there - target, axis=-1)
             for target in (goal, aim, self.waypoints.position)

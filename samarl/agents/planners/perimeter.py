@@ -28,11 +28,7 @@ class Perimeter(Agent):
 
 
 def way_round(
-    ego: NDArray[np.float32],
-    radius: float,
-    lookahead: float,
-    entry_angle: float,
-    shorter: bool = False,
+    ego: NDArray[np.float32], radius: float, lookahead: float, entry_angle: float
 ) -> NDArray[np.float32]:
     """The next point on the way round the crowd in the body frame, [E, N, 2] in m.
 
@@ -41,12 +37,11 @@ def way_round(
         radius: of the circle round the crowd, m.
         lookahead: how far ahead on the circle it is, rad.
         entry_angle: it is the goal when that is so near in bearing, rad.
-        shorter: whichever way round is shorter; otherwise counter-clockwise.
     """
     goal = np.arctan2(ego[..., 1] - ego[..., 5], ego[..., 0] - ego[..., 4])
     here = np.arctan2(-ego[..., 5], -ego[..., 4])  # bearings from the origin, body frame
     remaining = (goal - here + np.pi) % (2 * np.pi) - np.pi
-    onward = here + np.float32(lookahead) * (np.sign(remaining) if shorter else 1)
+    onward = here + np.float32(lookahead)
     circle = np.float32(radius) * np.stack([np.cos(onward), np.sin(onward)], -1)
     turn_in = (np.abs(remaining) < entry_angle)[..., None]
     return np.where(turn_in, ego[..., 0:2], circle + ego[..., 4:6]).astype(np.float32)

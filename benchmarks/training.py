@@ -1,0 +1,116 @@
+"""How fast a policy is trained and where the time goes: `python -m benchmarks.training`.
+
+Rounds of the default recipe (collect, update) are timed; as many more then run under Python's
+profiler, which says what share of them each part takes. Arguments are those of `samarl-train`:
+`python -m benchmarks.training training.threads=1`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import cProfile
+import pstats
+import shlex
+import statistics
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+from hydra import compose, initialize_config_dir
+from hydra.core.config_store import ConfigStore
+from tqdm import trange
+
+from benchmarks.workload import interruptible, positive_whole_number
+from samarl.cli import register_schemas
+from samarl.evaluation.files import code_version, find_folder, machine, write_json
+from samarl.evaluation.table import as_text
+from samarl.train import Train, build_trainer
+from samarl.training.loop import Trainer
+
+# Parts of a round and the functions that make them up (end of the file's path, name).
+_PARTS = {
+    "simulation": [("world.py", "step"), ("world.py", "reset")],
+    "tracks": [("tracker.py", "update")],
+    "networks, acting": [("rollout.py", "collect")],  # less simulation and tracks, see below
+    "advantages": [("mappo.py", "prepare")],
+    "networks, forward": [("mappo.py", "_loss")],
+    "networks, backward": [("_tensor.py", "backward")],
+    "optimiser": [("adam.py", "step"), ("clip_grad.py", "clip_grad_norm_")],
+}
+
+
+def main() -> None:
+    """Measure, print the table, write the JSON."""
+    arguments = _parse()
+    with interruptible(), tempfile.TemporaryDirectory() as folder:
+        trainer = _trainer([*arguments.settings, f"folder={folder}"])
+        seconds, steps = [], 0
+        profiler = cProfile.Profile()
+        rounds = arguments.rounds
+        for number in trange(1 + 2 * rounds, desc="training", unit="round", disable=None):
+            if number == 1 + rounds:
+                profiler.enable()
+            begun = time.perf_counter()
+            batches = trainer.collect()
+            trainer.learner.update(batches)
+            if 1 <= number <= rounds:  # the first one compiles and warms up
+                seconds.append(time.perf_counter() - begun)
+            steps = sum(batch.steps.truncated.numel() for batch in batches)
+        profiler.disable()
+    rates = [steps / second for second in seconds]
+    result: dict[str, Any] = {
+        "world_steps_per_second": round(statistics.median(rates), 1),
+        "smallest": round(min(rates), 1),
+        "largest": round(max(rates), 1),
+        "share_percent": shares(pstats.Stats(profiler)),
+        "threads": trainer.training.threads,
+        "machine": machine(),
+        "commit": code_version(),
+        "command": shlex.join(["python", "-m", "benchmarks.training", *sys.argv[1:]]),
+    }
+    write_json(arguments.output, result)
+    rate, low, high = (f"{value:,.0f}" for value in list(result.values())[:3])
+    print(f"{rate} [{low}, {high}] world-steps a second, {result['threads']} threads, {machine()}")
+    lines = [[part, f"{share:.1f}"] for part, share in result["share_percent"].items()]
+    print(as_text(("part of a round", "share %"), lines))
+    print(f"\nwritten to {arguments.output}")
+
+
+def shares(profile: pstats.Stats) -> dict[str, float]:
+    """Percent of the profiled time that each part takes."""
+    calls: dict[tuple[str, int, str], tuple] = profile.stats  # type: ignore[attr-defined]
+    total = sum(call[2] for call in calls.values())
+    spent = {
+        part: sum(
+            call[3]
+            for (file, _, name), call in calls.items()
+            if any(file.endswith(f"/{end}") and name == function for end, function in functions)
+        )
+        for part, functions in _PARTS.items()
+    }
+    spent["networks, acting"] -= spent["simulation"] + spent["tracks"]
+    spent["rest"] = total - sum(spent.values())
+    return {part: round(100 * seconds / total, 1) for part, seconds in spent.items()}
+
+
+def _trainer(settings: list[str]) -> Trainer:
+    register_schemas()
+    ConfigStore.instance().store(name="train_schema", node=Train)
+    with initialize_config_dir(str(find_folder("conf").resolve()), version_base="1.3"):
+        return build_trainer(compose("train", settings), "benchmark")
+
+
+def _parse() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.training", description=(__doc__ or "").partition("\n")[0]
+    )
+    parser.add_argument("settings", nargs="*", help="as for samarl-train: training.threads=1")
+    parser.add_argument("--rounds", type=positive_whole_number, default=5, help="timed (5)")
+    parser.add_argument("--output", type=Path, default=Path("outputs/training_throughput.json"))
+    return parser.parse_args()
+
+
+if __name__ == "__main__":
+    main()
