@@ -27,7 +27,7 @@ class MAPPO:
     epochs: int = required(1, 100)
     minibatches: int = required(1, 1000)
     discount: float = required(0.0, 1.0)  # per step, of the macro level
-    local_discount: float = required(0.0, 1.0)  # per step, of the local level
+    local_discount: float = required(0.0, 0.9999)  # per step, of the local level
     gae_lambda: float = required(0.0, 1.0)
     clip_epsilon: float = required(0.0, 10.0)
     entropy_coefficient: float = required(0.0, 10.0)

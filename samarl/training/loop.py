@@ -94,6 +94,7 @@ class Trainer:
                 group.worlds,
                 training.rollout,
                 (training.seed << 20) + 4096 * i,
+                mappo.local_discount,
             )
             for i, group in enumerate(groups)
         ]

@@ -67,6 +67,7 @@ class Rollout:
         worlds: int,
         steps: int,
         first: int,
+        local_discount: float,
     ) -> None:
         """Begin the training cases `first`, `first + 1`, ... in `worlds` worlds.
 
@@ -76,7 +77,15 @@ class Rollout:
             worlds: E.
             steps: T.
             first: the first case number within the training split.
+            local_discount: per step, of the local level.
         """
+        # Following waypoints for ever would be worth so much: arriving must not be worth less.
+        self._arrival_bonus = np.float32(
+            scenario.reward.progress
+            * scenario.robot_speed
+            * scenario.time_step
+            / (1.0 - local_discount)
+        )
         a = policy.architecture
         self.scenario, self.policy, self.steps = scenario, policy, steps
         self.world = World(scenario, worlds)
@@ -202,7 +211,9 @@ class Rollout:
         # A reward that is not the progress term (arrival, collision, discomfort) stays as it is.
         paid = (np.abs(reward - weight * to_goal) < 1e-3) & ~arrived
         macro, local = (np.where(paid, weight * by, reward) for by in (to_aim, to_waypoint))
-        return macro, local if self.policy.architecture.levels == 2 else macro
+        if self.policy.architecture.levels == 1:
+            return macro, macro
+        return macro, local + self._arrival_bonus * arrived
 
 
 def _room(example: Tensor, frames: int) -> Tensor:

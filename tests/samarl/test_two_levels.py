@@ -32,7 +32,7 @@ def policy() -> HierarchicalPolicy:
 
 def test_training_computes_the_log_probabilities_of_acting() -> None:
     model = policy()
-    rollout = Rollout(SCENARIO, model, worlds=12, steps=10, first=0)
+    rollout = Rollout(SCENARIO, model, 12, 10, 0, 0.98)
     ended = 0
     for _ in range(3):  # the second and third go on in the middle of episodes
         batch = rollout.collect()
@@ -167,7 +167,9 @@ def test_an_arrived_robot_ends_its_own_stream() -> None:
 
 def test_the_last_observation_of_a_timeout_is_what_its_value_is_bootstrapped_from() -> None:
     model = policy()
-    rollout = Rollout(replace(SCENARIO, humans=0, time_limit=1.0), model, 6, 8, first=0)
+    rollout = Rollout(
+        replace(SCENARIO, humans=0, time_limit=1.0), model, 6, 8, first=0, local_discount=0.98
+    )
     batch: Batch = rollout.collect()
     assert batch.steps.truncated[:, 3].all()  # 1 s is 4 steps: everybody is still on the way
     begins = batch.begins[:, 3:].view(6, 2, -1)[:, 0]
@@ -182,7 +184,9 @@ def test_the_last_observation_of_a_timeout_is_what_its_value_is_bootstrapped_fro
 def test_an_update_learns_and_reports_what_it_did() -> None:
     model = policy()
     learner = Learner(model, replace(UPDATE, epochs=4))
-    rollout = Rollout(replace(SCENARIO, humans=0), model, worlds=16, steps=16, first=0)
+    rollout = Rollout(
+        replace(SCENARIO, humans=0), model, worlds=16, steps=16, first=0, local_discount=0.98
+    )
     before = {name: value.clone() for name, value in model.state_dict().items()}
     first = learner.update([rollout.collect()])
     assert all(np.isfinite(value) for value in first.values())
@@ -197,7 +201,9 @@ def test_an_update_learns_and_reports_what_it_did() -> None:
 def test_a_flat_agent_learns_without_waypoints() -> None:
     model = HierarchicalPolicy(replace(ARCHITECTURE, levels=1), 3)
     learner = Learner(model, UPDATE)
-    rollout = Rollout(replace(SCENARIO, humans=0), model, worlds=16, steps=16, first=0)
+    rollout = Rollout(
+        replace(SCENARIO, humans=0), model, worlds=16, steps=16, first=0, local_discount=0.98
+    )
     before = {name: value.clone() for name, value in model.state_dict().items()}
     batch = rollout.collect()
     assert not batch.steps.due.any()
@@ -216,7 +222,7 @@ def test_with_a_narrow_view_progress_is_measured_on_the_way_round() -> None:
     narrow = replace(wide, fov_degrees=179.0)
     rewards = []
     for scenario in (wide, narrow):
-        rollout = Rollout(scenario, model, worlds=8, steps=4, first=0)
+        rollout = Rollout(scenario, model, 8, 4, 0, 0.98)
         torch.manual_seed(1)
         rewards.append(rollout.collect().steps.macro_reward.mean())
     # They set out towards the goal, through the middle: that is no progress on the way round.

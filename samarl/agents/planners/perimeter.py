@@ -32,6 +32,8 @@ def way_round(
 ) -> NDArray[np.float32]:
     """The next point on the way round the crowd in the body frame, [E, N, 2] in m.
 
+    It is counter-clockwise, but for a robot that has passed its goal, which turns back.
+
     Args:
         ego: [E, N, 11] own states.
         radius: of the circle round the crowd, m.
@@ -41,7 +43,8 @@ def way_round(
     goal = np.arctan2(ego[..., 1] - ego[..., 5], ego[..., 0] - ego[..., 4])
     here = np.arctan2(-ego[..., 5], -ego[..., 4])  # bearings from the origin, body frame
     remaining = (goal - here + np.pi) % (2 * np.pi) - np.pi
-    onward = here + np.float32(lookahead)
+    passed = (remaining < -entry_angle) & (remaining > -np.pi / 2)
+    onward = here + np.float32(lookahead) * np.where(passed, -1, 1)
     circle = np.float32(radius) * np.stack([np.cos(onward), np.sin(onward)], -1)
     turn_in = (np.abs(remaining) < entry_angle)[..., None]
     return np.where(turn_in, ego[..., 0:2], circle + ego[..., 4:6]).astype(np.float32)
