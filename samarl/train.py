@@ -78,11 +78,6 @@ def build_trainer(config: DictConfig, command: str) -> Trainer:
             f"architecture.heads is {architecture.heads}; it must divide architecture.width "
             f"({architecture.width})"
         )
-    kinematics = {group.scenario.kinematics.name for group in groups}
-    if len(kinematics) > 1:
-        raise ConfigurationError(
-            f"groups have kinematics {', '.join(sorted(kinematics))}; one policy needs one kind"
-        )
     initial = None if config.initial is None else Path(config.initial)
     return Trainer(Path(config.folder), training, architecture, mappo, groups, command, initial)
 

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.distributions import Independent, Normal
 
-from mrsan import EGO_FEATURES, OTHER_FEATURES, Scenario
+from mrsan import EGO_FEATURES, OTHER_FEATURES, ConfigurationError, Scenario
 from mrsan.scenario import required
+from samarl.agents.per_robot import PerRobotEncoder, PerRobotGaussian
 from samarl.agents.planners.perimeter import way_round
 from samarl.agents.tracker import Tracks
 from samarl.encoders.spatio_temporal import Frames, SpatioTemporalEncoder
@@ -29,6 +30,7 @@ WAYPOINT_FEATURES = 3
 class Architecture:
     """Sizes of the networks and of the macro level."""
 
+    actors: int = required(1, 16)  # sets of their parameters: 1 for all robots, or one for each
     width: int = required(8, 1024)  # of the encoder, D
     heads: int = required(1, 64)
     history: int = required(1, 64)  # frames, H
@@ -97,8 +99,8 @@ class Gaussian(nn.Module):
         with torch.no_grad():
             last.bias.copy_(torch.tensor(mean))
 
-    def forward(self, inputs: Tensor) -> tuple[Tensor, Tensor]:
-        """Mean and standard deviation, [..., A]."""
+    def forward(self, inputs: Tensor, robot: Tensor) -> tuple[Tensor, Tensor]:
+        """Mean and standard deviation, [..., A]; it is the same for every robot."""
         mean = self.body(inputs)
         return mean, self.log_deviation.exp().expand_as(mean)
 
@@ -107,9 +109,9 @@ class Gaussian(nn.Module):
         """Bring the standard deviation down to `largest` where it is above."""
         self.log_deviation.clamp_(max=math.log(largest))
 
-    def distribution(self, inputs: Tensor) -> Independent:
-        """The distribution of the action."""
-        return Independent(Normal(*self(inputs)), 1)
+    def distribution(self, inputs: Tensor, robot: Tensor) -> Independent:
+        """The distribution of the action, of inputs [..., F] of robots [...]."""
+        return Independent(Normal(*self(inputs, robot)), 1)
 
 
 class Critic(nn.Module):
@@ -146,15 +148,67 @@ class HierarchicalPolicy(nn.Module):
         self.architecture = architecture
         self.action_size = action_size
         sizes = (NETWORK_EGO_FEATURES, NETWORK_OTHER_FEATURES, a.width, a.heads)
-        self.encoder = SpatioTemporalEncoder(*sizes, a.history, a.features)
-        self.critic_encoder = SpatioTemporalEncoder(*sizes, 1, a.features)
-        self.macro_actor = Gaussian(a.features, a.hidden, [0.0, 0.0], [0.5, 0.5])
         means, deviations = [0.3, 0.0, 0.0], [0.37, 0.37, 0.6]  # it sets out moving forward
-        self.local_actor = Gaussian(
-            a.features + WAYPOINT_FEATURES, a.hidden, means[:action_size], deviations[:action_size]
+
+        def encoder() -> SpatioTemporalEncoder:
+            return SpatioTemporalEncoder(*sizes, a.history, a.features)
+
+        def macro_actor() -> Gaussian:
+            return Gaussian(a.features, a.hidden, [0.0, 0.0], [0.5, 0.5])
+
+        def local_actor() -> Gaussian:
+            inputs, n = a.features + WAYPOINT_FEATURES, action_size
+            return Gaussian(inputs, a.hidden, means[:n], deviations[:n])
+
+        if a.actors == 1:
+            self.encoder: SpatioTemporalEncoder | PerRobotEncoder = encoder()
+        else:
+            self.encoder = PerRobotEncoder(encoder, a.actors)
+        self.critic_encoder = SpatioTemporalEncoder(*sizes, 1, a.features)
+        self.macro_actor, self.local_actor = (
+            make() if a.actors == 1 else PerRobotGaussian(make, a.actors)
+            for make in (macro_actor, local_actor)
         )
+        self.low_precision = False  # encode with bfloat16 where that is safe
         self.macro_critic = Critic(a.features, a.hidden)
         self.local_critic = Critic(a.features + WAYPOINT_FEATURES, a.hidden)
+
+    @property
+    def device(self) -> torch.device:
+        """Where the networks are."""
+        return next(self.parameters()).device
+
+    def encode(self, frames: Frames, begins: Tensor, critic: bool = False) -> Tensor:
+        """Features [B, T', F] of the actors or the critics, on the device of the networks.
+
+        Args:
+            frames: [B, T, ...] on any device.
+            begins: [B, T].
+            critic: for the critics, which look at single frames.
+        """
+        device = self.device
+        encoder = self.critic_encoder if critic else self.encoder
+        frames = Frames(*(tensor.to(device, non_blocking=True) for tensor in frames))
+        with torch.autocast(device.type, torch.bfloat16, enabled=self.low_precision):
+            return encoder(frames, begins.to(device)).float()
+
+    def check(self, scenario: Scenario) -> None:
+        """Refuse a scenario whose robots it cannot drive.
+
+        Raises:
+            ConfigurationError: their kinematics or their number is another.
+        """
+        if self.action_size != scenario.action_size:
+            raise ConfigurationError(
+                f"scenario.kinematics is {scenario.kinematics.name} with {scenario.action_size} "
+                f"numbers per action; this policy has {self.action_size}"
+            )
+        actors = self.architecture.actors
+        if actors not in (1, scenario.robots):
+            raise ConfigurationError(
+                f"scenario.robots is {scenario.robots}; it must be {actors} for a policy with "
+                "parameters of their own for so many robots"
+            )
 
 
 class Waypoints:
@@ -234,7 +288,7 @@ assert len(OTHER_FEATURES) == 5
 
 
 class Decision(NamedTuple):
-    """What both levels decided, for all robots."""
+    """What both levels decided, for all robots; on the CPU."""
 
     macro: Tensor  # [E, N, 2], meaningful where due
     macro_log_prob: Tensor  # [E, N]
@@ -261,18 +315,19 @@ def decide(
         deterministic: take the means.
     """
     due = waypoints.due(ego)
-    macro_distribution = policy.macro_actor.distribution(y)
+    robot = torch.arange(y.shape[1], device=y.device).expand(y.shape[:2])
+    macro_distribution = policy.macro_actor.distribution(y, robot)
     macro = macro_distribution.mean if deterministic else macro_distribution.sample()
-    waypoints.set(ego, due, macro.numpy())
-    told = waypoints.features(ego)
-    distribution = policy.local_actor.distribution(torch.cat([y, told], -1))
+    waypoints.set(ego, due, macro.cpu().numpy())
+    told = waypoints.features(ego).to(y.device)
+    distribution = policy.local_actor.distribution(torch.cat([y, told], -1), robot)
     action = distribution.mean if deterministic else distribution.sample()
     waypoints.tick()
     return Decision(
-        macro,
-        macro_distribution.log_prob(macro),
+        macro.cpu(),
+        macro_distribution.log_prob(macro).cpu(),
         due,
-        told,
-        action,
-        distribution.log_prob(action),
+        told.cpu(),
+        action.cpu(),
+        distribution.log_prob(action).cpu(),
     )

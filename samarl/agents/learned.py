@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from mrsan import ConfigurationError, Observation, Scenario
+from mrsan import Observation, Scenario
 from samarl.agents.agent import Agent
 from samarl.agents.hierarchical import (
     Architecture,
@@ -69,11 +69,7 @@ class Deployed:
         self, policy: HierarchicalPolicy, scenario: Scenario, plan: Plan = Plan.learned
     ) -> None:
         """Deploy `policy` in worlds of `scenario`, without exploration noise."""
-        if policy.action_size != scenario.action_size:
-            raise ConfigurationError(
-                f"scenario.kinematics is {scenario.kinematics.name} with {scenario.action_size} "
-                f"numbers per action; this policy was trained with {policy.action_size}"
-            )
+        policy.check(scenario)
         self.policy, self.scenario, self.plan = policy, scenario, plan
         self.tracker = Tracker(policy.architecture.track_steps, scenario.time_step)
         self._worlds = 0
@@ -97,6 +93,8 @@ class Deployed:
     def act(self, observation: Observation) -> NDArray[np.float32]:
         """The mean action, [E, N, A]."""
         e, n = observation.ego.shape[:2]
+        if e != self._worlds:
+            self._remember_nothing(e)
         tracks = self.tracker.update(observation)
         frame = frames_of(tracks, self.scenario)
         if self._windows is None:

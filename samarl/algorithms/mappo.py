@@ -14,7 +14,7 @@ from torchrl.objectives.multiagent import MAPPOLoss
 from torchrl.objectives.value import MultiAgentGAE
 
 from mrsan.scenario import number, required
-from samarl.agents.hierarchical import Critic, Gaussian, HierarchicalPolicy, joint_features
+from samarl.agents.hierarchical import Critic, HierarchicalPolicy, joint_features
 from samarl.encoders.spatio_temporal import Frames
 from samarl.training.rollout import Batch, Steps
 
@@ -77,12 +77,12 @@ class ValueNormaliser(nn.Module):
 class Level(nn.Module):
     """The loss of one level: its actor, its critic, its value scale."""
 
-    def __init__(self, actor: Gaussian, critic: Critic, mappo: MAPPO) -> None:
+    def __init__(self, actor: nn.Module, critic: Critic, mappo: MAPPO) -> None:
         super().__init__()
         self.critic = critic
         self.values = ValueNormaliser()
         operator = ProbabilisticActor(
-            TensorDictModule(actor, in_keys=["feature"], out_keys=["loc", "scale"]),
+            TensorDictModule(actor, in_keys=["feature", "robot"], out_keys=["loc", "scale"]),
             in_keys=["loc", "scale"],
             out_keys=["action"],
             distribution_class=_independent_normal,
@@ -176,7 +176,7 @@ def macro_records(steps: Steps, discount: float) -> MacroRecords:
     belongs = driving & (number_of >= 0)
     k = int(number_of.max()) + 1
     slot = number_of.clamp_min(0)
-    step = torch.arange(t).view(1, t, 1).expand(e, t, n)
+    step = torch.arange(t, device=due.device).view(1, t, 1).expand(e, t, n)
 
     def gather(values: Tensor, reduce: str, where: Tensor, empty: float) -> Tensor:
         out = values.new_full((e, k + 1, n), empty)
@@ -202,6 +202,8 @@ class Learner:
         self.policy, self.mappo = policy, mappo
         self.macro = Level(policy.macro_actor, policy.macro_critic, mappo)
         self.local = Level(policy.local_actor, policy.local_critic, mappo)
+        for level in (self.macro, self.local):
+            level.values.to(policy.device)
         self.levels = {"macro": self.macro, "local": self.local}
         if policy.architecture.levels == 1:
             del self.levels["macro"]
@@ -221,10 +223,9 @@ class Learner:
         """Advantages and targets of both levels; names begin with `macro_` or `local_`."""
         e, t, n = batch.steps.driving.shape
         past = self.policy.architecture.history - 1
-        critic = self.policy.critic_encoder
 
         def encode(frames: Frames, begins: Tensor) -> Tensor:
-            features = critic(frames, begins)
+            features = self.policy.encode(frames, begins, critic=True)
             return features.view(e, n, features.shape[1], -1).transpose(1, 2)  # [E, T, N, F]
 
         own = encode(batch.frames.at(slice(past, past + t)), batch.begins[:, past:])
@@ -284,11 +285,14 @@ class Learner:
 
     def update(self, batches: list[Batch]) -> dict[str, float]:
         """All epochs over the rollouts of one or several scenarios; returns mean statistics."""
+        batches = [batch.to(self.policy.device) for batch in batches]
         prepared = [self.prepare(batch) for batch in batches]
         statistics: dict[str, list[float]] = defaultdict(list)
         for _ in range(self.mappo.epochs):
             pieces = [
-                torch.randperm(len(batch.steps.driving)).tensor_split(self.mappo.minibatches)
+                torch.randperm(len(batch.steps.driving))
+                .to(self.policy.device)
+                .tensor_split(self.mappo.minibatches)
                 for batch in batches
             ]
             for minibatch in zip(*pieces, strict=True):
@@ -310,17 +314,18 @@ class Learner:
     ) -> Tensor:
         e, (_, t, n) = len(worlds), batch.steps.driving.shape
         past = self.policy.architecture.history - 1
-        rows = (worlds.unsqueeze(1) * n + torch.arange(n)).flatten()
+        rows = (worlds.unsqueeze(1) * n + torch.arange(n, device=worlds.device)).flatten()
         frames, begins = batch.frames.of(rows), batch.begins[rows]
 
         def by_world(features: Tensor) -> Tensor:
             return features.view(e, n, t, -1).transpose(1, 2)
 
-        y = by_world(self.policy.encoder(frames, begins))
+        y = by_world(self.policy.encode(frames, begins))
         critic = by_world(
-            self.policy.critic_encoder(frames.at(slice(past, past + t)), begins[:, past:])
+            self.policy.encode(frames.at(slice(past, past + t)), begins[:, past:], critic=True)
         )
         told = batch.steps.waypoint[worlds]
+        robot = torch.arange(n, device=y.device).expand(e, t, n)
         total = y.new_zeros(())
         for name, level in self.levels.items():
             feature, own = y, critic
@@ -333,6 +338,7 @@ class Learner:
                 TensorDict(
                     {
                         "feature": feature[counts],
+                        "robot": robot[counts],
                         "joint": joint_features(own)[counts],
                         "action": action[worlds][counts],
                         "log_prob": log_prob[worlds][counts],

@@ -155,8 +155,8 @@ class TemporalTransformer(nn.Module):
         if self.history == 1:
             return tokens + self.key_value(normed)[..., d:]
         episode = begins.long().cumsum(1)
-        lag = torch.arange(self.history - 1, t).unsqueeze(1) - torch.arange(t)  # [T', T]
-        lag = lag.to(tokens.device)
+        frame = torch.arange(t, device=tokens.device)
+        lag = frame[self.history - 1 :].unsqueeze(1) - frame  # [T', T]
         allowed = (lag >= 0) & (lag < self.history)
         allowed = allowed & (episode[:, self.history - 1 :].unsqueeze(2) == episode.unsqueeze(1))
         allowed = allowed.unsqueeze(1) & known.unsqueeze(2)  # [B, M, T', T]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import csv
 import io
 import json
@@ -45,6 +46,9 @@ class Training:
     validate_every: int = required(1, 10**12)  # environment steps
     validation_cases: int = required(1, 10**6)
     save_every: int = required(1, 10**12)  # environment steps
+    device: str = "cpu"  # of the networks; the simulation is always on the CPU
+    bfloat16: bool = False  # encode with bfloat16
+    compile: bool = False  # compile the encoders (needs a C++ compiler)
     wandb: str | None = None  # project to which the TensorBoard curves are sent as well
 
     def __post_init__(self) -> None:
@@ -86,6 +90,11 @@ class Trainer:
         self.policy = HierarchicalPolicy(architecture, groups[0].scenario.action_size)
         if initial is not None:
             self._begin_with(initial)
+        self.policy.to(_device(training.device))
+        self.policy.low_precision = training.bfloat16
+        if training.compile:
+            self.policy.encoder.compile(dynamic=True)
+            self.policy.critic_encoder.compile(dynamic=True)
         self.learner = Learner(self.policy, mappo)
         self.rollouts = [
             Rollout(
@@ -223,7 +232,7 @@ class Trainer:
             if group.end < 1.0:
                 continue
             full = replace(group.scenario, humans_min=None)
-            agent = Deployed(self.policy, full)
+            agent = Deployed(copy.deepcopy(self.policy).cpu(), full)
             episodes = run_cases(agent, full, cases, len(cases), "validation")
             name = f"{full.fov_degrees:g}_{full.humans}h_{full.robots}r"
             successes.append(float(episodes.success.mean()))
@@ -309,3 +318,15 @@ class Trainer:
         self.steps_done, self.seconds = progress["steps_done"], progress["seconds"]
         self.best, self.rows = progress["best"], progress["rows"]
         self.recent.extend(progress["recent"])
+
+
+def _device(name: str) -> torch.device:
+    try:
+        device = torch.device(name)
+        torch.empty(0, device=device)
+    except (RuntimeError, AssertionError) as error:
+        reason = str(error).splitlines()[0]
+        raise ConfigurationError(
+            f"training.device is {name!r}; it must be a torch device of this machine ({reason})"
+        ) from error
+    return device

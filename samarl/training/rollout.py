@@ -5,13 +5,14 @@ Shapes: E worlds, N robots, T steps, K macro decisions, H frames of history, B =
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
+from torch.utils._pytree import tree_map_only
 
 from mrsan import Episodes, Scenario, Split, World
 from mrsan.metrics import episodes_of
@@ -56,6 +57,14 @@ class Batch:
     last_waypoint: Tensor  # [E, N, 3]
     episodes: list[Episodes]  # that ended
 
+    def to(self, device: torch.device) -> Batch:
+        """The same on another device."""
+
+        def move(value: Any) -> Any:
+            return tree_map_only(Tensor, lambda tensor: tensor.to(device), value)
+
+        return replace(self, **{f.name: move(getattr(self, f.name)) for f in fields(self)})
+
 
 class Rollout:
     """Keeps E worlds of one scenario going and collects T steps of them at a time."""
@@ -86,6 +95,7 @@ class Rollout:
             * scenario.time_step
             / (1.0 - local_discount)
         )
+        policy.check(scenario)
         a = policy.architecture
         self.scenario, self.policy, self.steps = scenario, policy, steps
         self.world = World(scenario, worlds)
@@ -118,7 +128,7 @@ class Rollout:
             _store(frames, now, frames_of(self.tracks, scenario))
             begins[:, now] = torch.from_numpy(np.repeat(self.began, n))
             window = frames.at(slice(step, now + 1))
-            y = policy.encoder(window, begins[:, step : now + 1]).view(e, n, -1)
+            y = policy.encode(window, begins[:, step : now + 1]).view(e, n, -1)
             ego = self.tracks.ego
             driving = ~world.state.arrived
             choice = decide(policy, y, ego, self.waypoints, deterministic=False)

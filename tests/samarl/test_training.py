@@ -20,7 +20,7 @@ from samarl.train import main
 from samarl.training.checkpoint import load_policy, save_policy
 
 ARCHITECTURE = Architecture(
-    width=8, heads=1, history=3, features=8, hidden=8, macro_steps=4,
+    actors=1, width=8, heads=1, history=3, features=8, hidden=8, macro_steps=4,
     levels=2, round_below=180.0, round_radius=7.0, waypoint_ahead=2.0, waypoint_range=2.0,
     track_steps=4,
 )  # fmt: skip

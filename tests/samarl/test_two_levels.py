@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 import torch
 
-from mrsan import Scenario, World
+from mrsan import ConfigurationError, Scenario, World
 from samarl.agents.hierarchical import Architecture, HierarchicalPolicy, Waypoints
 from samarl.agents.learned import Deployed
 from samarl.algorithms.mappo import MAPPO, Learner, advantages, macro_records
 from samarl.training.rollout import Batch, Rollout, Steps
 
 ARCHITECTURE = Architecture(
-    width=16, heads=2, history=4, features=16, hidden=16, macro_steps=4,
+    actors=1, width=16, heads=2, history=4, features=16, hidden=16, macro_steps=4,
     levels=2, round_below=180.0, round_radius=7.0, waypoint_ahead=2.0, waypoint_range=2.0,
     track_steps=8,
 )  # fmt: skip
@@ -39,9 +39,10 @@ def test_training_computes_the_log_probabilities_of_acting() -> None:
         ended += sum(len(episodes.case) for episodes in batch.episodes)
         steps = batch.steps
         y = model.encoder(batch.frames, batch.begins).view(12, 2, 10, -1).transpose(1, 2)
-        macro = model.macro_actor.distribution(y).log_prob(steps.macro)
+        robot = torch.arange(2).expand(y.shape[:3])
+        macro = model.macro_actor.distribution(y, robot).log_prob(steps.macro)
         told = torch.cat([y, steps.waypoint], -1)
-        local = model.local_actor.distribution(told).log_prob(steps.action)
+        local = model.local_actor.distribution(told, robot).log_prob(steps.action)
         torch.testing.assert_close(macro, steps.macro_log_prob, atol=1e-4, rtol=0)
         torch.testing.assert_close(local, steps.action_log_prob, atol=1e-4, rtol=0)
     assert ended > 0
@@ -228,3 +229,45 @@ def test_with_a_narrow_view_progress_is_measured_on_the_way_round() -> None:
     # They set out towards the goal, through the middle: that is no progress on the way round.
     assert rewards[0] > 0.05
     assert rewards[1] < -0.05
+
+
+def test_robots_with_parameters_of_their_own_act_and_learn_as_they_trained() -> None:
+    model = HierarchicalPolicy(replace(ARCHITECTURE, actors=2), 3)
+    learner = Learner(model, UPDATE)
+    rollout = Rollout(SCENARIO, model, 12, 10, 0, 0.98)
+    batch = rollout.collect()
+    y = model.encode(batch.frames, batch.begins).view(12, 2, 10, -1).transpose(1, 2)
+    robot = torch.arange(2).expand(y.shape[:3])
+    log_prob = model.macro_actor.distribution(y, robot).log_prob(batch.steps.macro)
+    torch.testing.assert_close(log_prob, batch.steps.macro_log_prob, atol=1e-4, rtol=0)
+    assert all(np.isfinite(value) for value in learner.update([batch]).values())
+    # What robot 0 does depends on its own parameters alone.
+    world = World(SCENARIO)
+    observation = world.reset([0])
+    before = Deployed(model, SCENARIO).act(observation)
+    with torch.no_grad():
+        for module in (model.encoder, model.macro_actor, model.local_actor):
+            for parameter in module.of[1].parameters():
+                parameter.add_(0.1)
+    after = Deployed(model, SCENARIO).act(observation)
+    np.testing.assert_array_equal(after[:, 0], before[:, 0])
+    assert (after[:, 1] != before[:, 1]).any()
+
+
+def test_robots_with_parameters_of_their_own_must_be_so_many() -> None:
+    model = HierarchicalPolicy(replace(ARCHITECTURE, actors=2), 3)
+    with pytest.raises(ConfigurationError, match=r"scenario.robots is 3; it must be 2"):
+        Deployed(model, replace(SCENARIO, robots=3))
+
+
+def test_low_precision_is_close_and_learns() -> None:
+    model = policy()
+    rollout = Rollout(SCENARIO, model, 12, 10, 0, 0.98)
+    batch = rollout.collect()
+    exact = model.encode(batch.frames, batch.begins)
+    model.low_precision = True
+    rough = model.encode(batch.frames, batch.begins)
+    assert rough.dtype == torch.float32
+    assert not torch.equal(rough, exact)
+    torch.testing.assert_close(rough, exact, atol=0.1, rtol=0.1)
+    assert all(np.isfinite(value) for value in Learner(model, UPDATE).update([batch]).values())
