@@ -40,6 +40,7 @@ class Bench:
 
     agents: list[str] | None = None
     columns: list[dict[str, Any]] = field(default_factory=list)
+    plugins: list[str] = field(default_factory=list)
     output: str = MISSING
     evaluation: Any = MISSING
 

@@ -5,10 +5,11 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import functools
+import importlib
 import os
 import shlex
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NoReturn
 
 import hydra
@@ -32,6 +33,7 @@ class Config:
     agent: Any = MISSING
     evaluation: Any = MISSING
     checkpoint: str | None = None
+    plugins: list[str] = dataclasses.field(default_factory=list)
 
 
 def chosen_agent(config: DictConfig) -> DictConfig:
@@ -78,6 +80,7 @@ def run_command(task: Callable[[DictConfig], Any], config_name: str, **schemas: 
         # Reported here, not outside: Hydra would print a second line about the failed job.
         try:
             _refuse_unknown_keys(config, "")
+            _import_plugins(config.plugins)
             return task(config)
         except BrokenPipeError:
             raise
@@ -110,6 +113,16 @@ def command_line(program: str) -> str:
         if source.provider == "command-line":
             words += ["--config-dir", source.path]
     return shlex.join([*words, *hydra_config.overrides.task])
+
+
+def _import_plugins(modules: Sequence[str]) -> None:
+    for name in modules:
+        try:
+            importlib.import_module(name)
+        except Exception as error:
+            raise ConfigurationError(
+                f"plugins has {name!r}; it must be a module that can be imported ({error})"
+            ) from error
 
 
 def _refuse_unknown_keys(config: DictConfig, path: str) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +26,7 @@ class Render:
     scenario: Any = MISSING
     agent: Any = MISSING
     checkpoint: str | None = None
+    plugins: list[str] = field(default_factory=list)
 
 
 def main() -> None:

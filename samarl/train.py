@@ -23,6 +23,7 @@ class Train:
 
     folder: str = MISSING
     initial: str | None = None
+    plugins: list[str] = field(default_factory=list)
     groups: list[Group] = field(default_factory=list)
     training: Any = MISSING
     architecture: Any = MISSING

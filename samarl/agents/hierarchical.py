@@ -17,7 +17,7 @@ from mrsan.scenario import required
 from samarl.agents.per_robot import PerRobotEncoder, PerRobotGaussian
 from samarl.agents.planners.perimeter import way_round
 from samarl.agents.tracker import Tracks
-from samarl.encoders.spatio_temporal import Frames, SpatioTemporalEncoder
+from samarl.encoders import ENCODERS, Encoder, Frames
 
 LENGTH_SCALE = 5.0  # metres that are 1 to the network
 WAYPOINT_REACHED = 0.3  # m
@@ -43,6 +43,7 @@ class Architecture:
     waypoint_ahead: float = required(0.0, 100.0)  # where it is unmoved: so far along the route, m
     waypoint_range: float = required(0.1, 100.0)  # how far the macro level may move it, m
     track_steps: int = required(0, 1000)  # for how long those out of view are remembered
+    encoder: str = "spatio_temporal"  # a name in ENCODERS
 
 
 def frames_of(tracks: Tracks, scenario: Scenario) -> Frames:
@@ -147,11 +148,16 @@ class HierarchicalPolicy(nn.Module):
         a = architecture
         self.architecture = architecture
         self.action_size = action_size
+        if a.encoder not in ENCODERS:
+            raise ConfigurationError(
+                f"architecture.encoder is {a.encoder!r}; it must be among {', '.join(ENCODERS)} "
+                "(one's own becomes known by plugins=[its_module])"
+            )
         sizes = (NETWORK_EGO_FEATURES, NETWORK_OTHER_FEATURES, a.width, a.heads)
         means, deviations = [0.3, 0.0, 0.0], [0.37, 0.37, 0.6]  # it sets out moving forward
 
-        def encoder() -> SpatioTemporalEncoder:
-            return SpatioTemporalEncoder(*sizes, a.history, a.features)
+        def encoder(history: int = a.history) -> Encoder:
+            return ENCODERS[a.encoder](*sizes, history, a.features)
 
         def macro_actor() -> Gaussian:
             return Gaussian(a.features, a.hidden, [0.0, 0.0], [0.5, 0.5])
@@ -161,10 +167,10 @@ class HierarchicalPolicy(nn.Module):
             return Gaussian(inputs, a.hidden, means[:n], deviations[:n])
 
         if a.actors == 1:
-            self.encoder: SpatioTemporalEncoder | PerRobotEncoder = encoder()
+            self.encoder: Encoder | PerRobotEncoder = encoder()
         else:
             self.encoder = PerRobotEncoder(encoder, a.actors)
-        self.critic_encoder = SpatioTemporalEncoder(*sizes, 1, a.features)
+        self.critic_encoder = encoder(history=1)
         self.macro_actor, self.local_actor = (
             make() if a.actors == 1 else PerRobotGaussian(make, a.actors)
             for make in (macro_actor, local_actor)

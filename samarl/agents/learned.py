@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum
+from typing import Any
 
 import numpy as np
 import torch
@@ -19,7 +20,6 @@ from samarl.agents.hierarchical import (
     frames_of,
 )
 from samarl.agents.tracker import Tracker
-from samarl.encoders.spatio_temporal import Window
 
 
 class FirstWaypoints(Waypoints):
@@ -86,7 +86,7 @@ class Deployed:
         self._worlds = worlds
         kind = WAYPOINTS[self.plan]
         self.waypoints: Waypoints = kind(worlds, self.scenario, self.policy.architecture)
-        self._windows: tuple[Window, Window] | None = None
+        self._windows: Any = None
         self._began = np.ones(worlds, np.bool_)
 
     @torch.no_grad()

@@ -10,31 +10,27 @@ from torch import Tensor, nn
 from torch.distributions import Independent, Normal
 from torch.utils._pytree import tree_map
 
-from samarl.encoders.spatio_temporal import Frames, SpatioTemporalEncoder, Window
+from samarl.encoders.encoder import Encoder, Frames
 
 
 class PerRobotEncoder(nn.Module):
     """An encoder for each of N robots; row b of its inputs is of robot b % N."""
 
-    def __init__(self, make: Callable[[], SpatioTemporalEncoder], robots: int) -> None:
+    def __init__(self, make: Callable[[], Encoder], robots: int) -> None:
         super().__init__()
         self.of = nn.ModuleList(make() for _ in range(robots))
 
     def forward(self, frames: Frames, begins: Tensor) -> Tensor:
-        """See `SpatioTemporalEncoder.forward`."""
-        return self._each(SpatioTemporalEncoder.__call__, frames, begins)
+        """See `Encoder.forward`."""
+        return self._each(Encoder.__call__, frames, begins)
 
-    def windows(self, frame: Frames) -> tuple[Window, Window]:
-        """See `SpatioTemporalEncoder.windows`."""
-        encoder = self.of[0]
-        assert isinstance(encoder, SpatioTemporalEncoder)
-        return encoder.windows(frame)
+    def windows(self, frame: Frames) -> Any:
+        """See `Encoder.windows`."""
+        return self._each(lambda encoder, example: encoder.windows(example), frame)
 
-    def step(
-        self, frame: Frames, begins: Tensor, windows: tuple[Window, Window]
-    ) -> tuple[Tensor, tuple[Window, Window]]:
-        """See `SpatioTemporalEncoder.step`."""
-        return self._each(SpatioTemporalEncoder.step, frame, begins, windows)
+    def step(self, frame: Frames, begins: Tensor, windows: Any) -> tuple[Tensor, Any]:
+        """See `Encoder.step`."""
+        return self._each(lambda encoder, *inputs: encoder.step(*inputs), frame, begins, windows)
 
     def _each(self, call: Callable, *inputs: Any) -> Any:
         n = len(self.of)

@@ -15,7 +15,7 @@ from torchrl.objectives.value import MultiAgentGAE
 
 from mrsan.scenario import number, required
 from samarl.agents.hierarchical import Critic, HierarchicalPolicy, joint_features
-from samarl.encoders.spatio_temporal import Frames
+from samarl.encoders import Frames
 from samarl.training.rollout import Batch, Steps
 
 

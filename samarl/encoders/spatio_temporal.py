@@ -13,25 +13,9 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from samarl.encoders.encoder import Encoder, Frames, encoder_named
+
 _MASKED = -1e9
-
-
-class Frames(NamedTuple):
-    """What B robots knew in T frames, scaled for the network."""
-
-    ego: Tensor  # [B, T, F_e]
-    humans: Tensor  # [B, T, M, F_h]
-    humans_known: Tensor  # [B, T, M] bool
-    robots: Tensor  # [B, T, N - 1, F_r]
-    robots_known: Tensor  # [B, T, N - 1] bool
-
-    def at(self, frames: slice) -> Frames:
-        """Some of the frames."""
-        return Frames(*(tensor[:, frames] for tensor in self))
-
-    def of(self, robots: Tensor | slice) -> Frames:
-        """Some of the robots."""
-        return Frames(*(tensor[robots] for tensor in self))
 
 
 def _attend(query: Tensor, key_value: Tensor, mask: Tensor, heads: int) -> Tensor:
@@ -245,24 +229,15 @@ class CrossModal(nn.Module):
         return torch.relu(self.out(torch.cat([own, final.flatten(1)], -1)))
 
 
-class SpatioTemporalEncoder(nn.Module):
+@encoder_named("spatio_temporal")
+class SpatioTemporalEncoder(Encoder):
     """Y_t of each robot from what it knew in its last H frames (Eq. 8)."""
 
     def __init__(
         self, ego_features: int, other_features: int, width: int, heads: int, history: int, out: int
     ) -> None:
-        """Make the encoder.
-
-        Args:
-            ego_features: F_e.
-            other_features: F_h and F_r.
-            width: D.
-            heads: of every attention.
-            history: H, frames; 1 has no memory.
-            out: length of Y.
-        """
-        super().__init__()
-        self.history = history
+        """See `Encoder`."""
+        super().__init__(ego_features, other_features, width, heads, history, out)
         self.width = width
         self.own = nn.Sequential(nn.Linear(ego_features, width), nn.ReLU(), nn.Linear(width, width))
         self.humans = Block(ego_features, other_features, width, heads, history)
@@ -270,13 +245,9 @@ class SpatioTemporalEncoder(nn.Module):
         self.cross = CrossModal(width, heads, out)
 
     def forward(self, frames: Frames, begins: Tensor) -> Tensor:
-        """Y [B, T - H + 1, out] of every frame that has H - 1 frames before it.
+        """See `Encoder.forward`.
 
         A frame's embedding, keys and values are computed once, however many windows it is in.
-
-        Args:
-            frames: T >= H frames of each robot; those before the first of an episode are ignored.
-            begins: [B, T] bool, whether an episode begins with this frame.
         """
         past = self.history - 1
         own = self.own(frames.ego[:, past:]).flatten(0, 1)
@@ -288,7 +259,7 @@ class SpatioTemporalEncoder(nn.Module):
         return y.unflatten(0, frames.ego[:, past:].shape[:2])
 
     def windows(self, frame: Frames) -> tuple[Window, Window]:
-        """Empty windows of robots and humans, for `step`."""
+        """Empty windows of robots and humans."""
 
         def empty(known: Tensor) -> Window:
             b, _, m = known.shape
@@ -300,13 +271,7 @@ class SpatioTemporalEncoder(nn.Module):
     def step(
         self, frame: Frames, begins: Tensor, windows: tuple[Window, Window]
     ) -> tuple[Tensor, tuple[Window, Window]]:
-        """Y [B, out] of one more frame, without computing the earlier ones again.
-
-        Args:
-            frame: what each robot knows now, T = 1.
-            begins: [B] bool, whether an episode begins with this frame.
-            windows: of the last step.
-        """
+        """See `Encoder.step`; the earlier frames are not computed again."""
         own = self.own(frame.ego[:, 0])
         f, robots, humans = frame, *windows
         of_robots, robots = self.robots.step(own, f.ego, f.robots, f.robots_known, begins, robots)

@@ -24,7 +24,7 @@ from samarl.agents.hierarchical import (
     to_world,
 )
 from samarl.agents.tracker import Tracker
-from samarl.encoders.spatio_temporal import Frames
+from samarl.encoders import Frames
 
 
 class Steps(NamedTuple):

@@ -2,7 +2,7 @@
 
 import torch
 
-from samarl.encoders.spatio_temporal import Frames, SpatioTemporalEncoder
+from samarl.encoders import Frames, SpatioTemporalEncoder
 
 EGO, OTHER, HISTORY = 5, 7, 4
 

@@ -15,9 +15,11 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from mrsan import ConfigurationError, Scenario
 from samarl.agents import build_agent
 from samarl.agents.hierarchical import Architecture, HierarchicalPolicy
+from samarl.algorithms.mappo import Learner
 from samarl.evaluation.runner import Evaluation, run_cases
 from samarl.train import main
 from samarl.training.checkpoint import load_policy, save_policy
+from samarl.training.rollout import Batch
 
 ARCHITECTURE = Architecture(
     actors=1, width=8, heads=1, history=3, features=8, hidden=8, macro_steps=4,
@@ -82,6 +84,48 @@ def test_a_killed_run_goes_on_bit_for_bit(tmp_path: Path) -> None:
     assert process.returncode == 2
     assert "another configuration" in errors
     assert errors.count("\n") == 1
+
+
+def test_ctrl_c_saves_and_ends_in_one_line(tmp_path: Path) -> None:
+    process = start(tmp_path, "training.steps=1000000", "training.save_every=1000000")
+    curve = tmp_path / "run/tensorboard"
+    deadline = time.monotonic() + 240
+    while not curve.exists() or not list(curve.iterdir()):
+        assert process.poll() is None
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+    time.sleep(1.0)  # some rounds
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert errors == "interrupted\n"
+    assert (tmp_path / "run/state.safetensors").exists()
+    assert (tmp_path / "run/last.safetensors").exists()
+
+
+def test_a_loss_that_is_not_finite_stops_the_run_and_names_the_last_good_state(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    prepare, calls = Learner.prepare, []
+
+    def poisoned(self: Learner, batch: Batch) -> dict[str, torch.Tensor]:
+        calls.append(batch)
+        data = prepare(self, batch)
+        if len(calls) == 3:
+            data["local_advantage"] = data["local_advantage"] * float("nan")
+        return data
+
+    monkeypatch.setattr(Learner, "prepare", poisoned)
+    monkeypatch.setattr(sys, "argv", ["samarl-train", *SMALL])
+    with pytest.raises(SystemExit) as stopped:
+        main()
+    assert stopped.value.code == 2
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert last.startswith("error: training stopped at step 256: the gradient is not finite")
+    assert last.endswith("the last good checkpoint is run/state.safetensors")
+    policy, _ = load_policy(Path("run/last.safetensors"))
+    assert all(torch.isfinite(value).all() for value in policy.state_dict().values())
 
 
 def saved(tmp_path: Path) -> Path:
