@@ -46,6 +46,7 @@ class Training:
     validate_every: int = required(1, 10**12)  # environment steps
     validation_cases: int = required(1, 10**6)
     save_every: int = required(1, 10**12)  # environment steps
+    waypoint_progress: float = required(0.0, 100.0)  # reward per metre, local level
     device: str = "cpu"  # of the networks; the simulation is always on the CPU
     bfloat16: bool = False  # encode with bfloat16
     compile: bool = False  # compile the encoders (needs a C++ compiler)
@@ -104,6 +105,7 @@ class Trainer:
                 training.rollout,
                 (training.seed << 20) + 4096 * i,
                 mappo.local_discount,
+                training.waypoint_progress,
             )
             for i, group in enumerate(groups)
         ]

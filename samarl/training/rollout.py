@@ -77,6 +77,7 @@ class Rollout:
         steps: int,
         first: int,
         local_discount: float,
+        waypoint_progress: float,
     ) -> None:
         """Begin the training cases `first`, `first + 1`, ... in `worlds` worlds.
 
@@ -87,14 +88,12 @@ class Rollout:
             steps: T.
             first: the first case number within the training split.
             local_discount: per step, of the local level.
+            waypoint_progress: reward of the local level per metre nearer to its waypoint.
         """
+        self._waypoint_progress = np.float32(waypoint_progress)
         # Following waypoints for ever would be worth so much: arriving must not be worth less.
-        self._arrival_bonus = np.float32(
-            scenario.reward.progress
-            * scenario.robot_speed
-            * scenario.time_step
-            / (1.0 - local_discount)
-        )
+        step = scenario.robot_speed * scenario.time_step
+        self._arrival_bonus = np.float32(waypoint_progress * step / (1.0 - local_discount))
         policy.check(scenario)
         a = policy.architecture
         self.scenario, self.policy, self.steps = scenario, policy, steps
@@ -220,7 +219,8 @@ class Rollout:
         )
         # A reward that is not the progress term (arrival, collision, discomfort) stays as it is.
         paid = (np.abs(reward - weight * to_goal) < 1e-3) & ~arrived
-        macro, local = (np.where(paid, weight * by, reward) for by in (to_aim, to_waypoint))
+        macro = np.where(paid, weight * to_aim, reward)
+        local = np.where(paid, self._waypoint_progress * to_waypoint, reward)
         if self.policy.architecture.levels == 1:
             return macro, macro
         return macro, local + self._arrival_bonus * arrived

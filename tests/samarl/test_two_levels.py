@@ -32,7 +32,7 @@ def policy() -> HierarchicalPolicy:
 
 def test_training_computes_the_log_probabilities_of_acting() -> None:
     model = policy()
-    rollout = Rollout(SCENARIO, model, 12, 10, 0, 0.98)
+    rollout = Rollout(SCENARIO, model, 12, 10, 0, 0.98, 0.5)
     ended = 0
     for _ in range(3):  # the second and third go on in the middle of episodes
         batch = rollout.collect()
@@ -223,7 +223,7 @@ def test_with_a_narrow_view_progress_is_measured_on_the_way_round() -> None:
     narrow = replace(wide, fov_degrees=179.0)
     rewards = []
     for scenario in (wide, narrow):
-        rollout = Rollout(scenario, model, 8, 4, 0, 0.98)
+        rollout = Rollout(scenario, model, 8, 4, 0, 0.98, 0.5)
         torch.manual_seed(1)
         rewards.append(rollout.collect().steps.macro_reward.mean())
     # They set out towards the goal, through the middle: that is no progress on the way round.
@@ -234,7 +234,7 @@ def test_with_a_narrow_view_progress_is_measured_on_the_way_round() -> None:
 def test_robots_with_parameters_of_their_own_act_and_learn_as_they_trained() -> None:
     model = HierarchicalPolicy(replace(ARCHITECTURE, actors=2), 3)
     learner = Learner(model, UPDATE)
-    rollout = Rollout(SCENARIO, model, 12, 10, 0, 0.98)
+    rollout = Rollout(SCENARIO, model, 12, 10, 0, 0.98, 0.5)
     batch = rollout.collect()
     y = model.encode(batch.frames, batch.begins).view(12, 2, 10, -1).transpose(1, 2)
     robot = torch.arange(2).expand(y.shape[:3])
@@ -262,7 +262,7 @@ def test_robots_with_parameters_of_their_own_must_be_so_many() -> None:
 
 def test_low_precision_is_close_and_learns() -> None:
     model = policy()
-    rollout = Rollout(SCENARIO, model, 12, 10, 0, 0.98)
+    rollout = Rollout(SCENARIO, model, 12, 10, 0, 0.98, 0.5)
     batch = rollout.collect()
     exact = model.encode(batch.frames, batch.begins)
     model.low_precision = True
