@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -37,6 +38,7 @@ def main() -> None:
 
 def train(config: DictConfig) -> None:
     """Train; the same command again goes on where the last one was interrupted."""
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # is like Ctrl-C: saves
     trainer = build_trainer(config, command_line("samarl-train"))
     if trainer.steps_done:
         print(f"going on at step {trainer.steps_done} of {trainer.training.steps}")

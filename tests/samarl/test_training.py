@@ -86,7 +86,8 @@ def test_a_killed_run_goes_on_bit_for_bit(tmp_path: Path) -> None:
     assert errors.count("\n") == 1
 
 
-def test_ctrl_c_saves_and_ends_in_one_line(tmp_path: Path) -> None:
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
+def test_a_stopped_run_saves_and_says_so_in_one_line(how: signal.Signals, tmp_path: Path) -> None:
     process = start(tmp_path, "training.steps=1000000", "training.save_every=1000000")
     curve = tmp_path / "run/tensorboard"
     deadline = time.monotonic() + 240
@@ -95,7 +96,7 @@ def test_ctrl_c_saves_and_ends_in_one_line(tmp_path: Path) -> None:
         assert time.monotonic() < deadline
         time.sleep(0.02)
     time.sleep(1.0)  # some rounds
-    process.send_signal(signal.SIGINT)
+    process.send_signal(how)
     _, errors = process.communicate(timeout=60)
     assert process.returncode == 130
     assert errors == "interrupted\n"

@@ -1,0 +1,89 @@
+"""What the documentation prints runs as it is printed."""
+
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+DOCS = Path(__file__).parents[2] / "docs"
+SMALL = {
+    "samarl-evaluate": ["evaluation.cases=2"],
+    "samarl-train": [
+        "training.steps=200", "training.rollout=10", "training.validation_cases=2",
+        "architecture.width=8", "architecture.features=8", "architecture.hidden=8",
+        "groups=[{worlds: 10, scenario: {humans: 2, robots: 2, time_limit: 2.0}}]",
+        "training.threads=1",
+    ],
+}  # fmt: skip
+
+
+def section(title: str) -> str:
+    text = (DOCS / "extending.md").read_text()
+    return text.split(f"## {title}\n")[1].split("\n## ")[0]
+
+
+def block(text: str, language: str) -> str:
+    return text.split(f"```{language}\n")[1].split("```")[0]
+
+
+def run(text: str, folder: Path) -> str:
+    """Run the console block of a section in `folder`; returns what it said."""
+    said = ""
+    for line in block(text, "console").splitlines():
+        program, *arguments = shlex.split(line.removeprefix("$ "))
+        command = [sys.executable, "-m", program.replace("samarl-", "samarl.")]
+        if program == "python":
+            command = [sys.executable]
+        done = subprocess.run(
+            [*command, *arguments, *SMALL.get(program, [])],
+            cwd=folder, capture_output=True, text=True, timeout=240,
+        )  # fmt: skip
+        assert done.returncode == 0, done.stderr
+        said += done.stdout
+    return said
+
+
+def test_a_scenario_of_ones_own(tmp_path: Path) -> None:
+    text = section("A scenario")
+    (tmp_path / "my_conf/scenario").mkdir(parents=True)
+    (tmp_path / "my_conf/scenario/plaza.yaml").write_text(block(text, "yaml"))
+    said = run(text, tmp_path)
+    assert re.search(r"\| model_predictive +\| +360° +\| +20 \| +2 \|", said)
+
+
+def test_an_encoder_of_ones_own(tmp_path: Path) -> None:
+    text = section("An encoder")
+    (tmp_path / "my_encoder.py").write_text(block(text, "python"))
+    assert "| samarl " in run(text, tmp_path)
+    checkpoint = "checkpoint=outputs/deep_sets/last.safetensors"
+    done = subprocess.run(
+        [sys.executable, "-m", "samarl.evaluate", "agent=samarl", checkpoint],
+        cwd=tmp_path, capture_output=True, text=True,
+    )  # fmt: skip
+    assert done.returncode == 2  # nothing of mine is imported unless I say so
+    assert "architecture.encoder is 'deep_sets'; it must be among spatio_temporal" in done.stderr
+
+
+def test_an_algorithm_of_ones_own(tmp_path: Path) -> None:
+    text = section("An algorithm")
+    (tmp_path / "my_search.py").write_text(block(text, "python"))
+    assert re.fullmatch(r"radius \d\.\d\d m, lookahead 0\.\d\d rad: \d+%\n", run(text, tmp_path))
+
+
+@pytest.mark.parametrize("page", sorted(DOCS.glob("*.md")), ids=lambda page: page.stem)
+def test_links_lead_somewhere(page: Path) -> None:
+    for target in re.findall(r"\]\(([^)#]+)", page.read_text()):
+        assert (page.parent / target).exists(), target
+
+
+def test_every_field_of_a_row_is_defined() -> None:
+    from samarl.evaluation.summary import Row
+
+    text = (DOCS / "metrics.md").read_text()
+    known = {"method", "fov_degrees", "humans", "robots", "episodes", "command", "commit", "seed"}
+    assert [
+        field for field in Row.__annotations__ if field not in known and f"`{field}`" not in text
+    ] == []
