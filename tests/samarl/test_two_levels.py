@@ -20,7 +20,7 @@ ARCHITECTURE = Architecture(
 UPDATE = MAPPO(
     learning_rate=1e-3, epochs=1, minibatches=2, discount=0.9, local_discount=0.95,
     gae_lambda=0.8, clip_epsilon=0.2, entropy_coefficient=0.01, critic_coefficient=0.5,
-    max_gradient_norm=1.0,
+    max_gradient_norm=1.0, effort_coefficient=0.01,
 )  # fmt: skip
 SCENARIO = Scenario(humans=4, robots=2, fov_degrees=120.0, time_limit=5.0)
 
