@@ -5,25 +5,20 @@ from typing import Any
 
 import numpy as np
 import pytest
-from omegaconf import OmegaConf
 
 from mrsan import ConfigurationError, Kinematics, Observation, Scenario, Split, World
 from mrsan.scenario import required
 from samarl.agents import Agent, build_agent
-from samarl.bench import available_agents
-from samarl.evaluation.files import find_folder
+from samarl.bench import available_agents, load_agent
 from samarl.evaluation.runner import run_cases
 
 NAMES = available_agents()
+LEARNED = {name for name in NAMES if "checkpoint" in load_agent(name)}
 CASES = Split.test.case(0) + np.arange(40)
 
 
-def config(name: str) -> dict[str, Any]:
-    return OmegaConf.to_container(OmegaConf.load(find_folder("conf") / "agent" / f"{name}.yaml"))
-
-
 def agent_in(name: str, scenario: Scenario) -> Agent:
-    return build_agent(config(name), scenario)
+    return build_agent(load_agent(name), scenario)
 
 
 def test_the_planners_are_there() -> None:
@@ -50,6 +45,10 @@ def test_an_action_is_valid_and_does_not_depend_on_the_batch(
     scenario = Scenario(
         robots=robots, humans=humans, kinematics=kinematics, fov_degrees=200.0, position_noise=0.05
     )
+    if name in LEARNED and kinematics is not Kinematics.acceleration_heading:
+        with pytest.raises(ConfigurationError, match="kinematics is"):
+            agent_in(name, scenario)
+        return
     agent = agent_in(name, scenario)
     world = World(scenario, 20)
     observation = world.reset(CASES[:20])
@@ -67,7 +66,11 @@ def test_an_action_is_valid_and_does_not_depend_on_the_batch(
         for _ in range(4):
             own_action = alone.act(own)
             own = alone_world.step(own_action).observation
-        np.testing.assert_array_equal(own_action[0], action[e])
+        if load_agent(name).get("waypoints") == "random":  # of a whole batch
+            continue
+        # Sums in a network are rounded otherwise in another batch.
+        tolerance = 1e-4 if name in LEARNED else 0.0
+        np.testing.assert_allclose(own_action[0], action[e], atol=tolerance, rtol=0)
     assert last is not observation
 
 
