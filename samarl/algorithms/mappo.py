@@ -33,9 +33,7 @@ class MAPPO:
     entropy_coefficient: float = required(0.0, 10.0)
     critic_coefficient: float = required(0.0, 100.0)
     max_gradient_norm: float = required(0.0, 1e6)
-    effort_coefficient: float = required(
-        0.0, 10.0
-    )  # of the mean square of local actions, see _loss
+    excess_coefficient: float = required(0.0, 10.0)  # of accelerating beyond the speed limit
     deviation_start: float = number(1.0, 0.01, 10.0)  # cap of the exploration noise ...
     deviation_end: float = number(0.2, 0.01, 10.0)  # ... falls linearly to this
 
@@ -355,10 +353,11 @@ class Learner:
             total = total + losses["loss_objective"] + losses["loss_critic"]
             total = total + losses["loss_entropy"]
             if name == "local":
-                # At full speed every acceleration is the same, so nothing keeps its mean from
-                # drifting up until noise never brakes any more and braking is not learnt.
+                # At full speed every acceleration has the same effect, so nothing would keep the
+                # mean from drifting up until noise never brakes and braking is never learnt.
                 mean, _ = self.policy.local_actor(feature[counts], robot[counts])
-                total = total + self.mappo.effort_coefficient * mean.square().mean()
+                excess = (mean[:, 0] - batch.steps.headroom[worlds][counts]).clamp_min(0.0)
+                total = total + self.mappo.excess_coefficient * excess.square().mean()
             for key in ("loss_objective", "loss_critic", "entropy", "kl_approx", "clip_fraction"):
                 statistics[f"losses/{name}_{key.removeprefix('loss_')}"].append(losses[key].item())
         return total

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.utils._pytree import tree_map_only
 
-from mrsan import Episodes, Scenario, Split, World
+from mrsan import Episodes, Kinematics, Scenario, Split, World
 from mrsan.metrics import episodes_of
 from samarl.agents.hierarchical import (
     HierarchicalPolicy,
@@ -37,6 +37,7 @@ class Steps(NamedTuple):
     waypoint: Tensor  # [E, T, N, 3] what the local level was told
     action: Tensor  # [E, T, N, A] before clipping to [-1, 1]
     action_log_prob: Tensor
+    headroom: Tensor  # the first action that reaches the speed limit; more has no effect
     macro_reward: Tensor
     local_reward: Tensor
     done: Tensor  # the robot's stream ends with this step
@@ -145,6 +146,7 @@ class Rollout:
                     choice.waypoint,
                     choice.action,
                     choice.action_log_prob,
+                    self._headroom(ego),
                     torch.from_numpy(macro),
                     torch.from_numpy(local),
                     torch.from_numpy(arrived | ended[:, None]),
@@ -196,6 +198,15 @@ class Rollout:
             room[:] = value
         nobody = np.zeros(self.world.worlds, np.bool_)
         self.tracks = self.tracker.update(self.world.observe(), nobody)
+
+    def _headroom(self, ego: NDArray[np.float32]) -> Tensor:
+        s = self.scenario
+        if s.kinematics is not Kinematics.acceleration_heading:
+            return torch.full(ego.shape[:2], torch.inf)
+        speed = np.linalg.norm(ego[..., 2:4], axis=-1)
+        return torch.from_numpy(
+            (s.robot_speed - speed) / np.float32(s.max_acceleration * s.time_step)
+        )
 
     def _rewards(
         self,

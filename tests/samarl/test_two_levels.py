@@ -20,7 +20,7 @@ ARCHITECTURE = Architecture(
 UPDATE = MAPPO(
     learning_rate=1e-3, epochs=1, minibatches=2, discount=0.9, local_discount=0.95,
     gae_lambda=0.8, clip_epsilon=0.2, entropy_coefficient=0.01, critic_coefficient=0.5,
-    max_gradient_norm=1.0, effort_coefficient=0.01,
+    max_gradient_norm=1.0, excess_coefficient=0.01,
 )  # fmt: skip
 SCENARIO = Scenario(humans=4, robots=2, fov_degrees=120.0, time_limit=5.0)
 
@@ -168,9 +168,7 @@ def test_an_arrived_robot_ends_its_own_stream() -> None:
 
 def test_the_last_observation_of_a_timeout_is_what_its_value_is_bootstrapped_from() -> None:
     model = policy()
-    rollout = Rollout(
-        replace(SCENARIO, humans=0, time_limit=1.0), model, 6, 8, first=0, local_discount=0.98
-    )
+    rollout = Rollout(replace(SCENARIO, humans=0, time_limit=1.0), model, 6, 8, 0, 0.98, 0.5)
     batch: Batch = rollout.collect()
     assert batch.steps.truncated[:, 3].all()  # 1 s is 4 steps: everybody is still on the way
     begins = batch.begins[:, 3:].view(6, 2, -1)[:, 0]
@@ -186,7 +184,13 @@ def test_an_update_learns_and_reports_what_it_did() -> None:
     model = policy()
     learner = Learner(model, replace(UPDATE, epochs=4))
     rollout = Rollout(
-        replace(SCENARIO, humans=0), model, worlds=16, steps=16, first=0, local_discount=0.98
+        replace(SCENARIO, humans=0),
+        model,
+        worlds=16,
+        steps=16,
+        first=0,
+        local_discount=0.98,
+        waypoint_progress=0.5,
     )
     before = {name: value.clone() for name, value in model.state_dict().items()}
     first = learner.update([rollout.collect()])
@@ -203,7 +207,13 @@ def test_a_flat_agent_learns_without_waypoints() -> None:
     model = HierarchicalPolicy(replace(ARCHITECTURE, levels=1), 3)
     learner = Learner(model, UPDATE)
     rollout = Rollout(
-        replace(SCENARIO, humans=0), model, worlds=16, steps=16, first=0, local_discount=0.98
+        replace(SCENARIO, humans=0),
+        model,
+        worlds=16,
+        steps=16,
+        first=0,
+        local_discount=0.98,
+        waypoint_progress=0.5,
     )
     before = {name: value.clone() for name, value in model.state_dict().items()}
     batch = rollout.collect()
@@ -271,3 +281,24 @@ def test_low_precision_is_close_and_learns() -> None:
     assert not torch.equal(rough, exact)
     torch.testing.assert_close(rough, exact, atol=0.1, rtol=0.1)
     assert all(np.isfinite(value) for value in Learner(model, UPDATE).update([batch]).values())
+
+
+def test_accelerating_beyond_the_speed_limit_costs_and_only_that() -> None:
+    model = policy()
+    scenario = replace(SCENARIO, humans=0, fov_degrees=360.0)
+    rollout = Rollout(scenario, model, 8, 6, 0, 0.98, 0.5)
+    batch = rollout.collect()
+    # At rest 1 m/s is four fifths of what 5 m/s^2 gives in 0.25 s; at full speed nothing is left.
+    assert torch.allclose(batch.steps.headroom[:, 0], torch.tensor(0.8))
+    assert batch.steps.headroom.min() < 0.3
+
+    def mean_after(excess: float) -> torch.Tensor:
+        copy = policy()
+        with torch.no_grad():
+            copy.local_actor.body[-1].bias[0] = 1.5
+        learner = Learner(copy, replace(UPDATE, excess_coefficient=excess, learning_rate=0.01))
+        for _ in range(5):
+            learner.update([batch])
+        return copy.local_actor.body[-1].bias[0].detach()
+
+    assert mean_after(10.0) < mean_after(0.0) - 0.01
