@@ -36,6 +36,10 @@ class PerRobotEncoder(nn.Module):
         """See `SpatioTemporalEncoder.step`."""
         return self._each(SpatioTemporalEncoder.step, frame, begins, windows)
 
+    def attention(self, frame: Frames) -> tuple[Tensor, Tensor]:
+        """See `SpatioTemporalEncoder.attention`."""
+        return self._each(SpatioTemporalEncoder.attention, frame)
+
     def _each(self, call: Callable, *inputs: Any) -> Any:
         n = len(self.of)
         outputs = [

@@ -132,8 +132,13 @@ def test_render_draws_a_case(tmp_path: Path) -> None:
     picture = (tmp_path / "case.png").read_bytes()
     assert picture.startswith(b"\x89PNG\r\n")
     assert len(picture) > 10_000
+    run("render", "agent=straight", "case=3", "scenario.robots=2", "output=case.gif", cwd=tmp_path)
+    assert (tmp_path / "case.gif").read_bytes().startswith(b"GIF89a")
     done = run("render", "output=case.txt", cwd=tmp_path, code=2)
-    assert done.stderr == "error: output is 'case.txt'; it must end in .png, .svg or .pdf\n"
+    assert (
+        done.stderr
+        == "error: output is 'case.txt'; it must end in .png, .svg, .pdf, .gif or .mp4\n"
+    )
 
 
 OWN_AGENT = '''
