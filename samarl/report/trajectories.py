@@ -28,7 +28,7 @@ def save_trajectories(recording: Recording, path: Path, title: str) -> None:
     figure = Figure(figsize=(6.4, 6.9), layout="constrained")
     with rc_context(STYLE):
         draw_trajectories(figure.add_subplot(), recording, title)
-    save_figure(figure, path, dpi=130)
+    save_figure(figure, path)
 
 
 def draw_trajectories(axes: Axes, recording: Recording, title: str) -> None:
