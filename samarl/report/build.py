@@ -159,7 +159,7 @@ def _save(figure: Figure, name: str, title: str, site: Path) -> Picture:
 
 def _write_replays(
     recordings: Sequence[tuple[str, int, Recording]], split: str, site: Path
-) -> list[dict[str, str]]:
+) -> list[dict[str, Any]]:
     """A script for each recording (pages from a disk may not fetch data), and the list of them."""
     entries = []
     for method, case, recording in recordings:
@@ -172,8 +172,9 @@ def _write_replays(
             f"{scenario.fov_degrees:g}° view, {scenario.humans} humans, {scenario.robots} robots"
         )
         entries.append(
-            {"key": key, "method": method, "column": words, "case": f"{split} case {case}"}
-        )
+            {"key": key, "method": method, "column": words, "case": f"{split} case {case}",
+             "success": bool(recording.episodes.success[0])}
+        )  # fmt: skip
     return entries
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
+import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
@@ -65,7 +66,7 @@ def draw_curves(runs: dict[str, list[Curve]], column: str) -> Figure:
                     grid, values.min(0), values.max(0), color=colour, alpha=0.18, linewidth=0
                 )
         axes.set_title(curve_title(column), loc="left")
-        axes.set_xlabel("steps of a robot team")
+        axes.set_xlabel("world steps")
         axes.xaxis.set_major_formatter(EngFormatter(sep=""))
         if "success" in column or "score" in column:
             axes.set_ylim(-2, 102)
@@ -76,8 +77,9 @@ def draw_curves(runs: dict[str, list[Curve]], column: str) -> Figure:
 def curve_title(column: str) -> str:
     """What a column of a curve is called."""
     group, _, name = column.rpartition("/")
-    unit = " %" if "success" in column else ""
-    return f"{'training' if group == 'charts' else group}: {name.replace('_', ' ')}{unit}"
+    name = re.sub(r"_([\d.]+)_(\d+h)_(\d+r)$", r", \1° \2 \3", name)  # on the cases of a column
+    name = name.replace("success", "success %").replace("_", " ")
+    return f"{'training' if group == 'charts' else group}: {name}"
 
 
 def draw_heat_map(rows: Sequence[Row], title: str) -> Figure:
@@ -94,7 +96,7 @@ def draw_heat_map(rows: Sequence[Row], title: str) -> Figure:
         axes.grid(visible=False)
         axes.spines[:].set_visible(False)
         axes.tick_params(length=0)
-        mesh = axes.pcolormesh(success, cmap="cividis", vmin=0, vmax=100, edgecolors="none")
+        mesh = axes.pcolormesh(success, cmap="cividis", vmin=0, vmax=100, edgecolors="face")
         for (y, x), value in np.ndenumerate(success):
             if not math.isnan(value):
                 axes.text(x + 0.5, y + 0.5, f"{value:.0f}", ha="center", va="center", fontsize=8,
@@ -125,7 +127,7 @@ def draw_bars(rows: Sequence[Row], title: str) -> Figure:
             place = [settings.index(label) - 0.4 + (m + 0.5) * thickness for _, label in mine]
             axes.barh(place, rate, 0.9 * thickness, color=COLOURS[m % len(COLOURS)], label=method,
                       xerr=(rate - low, high - rate), ecolor=INK,
-                      error_kw={"elinewidth": 1})  # fmt: skip
+                      error_kw={"elinewidth": 1, "capsize": 2})  # fmt: skip
         axes.set_yticks(range(len(settings)), settings)
         axes.invert_yaxis()
         axes.set_xlim(0, 100)
@@ -140,7 +142,7 @@ def settings_labels(rows: Sequence[Row]) -> list[str]:
     words = [settings_of(row) for row in rows]
     shared = set.intersection(*map(set, words))
     return [
-        ", ".join(w.removeprefix("scenario.") for w in ws if w not in shared) or "as it is"
+        ", ".join(w.removeprefix("scenario.") for w in ws if w not in shared) or "default"
         for ws in words
     ]
 

@@ -17,7 +17,7 @@ const sides = [...document.querySelectorAll(".side")].map((section) => ({
 // ---------------------------------------------------------------- data
 
 // Called by the scripts in replays/.
-function replay(key, data) { // eslint-disable-line no-unused-vars
+function replay(key, data) {
   const sums = (differences) => { let sum = 0; return differences.map((d) => (sum += d)); };
   const points = (agents) => agents.map(([x, y]) => {
     const [xs, ys] = [sums(x), sums(y)];
@@ -153,8 +153,8 @@ function drawSide({ canvas, episode }) {
     pen.lineWidth = 1;
     pen.stroke();
   };
-  const write = (text, [x, y], colour, font = "600 11px system-ui, sans-serif") => {
-    pen.font = font;
+  const write = (text, [x, y], colour, size = 11) => {
+    pen.font = `600 ${size}px system-ui, sans-serif`;
     pen.textAlign = "center";
     pen.textBaseline = "middle";
     pen.fillStyle = colour;
@@ -178,11 +178,12 @@ function drawSide({ canvas, episode }) {
     const view = (episode.fov * Math.PI) / 180, heading = between(episode.headings[i], t);
     const [x, y] = place(robot);
     if (episode.fov >= 360 && i !== me) return;
+    const reach = i === me ? episode.range : 4 * episode.radius; // of the others the direction only
     pen.beginPath();
     if (episode.fov < 360) pen.moveTo(x, y);
-    pen.arc(x, y, episode.range * scale, -heading - view / 2, -heading + view / 2);
+    pen.arc(x, y, reach * scale, -heading - view / 2, -heading + view / 2);
     pen.closePath();
-    pen.globalAlpha = i === me ? 0.13 : 0.04;
+    pen.globalAlpha = i !== me ? 0.2 : episode.fov < 360 ? 0.13 : 0.07;
     pen.fillStyle = colourOf(i);
     pen.fill();
     pen.globalAlpha = i === me && episode.fov < 360 ? 0.5 : 0;
@@ -208,6 +209,7 @@ function drawSide({ canvas, episode }) {
     disc(humans[number], episode.radii[number], seen
       ? { fill: colours.muted, stroke: colours.ink, width: 1 }
       : { fill: colours.panel, stroke: colours.muted, dash: [3, 3] });
+    write(String(number), place(humans[number]), seen ? colours.page : colours.muted, 10);
   });
 
   const star = [...Array(10).keys()].map((i) => [i / 10, i % 2 ? 0.42 : 1]);
@@ -262,7 +264,7 @@ const seconds = (episode, steps) => `${(steps * episode.step).toFixed(2)} s`;
 function outcomeOf(episode, i, t) {
   const outcome = episode.outcomes[i].replace("_", " a ");
   if (t >= episode.last && outcome !== "arrived") {
-    return { timeout: "out of time", interrupted: "stopped" }[outcome] || outcome;
+    return { timeout: "out of time", interrupted: "still on its way" }[outcome] || outcome;
   }
   return t >= episode.drivingSteps[i] ? `arrived at ${seconds(episode, episode.drivingSteps[i])}`
     : "driving";
@@ -271,7 +273,7 @@ function outcomeOf(episode, i, t) {
 function describe({ episode, outcome, sight, canvas, name }) {
   const t = Math.min(state.time, episode.last), k = Math.floor(t);
   const ended = t === episode.last ? `Ended at ${seconds(episode, episode.last)}. ` : "";
-  const robots = episode.outcomes.map((_, i) => `robot ${i} ${outcomeOf(episode, i, t)}`);
+  const robots = episode.outcomes.map((_, i) => `${i} ${outcomeOf(episode, i, t)}`);
   const others = othersOf(episode, state.robot, k);
   const count = (kind) => {
     const all = others.filter((o) => o.kind === kind);
@@ -282,7 +284,7 @@ function describe({ episode, outcome, sight, canvas, name }) {
     ? ` Attends to ${attended.slice(0, 3).map((o) => `${o.kind} ${o.number} ${o.percent} %`).join(", ") || "nobody"}.`
     : "";
   const texts = [
-    [outcome, `${ended}${robots.join(", ")}.`],
+    [outcome, `${ended}Robots: ${robots.join(", ")}.`],
     [sight, `Robot ${state.robot} sees ${count("human")}, ${count("robot")}.${attention}`],
   ];
   for (const [where, text] of texts) if (where.textContent !== text) where.textContent = text;
@@ -309,7 +311,8 @@ let earlier = 0;
 
 function tick(now) {
   if (!state.playing) return;
-  const passed = Math.min((now - earlier) / 1000, 0.25);
+  // A frame may have begun before the key was pressed; a hidden page has no frames at all.
+  const passed = Math.max(0, Math.min((now - earlier) / 1000, 0.25));
   earlier = now;
   const time = state.time + (passed * Number(element("speed").value)) / state.shown[0].step;
   state.time = Math.min(time, state.steps);
@@ -358,9 +361,9 @@ const chosen = () => ({
   left: element("left").value, right: element("right").value,
 });
 
-function fill(id, values, wanted) {
+function fill(id, values, wanted, label = (value) => value) {
   const select = element(id), kept = wanted ?? select.value;
-  select.replaceChildren(...values.map((value) => new Option(value || "nothing", value)));
+  select.replaceChildren(...values.map((value) => new Option(label(value), value)));
   select.value = values.includes(kept) ? kept : values[0];
 }
 
@@ -372,8 +375,12 @@ function offer(wanted = {}) {
   const inColumn = entries.filter((entry) => entry.column === chosen().column);
   fill("case", different(inColumn, "case"), wanted.case);
   const inCase = inColumn.filter((entry) => entry.case === chosen().case);
-  fill("left", different(inCase, "method"), wanted.left);
-  fill("right", ["", ...different(inCase, "method")], wanted.right);
+  const label = (method) => {
+    const entry = inCase.find((one) => one.method === method);
+    return entry ? `${entry.success ? "✓" : "✗"} ${method}` : "nothing";
+  };
+  fill("left", different(inCase, "method"), wanted.left, label);
+  fill("right", ["", ...different(inCase, "method")], wanted.right, label);
 }
 
 let loading = 0;
@@ -477,6 +484,7 @@ readColours();
 const wanted = Object.fromEntries(new URLSearchParams(location.hash.slice(1)));
 state.time = Number(wanted.step) || 0;
 state.robot = Number(wanted.robot) || 0;
-const methods = different(entries, "method");
-offer({ left: methods.at(-1), right: methods.length > 1 ? methods[0] : "", ...wanted });
+const successes = (method) => entries.filter((e) => e.method === method && e.success).length;
+const [best, second = ""] = different(entries, "method").sort((a, b) => successes(b) - successes(a));
+offer({ left: best, right: second, ...wanted });
 show();
