@@ -182,7 +182,7 @@ def test_help_is_quick_to_say(command: str, tmp_path: Path) -> None:
     code = (
         "import runpy, sys\n"
         f"sys.argv = ['samarl-{command}', '--help']\n"
-        f"try:\n    runpy.run_module('samarl.{command}', run_name='__main__')\nfinally:\n"
+        f"try:\n    runpy.run_module('samarl.{command}', run_name='__main__', alter_sys=True)\nfinally:\n"
         "    heavy = {'torch', 'torchrl', 'pettingzoo', 'matplotlib'} & set(sys.modules)\n"
         "    print('heavy:', heavy or 'none')\n"
     )
