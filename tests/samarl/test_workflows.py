@@ -180,9 +180,10 @@ def test_an_agent_of_ones_own_is_one_class_and_one_yaml(tmp_path: Path) -> None:
 def test_help_is_quick_to_say(command: str, tmp_path: Path) -> None:
     """Every number is shown, and nothing that takes seconds to import is imported."""
     code = (
-        "import runpy, sys\n"
+        "import sys\nfrom runpy import run_module\n"
         f"sys.argv = ['samarl-{command}', '--help']\n"
-        f"try:\n    runpy.run_module('samarl.{command}', run_name='__main__', alter_sys=True)\nfinally:\n"
+        f"try:\n    run_module('samarl.{command}', run_name='__main__', alter_sys=True)\n"
+        "finally:\n"
         "    heavy = {'torch', 'torchrl', 'pettingzoo', 'matplotlib'} & set(sys.modules)\n"
         "    print('heavy:', heavy or 'none')\n"
     )
