@@ -22,7 +22,7 @@ from mrsan import ConfigurationError, Outcome
 from mrsan.scenario import Scenario
 from samarl.evaluation.files import unfinished
 from samarl.evaluation.recording import Recording
-from samarl.report.style import COLOURS, CONTACT, GRID, INK, MUTED, STYLE
+from samarl.report.style import COLOURS, CONTACT, INK, MUTED, STYLE
 
 _GIF_COLOURS = 64
 _DPI = {".gif": 80, ".mp4": 140}
@@ -115,7 +115,7 @@ def _draw_stage(axes: Axes, recording: Recording, title: str) -> None:
         fontsize=8,
     )
     axes.set_ylabel("y (m)")
-    axes.grid(color=GRID, axis="both")
+    axes.grid(True, axis="both")
     everything = np.concatenate(
         [
             recording.robot_position.reshape(-1, 2),

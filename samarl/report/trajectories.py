@@ -28,6 +28,8 @@ def save_trajectories(recording: Recording, path: Path, title: str) -> None:
     figure = Figure(figsize=(6.4, 6.9), layout="constrained")
     with rc_context(STYLE):
         draw_trajectories(figure.add_subplot(), recording, title)
+        figure.legend(handles=_legend(), loc="outside lower center", ncols=5, fontsize=8,
+                      handletextpad=0.4, columnspacing=1.2)  # fmt: skip
     save_figure(figure, path)
 
 
@@ -44,10 +46,8 @@ def draw_trajectories(axes: Axes, recording: Recording, title: str) -> None:
     axes.set_aspect("equal")
     axes.set_xlabel("x (m)")
     axes.set_ylabel("y (m)")
-    axes.grid(axis="both")
+    axes.grid(True, axis="both")
     axes.autoscale_view()
-    axes.legend(handles=_legend(), loc="upper center", bbox_to_anchor=(0.5, -0.09), ncols=5,
-                frameon=False, fontsize=8, handletextpad=0.4, columnspacing=1.2)  # fmt: skip
 
 
 def _draw_human(axes: Axes, recording: Recording, j: int, every: int) -> None:

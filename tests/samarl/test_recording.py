@@ -3,6 +3,7 @@
 import sys
 from pathlib import Path
 
+import imageio_ffmpeg
 import numpy as np
 import pytest
 import torch
@@ -106,9 +107,8 @@ def test_animations_have_a_frame_for_each_state(tmp_path: Path) -> None:
     with Image.open(tmp_path / "case.gif") as picture:
         assert picture.n_frames == frames  # type: ignore[attr-defined]
         assert picture.info["duration"] == 250
-    encoder = pytest.importorskip("imageio_ffmpeg")
     save_animation(recording, tmp_path / "case.mp4", "a title")
-    pictures = encoder.read_frames(str(tmp_path / "case.mp4"))
+    pictures = imageio_ffmpeg.read_frames(str(tmp_path / "case.mp4"))
     assert next(pictures)["fps"] == 4
     assert sum(1 for _ in pictures) == frames
     assert sorted(file.name for file in tmp_path.iterdir()) == ["case.gif", "case.mp4"]

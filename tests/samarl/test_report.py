@@ -359,6 +359,7 @@ def test_the_page_works_by_keyboard_alone(page: Page, site: Path) -> None:
     assert order[0] == "skip"
     controls = [name for name in order if name]
     assert controls == ["skip", "column", "case", "left", "right", "back", "play"]
+    assert page.locator("#robots button").count() == 3
     assert page.evaluate("getComputedStyle(document.activeElement).outlineStyle") == "solid"
     page.keyboard.press("Space")  # presses the button once, not twice
     assert page.inner_text("#play") == "Pause"

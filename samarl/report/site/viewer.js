@@ -346,10 +346,7 @@ function look(robot) {
   const buttons = [...element("robots").children];
   if (robot >= buttons.length) return;
   state.robot = robot;
-  buttons.forEach((button, i) => {
-    button.setAttribute("aria-checked", String(i === robot));
-    button.tabIndex = i === robot ? 0 : -1;
-  });
+  buttons.forEach((button, i) => button.setAttribute("aria-pressed", String(i === robot)));
   draw();
   remember();
 }
@@ -415,7 +412,6 @@ async function show() {
       const button = document.createElement("button");
       button.type = "button";
       button.textContent = i;
-      button.setAttribute("role", "radio");
       button.setAttribute("aria-label", `robot ${i}`);
       button.style.cssText = `--robot: var(--series-${i % 7}); border-color: var(--robot)`;
       button.onclick = () => look(i);
@@ -482,8 +478,8 @@ new ResizeObserver(draw).observe(element("stage"));
 
 readColours();
 const wanted = Object.fromEntries(new URLSearchParams(location.hash.slice(1)));
-state.time = Number(wanted.step) || 0;
-state.robot = Number(wanted.robot) || 0;
+state.time = Math.max(0, Math.trunc(wanted.step)) || 0;
+state.robot = Math.max(0, Math.trunc(wanted.robot)) || 0;
 const successes = (method) => entries.filter((e) => e.method === method && e.success).length;
 const [best, second = ""] = different(entries, "method").sort((a, b) => successes(b) - successes(a));
 offer({ left: best, right: second, ...wanted });
