@@ -15,7 +15,7 @@ GOMP_SPINCOUNT ?= 1000
 export GOMP_SPINCOUNT
 
 .DEFAULT_GOAL := help
-.PHONY: help setup bench test lint train results picture latency throughput soak wheel check-wheel clean
+.PHONY: help setup bench test test-browser lint train results picture report latency throughput soak wheel check-wheel clean
 
 help: ## List what can be made
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -48,6 +48,9 @@ bench: setup ## Play every planner in every column of Table I and compare with r
 test: setup ## Run the tests on all cores
 	@$(BIN)/pytest -n auto --maxprocesses 8
 
+test-browser: setup ## Test the report in a headless Chromium, which must be installed
+	@$(BIN)/pytest -m browser
+
 lint: setup ## Check style and types
 	@echo "ruff ..."; $(BIN)/ruff check .
 	@$(BIN)/ruff format --check .
@@ -67,6 +70,9 @@ results: setup ## Rewrite results/, the table and the picture of the README (not
 
 picture: setup ## Draw the picture of the README
 	@$(BIN)/samarl-render agent=model_predictive case=$(PICTURE_CASE) output=docs/images/case.png
+
+report: setup ## Build pages for the browser from results/, with replays, in results/report/
+	@$(BIN)/samarl-report
 
 latency: setup ## Measure how long one decision takes
 	@$(BIN)/python -m benchmarks.latency

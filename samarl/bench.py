@@ -31,7 +31,12 @@ from samarl.evaluation.files import (
 )
 from samarl.evaluation.runner import Evaluation, run_cases
 from samarl.evaluation.summary import Row, summarise
-from samarl.evaluation.table import column_of, rows_as_markdown, table1_as_markdown
+from samarl.evaluation.table import (
+    column_name,
+    column_of,
+    rows_as_markdown,
+    table1_as_markdown,
+)
 
 
 @dataclass
@@ -55,7 +60,7 @@ def bench(config: DictConfig) -> None:
     evaluation = OmegaConf.to_object(config.evaluation)
     assert isinstance(evaluation, Evaluation)
     names = available_agents() if config.agents is None else list(config.agents)
-    scenarios = [_scenario(OmegaConf.to_container(column)) for column in config.columns]
+    scenarios = [scenario_of(OmegaConf.to_container(column)) for column in config.columns]
     if not names or not scenarios:
         raise ConfigurationError("agents and columns are empty; name at least one of each")
     if len({(s.fov_degrees, s.humans, s.robots) for s in scenarios}) < len(scenarios):
@@ -113,8 +118,7 @@ def _hydra() -> Iterator[ConfigLoader]:
 
 def compare(row: Row, committed: Sequence[Row]) -> str:
     """One line: how a row compares with the committed row of the same method and column."""
-    fov, humans, robots = column_of(row)
-    name = f"{row['method']} {fov:g}° {humans}h {robots}r"
+    name = f"{row['method']} {column_name(column_of(row))}"
     same = [r for r in committed if (r["method"], column_of(r)) == (row["method"], column_of(row))]
     if not same:
         return f"new      {name}: no committed row"
@@ -139,7 +143,8 @@ def compare(row: Row, committed: Sequence[Row]) -> str:
     return f"close    {change}, within the committed intervals"
 
 
-def _scenario(column: Any) -> Scenario:
+def scenario_of(column: Any) -> Scenario:
+    """The scenario of one entry of `columns`: its fields, and the defaults for the rest."""
     try:
         scenario = OmegaConf.to_object(OmegaConf.merge(OmegaConf.structured(Scenario), column))
     except OmegaConfBaseException as error:

@@ -1,7 +1,8 @@
-"""`samarl-render`: one case as a picture."""
+"""`samarl-render`: one case as a picture, still or moving."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ from mrsan import ConfigurationError, Scenario, Split
 from mrsan.scenario import check_numbers, number
 from samarl.agents import build_agent
 from samarl.cli import chosen_agent, run_command
-from samarl.evaluation.recording import record_episode
+from samarl.evaluation.recording import Recording, record_episode
 
 
 @dataclass
@@ -36,14 +37,11 @@ def main() -> None:
 
 def render(config: DictConfig) -> None:
     """Play one case and draw it."""
-    from samarl.report.trajectories import save_trajectories
-
     scenario = OmegaConf.to_object(config.scenario)
     assert isinstance(scenario, Scenario)
     check_numbers(Render(case=config.case, split=config.split), "render")
     path = Path(config.output)
-    if path.suffix not in (".png", ".svg", ".pdf"):
-        raise ConfigurationError(f"output is {config.output!r}; it must end in .png, .svg or .pdf")
+    save = _writer(path)
     agent = build_agent(chosen_agent(config), scenario)
     recording = record_episode(agent, scenario, config.split.case(config.case))
     name = HydraConfig.get().runtime.choices.agent
@@ -51,8 +49,25 @@ def render(config: DictConfig) -> None:
         f"{name}, {config.split.name} case {config.case}: {scenario.fov_degrees:g}° view, "
         f"{scenario.humans} humans, {scenario.robots} robots"
     )
-    save_trajectories(recording, path, title)
+    save(recording, path, title)
     print(f"written to {path}")
+
+
+def _writer(path: Path) -> Callable[[Recording, Path, str], None]:
+    """What draws a file with this ending."""
+    if path.suffix in (".png", ".svg", ".pdf"):
+        from samarl.report.trajectories import save_trajectories
+
+        return save_trajectories
+    if path.suffix in (".gif", ".mp4"):
+        from samarl.report.animation import save_animation, video_encoder
+
+        if path.suffix == ".mp4":
+            video_encoder()  # said before the case is played
+        return save_animation
+    raise ConfigurationError(
+        f"output is {str(path)!r}; it must end in .png, .svg, .pdf, .gif or .mp4"
+    )
 
 
 if __name__ == "__main__":

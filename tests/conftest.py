@@ -23,3 +23,10 @@ hypothesis.settings.load_profile("suite")
 def one_thread() -> None:
     """Tests run side by side: more threads than cores would wait for each other."""
     numba.set_num_threads(1)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """What needs a browser runs on its own: `make test` must not ask for one."""
+    for item in items:
+        if "browser" in getattr(item, "fixturenames", ()):
+            item.add_marker("browser")

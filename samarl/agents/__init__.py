@@ -1,5 +1,5 @@
 """Everything that drives robots, behind one interface."""
 
-from samarl.agents.agent import Agent, build_agent
+from samarl.agents.agent import Agent, Explanation, build_agent
 
-__all__ = ["Agent", "build_agent"]
+__all__ = ["Agent", "Explanation", "build_agent"]

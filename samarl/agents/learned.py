@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 
 from mrsan import Observation, Scenario
-from samarl.agents.agent import Agent
+from samarl.agents.agent import Agent, Explanation
 from samarl.agents.hierarchical import (
     Architecture,
     HierarchicalPolicy,
@@ -20,6 +20,7 @@ from samarl.agents.hierarchical import (
     frames_of,
 )
 from samarl.agents.tracker import Tracker
+from samarl.encoders import Frames
 
 
 class FirstWaypoints(Waypoints):
@@ -72,7 +73,7 @@ class Deployed:
         policy.check(scenario)
         self.policy, self.scenario, self.plan = policy, scenario, plan
         self.tracker = Tracker(policy.architecture.track_steps, scenario.time_step)
-        self._worlds = 0
+        self._remember_nothing(0)
 
     def reset(self, worlds: NDArray[np.bool_]) -> None:
         """Forget the worlds [E] in which an episode begins."""
@@ -87,6 +88,7 @@ class Deployed:
         kind = WAYPOINTS[self.plan]
         self.waypoints: Waypoints = kind(worlds, self.scenario, self.policy.architecture)
         self._windows: Any = None
+        self._frame: Frames | None = None
         self._began = np.ones(worlds, np.bool_)
 
     @torch.no_grad()
@@ -96,7 +98,7 @@ class Deployed:
         if e != self._worlds:
             self._remember_nothing(e)
         tracks = self.tracker.update(observation)
-        frame = frames_of(tracks, self.scenario)
+        frame = self._frame = frames_of(tracks, self.scenario)
         if self._windows is None:
             self._windows = self.policy.encoder.windows(frame)
         began = torch.from_numpy(np.repeat(self._began, n))
@@ -105,6 +107,21 @@ class Deployed:
         y = y.view(e, n, -1)
         choice = decide(self.policy, y, tracks.ego, self.waypoints, deterministic=True)
         return choice.action.clamp(-1, 1).numpy()
+
+    @torch.no_grad()
+    def explain(self) -> Explanation | None:
+        """The waypoints, and the attention among those in view or remembered."""
+        if self._frame is None:
+            return None
+        planned = self.policy.architecture.levels > 1
+        waypoint = self.waypoints.position.copy() if planned else None
+        shares = self.policy.encoder.attention(self._frame)
+        if shares is None:
+            return Explanation(waypoint, None, None)
+        robots, humans = (
+            share.view(self._worlds, self.scenario.robots, -1).numpy() for share in shares
+        )
+        return Explanation(waypoint, humans, robots)
 
 
 @dataclass
@@ -133,3 +150,7 @@ class Learned(Agent):
     def act(self, observation: Observation) -> NDArray[np.float32]:
         """The mean action, [E, N, A]."""
         return self._deployed.act(observation)
+
+    def explain(self) -> Explanation | None:
+        """Its waypoints and its attention."""
+        return self._deployed.explain()

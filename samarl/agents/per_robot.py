@@ -32,6 +32,12 @@ class PerRobotEncoder(nn.Module):
         """See `Encoder.step`."""
         return self._each(lambda encoder, *inputs: encoder.step(*inputs), frame, begins, windows)
 
+    def attention(self, frame: Frames) -> tuple[Tensor, Tensor] | None:
+        """See `Encoder.attention`."""
+        if self.of[0].attention(frame) is None:  # type: ignore[operator]
+            return None
+        return self._each(lambda encoder, *inputs: encoder.attention(*inputs), frame)
+
     def _each(self, call: Callable, *inputs: Any) -> Any:
         n = len(self.of)
         outputs = [

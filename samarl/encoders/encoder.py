@@ -94,3 +94,11 @@ class Encoder(nn.Module, ABC):
         all_begins = torch.cat([past_begins, begins.unsqueeze(1)], 1)
         y = self(frames, all_begins)[:, -1]
         return y, (frames.at(slice(1, None)), all_begins[:, 1:])
+
+    def attention(self, frame: Frames) -> tuple[Tensor, Tensor] | None:
+        """How each robot's attention is shared out in one frame (T = 1), for replays.
+
+        Returns:
+            Shares of the other robots [B, N - 1] and of the humans [B, M]; None: it has none.
+        """
+        return None

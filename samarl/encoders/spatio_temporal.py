@@ -47,11 +47,22 @@ class Pool(nn.Module):
 
         `masked` [R, M] is zero where an agent is known and very negative elsewhere.
         """
+        return self.out(_attend(*self._asked(own, tokens, masked), self.heads).squeeze(1))
+
+    def shares(self, own: Tensor, tokens: Tensor, masked: Tensor) -> Tensor:
+        """The share of the attention that each of the M gets, [R, M]; "nobody" gets the rest."""
+        query, key_value, mask = self._asked(own, tokens, masked)
+        r, keys, d = len(query), key_value.shape[1], query.shape[2] // self.heads
+        key = key_value.view(r, keys, 2, self.heads, d)[:, :, 0]
+        score = torch.einsum("rhd,rkhd->rhk", query.view(r, self.heads, d), key) / d**0.5
+        return torch.softmax(score + mask[:, 0], -1).mean(1)[:, 1:]
+
+    def _asked(self, own: Tensor, tokens: Tensor, masked: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Query, keys with values, and mask, as `_attend` takes them."""
         nobody = self.nobody.expand(len(tokens), 1, -1)
         key_value = torch.cat([nobody, self.key_value(tokens)], 1)
         mask = functional.pad(masked, (1, 0))[:, None, None, :]
-        query = self.query(own).unsqueeze(1)
-        return self.out(_attend(query, key_value, mask, self.heads).squeeze(1))
+        return self.query(own).unsqueeze(1), key_value, mask
 
 
 class SpatialTransformer(nn.Module):
@@ -79,8 +90,12 @@ class SpatialTransformer(nn.Module):
             position: [R, M, 2] in units of 5 m.
             masked: [R, M], zero where an agent is known and very negative elsewhere.
         """
+        return self.pool(own, self.related(tokens, position, masked), masked)
+
+    def related(self, tokens: Tensor, position: Tensor, masked: Tensor) -> Tensor:
+        """The tokens [R, M, D], each knowing of the others."""
         if tokens.shape[1] == 0:
-            return self.pool(own, tokens, masked)
+            return tokens
         normed = self.norm(tokens)
         attention = _attend(
             self.query(normed), self.key_value(normed), masked[:, None, None, :], self.heads
@@ -88,8 +103,7 @@ class SpatialTransformer(nn.Module):
         near = torch.softmax(-2.5 * torch.cdist(position, position) + masked.unsqueeze(1), -1)
         graph = torch.relu(torch.bmm(near, self.graph(normed)))
         gate = torch.sigmoid(self.gate(torch.cat([attention, graph], -1)))
-        fused = tokens + torch.lerp(graph, attention, gate)
-        return self.pool(own, fused, masked)
+        return tokens + torch.lerp(graph, attention, gate)
 
 
 class Window(NamedTuple):
@@ -204,6 +218,13 @@ class Block(nn.Module):
         window = window.follow(key_value, known[:, 0], begins)
         return [spatial, temporal.pool(own, temporal.step(tokens, window), masked)], window
 
+    def attention(self, own: Tensor, ego: Tensor, others: Tensor, known: Tensor) -> Tensor:
+        """The shares [B, M] of the robot's attention in one frame (T = 1)."""
+        masked = torch.where(known[:, 0], 0.0, _MASKED)
+        tokens = self._embedded(ego, others)[:, 0]
+        related = self.spatial.related(tokens, others[:, 0, :, :2], masked)
+        return self.spatial.pool.shares(own, related, masked)
+
     def _embedded(self, ego: Tensor, others: Tensor) -> Tensor:
         embedded = self.embed_other(others) + self.embed_ego(ego).unsqueeze(2)
         return self.embed(torch.relu(embedded))
@@ -277,3 +298,15 @@ class SpatioTemporalEncoder(Encoder):
         of_robots, robots = self.robots.step(own, f.ego, f.robots, f.robots_known, begins, robots)
         of_humans, humans = self.humans.step(own, f.ego, f.humans, f.humans_known, begins, humans)
         return self.cross(own, torch.stack([*of_robots, *of_humans], 1)), (robots, humans)
+
+    def attention(self, frame: Frames) -> tuple[Tensor, Tensor]:
+        """How each robot's spatial attention is shared out in one frame (T = 1).
+
+        Returns:
+            Over the other robots [B, N - 1] and over the humans [B, M].
+        """
+        own, f = self.own(frame.ego[:, 0]), frame
+        return (
+            self.robots.attention(own, f.ego, f.robots, f.robots_known),
+            self.humans.attention(own, f.ego, f.humans, f.humans_known),
+        )

@@ -7,16 +7,20 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mrsan import Episodes, Scenario, State, World
+from mrsan import Episodes, Observation, Scenario, State, World
 from mrsan.metrics import episodes_of
-from samarl.agents import Agent
+from samarl.agents import Agent, Explanation
 
 Floats = NDArray[np.float32]
+Bools = NDArray[np.bool_]
 
 
 @dataclass
 class Recording:
-    """One episode of T steps."""
+    """One episode of T steps; what robots see of each other is [..., N, N], of themselves nothing.
+
+    What an agent cannot tell of itself is None.
+    """
 
     scenario: Scenario
     case: int
@@ -25,7 +29,12 @@ class Recording:
     robot_goal: Floats  # [N, 2]
     human_position: Floats  # [T + 1, M, 2], those present
     human_radius: Floats  # [M]
-    driving: NDArray[np.bool_]  # [T + 1, N] not yet arrived
+    driving: Bools  # [T + 1, N] not yet arrived
+    humans_seen: Bools  # [T + 1, N, M]
+    robots_seen: Bools  # [T + 1, N, N]
+    waypoint: Floats | None  # [T, N, 2] where each robot drives to, in the world frame
+    human_attention: Floats | None  # [T, N, M] shares
+    robot_attention: Floats | None  # [T, N, N] shares
     episodes: Episodes  # the record of this one episode
 
 
@@ -36,11 +45,18 @@ def record_episode(agent: Agent, scenario: Scenario, case: int) -> Recording:
     agent.reset(np.ones(1, np.bool_))
     state = world.state
     present = int(state.human_count[0])
-    frames = [_frame(state, present)]
+    frames, thoughts = [_frame(state, observation, present)], []
     while not state.done[0]:
-        observation = world.step(agent.act(observation)).observation
-        frames.append(_frame(state, present))
-    position, heading, humans, driving = (np.stack(part) for part in zip(*frames, strict=True))
+        action = agent.act(observation)
+        thoughts.append(agent.explain() or Explanation(None, None, None))
+        observation = world.step(action).observation
+        frames.append(_frame(state, observation, present))
+    position, heading, humans, driving, humans_seen, robots_seen = (
+        np.stack(part) for part in zip(*frames, strict=True)
+    )
+    waypoint, human_attention, robot_attention = (
+        None if part[0] is None else np.concatenate(part) for part in zip(*thoughts, strict=True)
+    )
     return Recording(
         scenario=scenario,
         case=case,
@@ -50,14 +66,29 @@ def record_episode(agent: Agent, scenario: Scenario, case: int) -> Recording:
         human_position=humans,
         human_radius=state.human_radius[0, :present].copy(),
         driving=driving,
+        humans_seen=humans_seen,
+        robots_seen=_of_all(robots_seen),
+        waypoint=waypoint,
+        human_attention=None if human_attention is None else human_attention[..., :present],
+        robot_attention=None if robot_attention is None else _of_all(robot_attention),
         episodes=episodes_of(state, scenario, np.ones(1, np.bool_)),
     )
 
 
-def _frame(state: State, present: int) -> tuple[Floats, Floats, Floats, NDArray[np.bool_]]:
+def _frame(state: State, observation: Observation, present: int) -> tuple[NDArray, ...]:
     return (
         state.robot_position[0].copy(),
         state.robot_heading[0].copy(),
         state.human_position[0, :present].copy(),
         ~state.arrived[0],
+        observation.humans_visible[0, :, :present],
+        observation.robots_visible[0],
     )
+
+
+def _of_all(of_others: NDArray) -> NDArray:
+    """From a value for each other robot, [T, N, N - 1], to one for each robot, [T, N, N]."""
+    n = of_others.shape[1]
+    out = np.zeros((len(of_others), n, n), of_others.dtype)
+    out[:, ~np.eye(n, dtype=np.bool_)] = of_others.reshape(len(of_others), -1)
+    return out

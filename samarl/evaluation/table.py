@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 from samarl.evaluation.summary import Row
 
@@ -29,6 +30,17 @@ def column_of(row: Row) -> Column:
     return row["fov_degrees"], row["humans"], row["robots"]
 
 
+def column_name(column: Column) -> str:
+    """The column in short."""
+    fov, humans, robots = column
+    return f"{fov:g}° {humans}h {robots}r"
+
+
+def settings_of(row: Row) -> list[str]:
+    """What was set on the command line that made a row, besides its method and its column."""
+    return [w for w in row["command"].split() if "=" in w and not w.startswith(_COLUMNS)]
+
+
 def as_text(header: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
     """A Markdown table whose columns line up, the first to the left and the rest to the right."""
     widths = [max(len(cells[i]) for cells in [header, *lines]) for i in range(len(header))]
@@ -43,7 +55,14 @@ def as_text(header: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
 
 
 def rows_as_markdown(rows: Sequence[Row], with_settings: bool = False) -> str:
-    """All rows with what is measured of each.
+    """All rows with what is measured of each; see `rows_as_cells`."""
+    return as_text(*rows_as_cells(rows, with_settings))
+
+
+def rows_as_cells(
+    rows: Sequence[Row], with_settings: bool = False
+) -> tuple[tuple[str, ...], list[list[str]]]:
+    """The header, and the cells of each row with what is measured of it.
 
     Args:
         rows: the rows.
@@ -58,9 +77,8 @@ def rows_as_markdown(rows: Sequence[Row], with_settings: bool = False) -> str:
     if with_settings and len(names) < len(rows):
         header += ("settings",)
         for line, row in zip(lines, rows, strict=True):
-            words = [w for w in row["command"].split() if "=" in w and not w.startswith(_COLUMNS)]
-            line.append(" ".join(words))
-    return as_text(header, lines)
+            line.append(" ".join(settings_of(row)))
+    return header, lines
 
 
 def _cells(row: Row) -> list[str]:
@@ -83,22 +101,34 @@ def _cells(row: Row) -> list[str]:
 
 def table1_as_markdown(rows: Sequence[Row]) -> str:
     """Table I: success and social score, a line per method, the paper's methods below ours."""
-    columns = list(dict.fromkeys(column_of(row) for row in rows))
-    methods = list(dict.fromkeys(row["method"] for row in rows))
-    cells = {(row["method"], column_of(row)): row for row in rows}
-    header = ["success % / social score", *(f"{f:g}° {h}h {r}r" for f, h, r in columns)]
-    lines = []
-    for method in methods:
-        found = [cells.get((method, column)) for column in columns]
-        lines.append(
-            [method]
-            + [
-                "" if r is None else f"{r['success_rate']:.1f} / {r['social_score']:.1f}"
-                for r in found
-            ]
-        )
-    for name in next(iter(PAPER_SUCCESS.values())):
-        figures = [PAPER_SUCCESS.get(column, {}).get(name) for column in columns]
-        if any(figure is not None for figure in figures):
-            lines.append([f"paper: {name}"] + ["" if f is None else f"{f} / -" for f in figures])
+    grid = grid_of(rows)
+    header = ["success % / social score", *map(column_name, grid.columns)]
+    lines = [
+        [method]
+        + ["" if r is None else f"{r['success_rate']:.1f} / {r['social_score']:.1f}" for r in found]
+        for method, found in grid.ours.items()
+    ]
+    for name, figures in grid.paper.items():
+        lines.append([f"paper: {name}"] + ["" if f is None else f"{f} / -" for f in figures])
     return as_text(header, lines)
+
+
+class Grid(NamedTuple):
+    """Rows as methods by columns."""
+
+    columns: list[Column]
+    ours: dict[str, list[Row | None]]  # of each method, a row for each column
+    paper: dict[str, list[int | None]]  # the same of the paper's success rates
+
+
+def grid_of(rows: Sequence[Row]) -> Grid:
+    """Arrange rows by method and column, both in the order in which they come."""
+    columns = list(dict.fromkeys(column_of(row) for row in rows))
+    cells = {(row["method"], column_of(row)): row for row in rows}
+    ours = {row["method"]: [cells.get((row["method"], c)) for c in columns] for row in rows}
+    paper = {
+        name: [PAPER_SUCCESS.get(column, {}).get(name) for column in columns]
+        for name in next(iter(PAPER_SUCCESS.values()))
+    }
+    known = {name: figures for name, figures in paper.items() if set(figures) != {None}}
+    return Grid(columns, ours, known)

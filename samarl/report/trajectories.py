@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import io
-import os
 import textwrap
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.colors import LinearSegmentedColormap
@@ -18,24 +17,20 @@ from matplotlib.patches import Circle
 
 from mrsan import Outcome
 from samarl.evaluation.recording import Recording
+from samarl.report.style import COLOURS, CONTACT, STYLE, save_figure
 
-# Okabe and Ito's colours, told apart by colour-blind readers too.
-ROBOT_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 _HUMAN_SHADES = LinearSegmentedColormap.from_list("humans", ["#e4e4e4", "#777777"])
-_CONTACT = "#C00000"
 _MARK_SECONDS = 3.0  # between the discs along a path
 
 
 def save_trajectories(recording: Recording, path: Path, title: str) -> None:
-    """Write the picture as PNG (or what the file's ending says), atomically."""
-    figure = Figure(figsize=(6.4, 6.9), dpi=130, layout="constrained")
-    draw_trajectories(figure.add_subplot(), recording, title)
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format=path.suffix.removeprefix(".") or "png")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = path.with_name(path.name + ".part")
-    unfinished.write_bytes(buffer.getvalue())
-    os.replace(unfinished, path)
+    """Write the picture in the format of the file's ending, atomically."""
+    figure = Figure(figsize=(6.4, 6.9), layout="constrained")
+    with rc_context(STYLE):
+        draw_trajectories(figure.add_subplot(), recording, title)
+        figure.legend(handles=_legend(), loc="outside lower center", ncols=5, fontsize=8,
+                      handletextpad=0.4, columnspacing=1.2)  # fmt: skip
+    save_figure(figure, path)
 
 
 def draw_trajectories(axes: Axes, recording: Recording, title: str) -> None:
@@ -51,11 +46,8 @@ def draw_trajectories(axes: Axes, recording: Recording, title: str) -> None:
     axes.set_aspect("equal")
     axes.set_xlabel("x (m)")
     axes.set_ylabel("y (m)")
-    axes.grid(color="#f0f0f0", zorder=0)
-    axes.spines[["top", "right"]].set_visible(False)
+    axes.grid(True, axis="both")
     axes.autoscale_view()
-    axes.legend(handles=_legend(), loc="upper center", bbox_to_anchor=(0.5, -0.09), ncols=5,
-                frameon=False, fontsize=8, handletextpad=0.4, columnspacing=1.2)  # fmt: skip
 
 
 def _draw_human(axes: Axes, recording: Recording, j: int, every: int) -> None:
@@ -75,7 +67,7 @@ def _draw_human(axes: Axes, recording: Recording, j: int, every: int) -> None:
 
 
 def _draw_robot(axes: Axes, recording: Recording, i: int, every: int) -> None:
-    colour = ROBOT_COLOURS[i % len(ROBOT_COLOURS)]
+    colour = COLOURS[i % len(COLOURS)]
     path, heading = recording.robot_position[:, i], recording.robot_heading[:, i]
     last = int(recording.driving[:, i].sum())
     last = min(last, len(path) - 1)
@@ -97,7 +89,7 @@ def _draw_robot(axes: Axes, recording: Recording, i: int, every: int) -> None:
         axes.plot(*np.stack([nose, tip]).T, color=colour, linewidth=1.6, zorder=5)
     if recording.episodes.outcome[0, i] in (Outcome.hit_human, Outcome.hit_robot):
         axes.plot(
-            *path[-1], marker="x", markersize=16, markeredgewidth=2.5, color=_CONTACT, zorder=7
+            *path[-1], marker="x", markersize=16, markeredgewidth=2.5, color=CONTACT, zorder=7
         )
 
 
@@ -110,6 +102,6 @@ def _legend() -> list[Line2D]:
         Line2D([], [], color="#999999", linewidth=1.2, label="human (later is darker)"),
         Line2D([], [], marker="o", linestyle="none", color="#777777", markersize=9,
                label="human at the end"),
-        Line2D([], [], marker="x", linestyle="none", color=_CONTACT, markersize=9,
+        Line2D([], [], marker="x", linestyle="none", color=CONTACT, markersize=9,
                markeredgewidth=2, label="contact"),
     ]  # fmt: skip

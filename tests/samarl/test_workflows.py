@@ -12,7 +12,7 @@ import pytest
 from mrsan import Outcome
 from samarl.evaluation.summary import Row
 
-COMMANDS = ("evaluate", "bench", "render")
+COMMANDS = ("evaluate", "bench", "render", "report")
 
 
 def run(
@@ -132,8 +132,13 @@ def test_render_draws_a_case(tmp_path: Path) -> None:
     picture = (tmp_path / "case.png").read_bytes()
     assert picture.startswith(b"\x89PNG\r\n")
     assert len(picture) > 10_000
+    run("render", "agent=straight", "case=3", "scenario.robots=2", "output=case.gif", cwd=tmp_path)
+    assert (tmp_path / "case.gif").read_bytes().startswith(b"GIF89a")
     done = run("render", "output=case.txt", cwd=tmp_path, code=2)
-    assert done.stderr == "error: output is 'case.txt'; it must end in .png, .svg or .pdf\n"
+    assert (
+        done.stderr
+        == "error: output is 'case.txt'; it must end in .png, .svg, .pdf, .gif or .mp4\n"
+    )
 
 
 OWN_AGENT = '''
@@ -175,9 +180,10 @@ def test_an_agent_of_ones_own_is_one_class_and_one_yaml(tmp_path: Path) -> None:
 def test_help_is_quick_to_say(command: str, tmp_path: Path) -> None:
     """Every number is shown, and nothing that takes seconds to import is imported."""
     code = (
-        f"import sys, samarl.{command} as command\n"
+        "import sys\nfrom runpy import run_module\n"
         f"sys.argv = ['samarl-{command}', '--help']\n"
-        "try:\n    command.main()\nfinally:\n"
+        f"try:\n    run_module('samarl.{command}', run_name='__main__', alter_sys=True)\n"
+        "finally:\n"
         "    heavy = {'torch', 'torchrl', 'pettingzoo', 'matplotlib'} & set(sys.modules)\n"
         "    print('heavy:', heavy or 'none')\n"
     )

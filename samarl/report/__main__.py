@@ -1,0 +1,91 @@
+"""`samarl-report`: what is in `results/`, and replays, as pages for the browser."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from omegaconf import MISSING, DictConfig, OmegaConf
+from tqdm import tqdm
+
+from mrsan import ConfigurationError, Scenario, Split
+from samarl.agents import Agent, build_agent
+from samarl.bench import available_agents, load_agent, scenario_of
+from samarl.cli import run_command
+from samarl.evaluation.files import find_folder
+from samarl.evaluation.recording import Recording, record_episode
+
+
+@dataclass
+class Report:
+    """Schema of `conf/report.yaml`."""
+
+    results: str | None = None
+    agents: list[str] | None = None
+    split: Split = Split.test
+    cases: list[int] = field(default_factory=list)
+    columns: list[dict[str, Any]] = field(default_factory=list)
+    output: str = MISSING
+    plugins: list[str] = field(default_factory=list)
+
+
+def main() -> None:
+    """Entry point."""
+    run_command(report, "report", report_schema=Report)
+
+
+def report(config: DictConfig) -> None:
+    """Play the cases and build the pages."""
+    from samarl.report.build import build_site
+
+    results = find_folder("results") if config.results is None else Path(config.results)
+    if not results.is_dir():
+        raise ConfigurationError(f"results is {str(results)!r}; it must be a folder")
+    for case in config.cases:
+        if not 0 <= case < 10**9:
+            raise ConfigurationError(f"cases has {case}; each must lie in [0, 1e+09]")
+    scenarios = [scenario_of(OmegaConf.to_container(column)) for column in config.columns]
+    methods = _methods(config.agents, results)
+    drivers = list(_drivers(methods, scenarios))
+    plays = [(*driver, case) for driver in drivers for case in config.cases]
+    recordings: list[tuple[str, int, Recording]] = [
+        (name, case, record_episode(agent, scenario, config.split.case(case)))
+        for name, agent, scenario, case in tqdm(plays, "episodes", unit="episode", disable=None)
+    ]
+    output = Path(config.output)
+    files = build_site(output, results, recordings, config.split.name)
+    size = sum(file.stat().st_size for file in files)
+    print(f"written to {output}/index.html: {len(files)} files, {size / 1e6:.2f} MB")
+
+
+def _methods(names: list[str] | None, results: Path) -> dict[str, dict[str, Any]]:
+    """The configurations of the agents; of one with a checkpoint, one for each that is shipped."""
+    methods: dict[str, dict[str, Any]] = {}
+    for name in available_agents() if names is None else names:
+        config = load_agent(name)
+        shipped = sorted((results / "checkpoints").glob("*.safetensors"))
+        if "checkpoint" not in config or not shipped:
+            methods[name] = config
+        for path in shipped if "checkpoint" in config else ():
+            methods[path.stem] = config | {"checkpoint": str(path)}
+    return methods
+
+
+def _drivers(
+    methods: dict[str, dict[str, Any]], scenarios: list[Scenario]
+) -> Iterator[tuple[str, Agent, Scenario]]:
+    """Every agent in every scenario; what cannot be built is said and left out."""
+    for scenario in scenarios:
+        for name, config in methods.items():
+            try:
+                yield name, build_agent(config, scenario), scenario
+            except ConfigurationError as error:
+                if "checkpoint" not in config:
+                    raise
+                print(f"left out: {name}, {scenario.fov_degrees:g}° view: {error}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,176 @@
+"""One episode as a moving picture, a frame for each step."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle, Wedge
+from numpy.typing import NDArray
+from PIL import Image
+from tqdm import tqdm
+
+from mrsan import ConfigurationError, Outcome
+from mrsan.scenario import Scenario
+from samarl.evaluation.files import unfinished
+from samarl.evaluation.recording import Recording
+from samarl.report.style import COLOURS, CONTACT, INK, MUTED, STYLE
+
+_GIF_COLOURS = 64
+_DPI = {".gif": 80, ".mp4": 140}
+_SHOWN_VIEW = 3.0  # m, how far the wedge of the field of view is drawn
+_HOLD_SECONDS = 1.5  # the last frame stays
+
+
+def save_animation(recording: Recording, path: Path, title: str) -> None:
+    """Write a .gif or an .mp4 that plays as fast as the episode, atomically.
+
+    Raises:
+        ConfigurationError: there is no encoder for .mp4.
+    """
+    write = {".gif": _write_gif, ".mp4": _write_mp4}[path.suffix]
+    figure = Figure(figsize=(6.0, 6.4), dpi=_DPI[path.suffix], layout="constrained")
+    count = len(recording.robot_position)
+    pictures = tqdm(_frames(figure, recording, title), total=count, desc=path.name, unit="frame",
+                    disable=None)  # fmt: skip
+    with unfinished(path) as part:
+        write(part, iter(pictures), recording.scenario)
+
+
+def video_encoder() -> Any:
+    """The module that encodes videos.
+
+    Raises:
+        ConfigurationError: it is not installed.
+    """
+    try:
+        return importlib.import_module("imageio_ffmpeg")
+    except ImportError as error:
+        raise ConfigurationError(
+            "output ends in .mp4, which needs imageio-ffmpeg: pip install 'samarl[video]' "
+            "(.gif needs nothing more)"
+        ) from error
+
+
+def _write_gif(path: Path, pictures: Iterator[NDArray[np.uint8]], scenario: Scenario) -> None:
+    # One palette for all frames, without dithering: then what stands still costs nothing.
+    images: list[Image.Image] = []
+    palette: Image.Image | None = None
+    for picture in pictures:
+        image = Image.fromarray(picture)
+        if palette is None:
+            palette = image.quantize(_GIF_COLOURS, dither=Image.Dither.NONE)
+        images.append(image.quantize(palette=palette, dither=Image.Dither.NONE))
+    duration = [round(1000 * scenario.time_step)] * len(images)
+    duration[-1] += round(1000 * _HOLD_SECONDS)
+    images[0].save(path, "GIF", save_all=True, append_images=images[1:], duration=duration, loop=0)
+
+
+def _write_mp4(path: Path, pictures: Iterator[NDArray[np.uint8]], scenario: Scenario) -> None:
+    first = next(pictures)
+    height, width = first.shape[:2]
+    writer = video_encoder().write_frames(
+        str(path), (width, height), fps=1 / scenario.time_step, codec="libx264",
+        macro_block_size=2, output_params=["-f", "mp4", "-movflags", "+faststart"],
+    )  # fmt: skip
+    writer.send(None)
+    try:
+        writer.send(first.tobytes())
+        for picture in pictures:
+            writer.send(picture.tobytes())
+    finally:
+        writer.close()
+
+
+def _frames(figure: Figure, recording: Recording, title: str) -> Iterator[NDArray[np.uint8]]:
+    """The pictures [height, width, 3] of all T + 1 states."""
+    canvas = FigureCanvasAgg(figure)
+    with rc_context(STYLE):
+        axes = figure.add_subplot()
+        _draw_stage(axes, recording, title)
+        for t in range(len(recording.robot_position)):
+            drawn = _draw_state(axes, recording, t)
+            canvas.draw()
+            if t == 0:
+                figure.set_layout_engine("none")  # it has settled
+            yield np.asarray(canvas.buffer_rgba())[..., :3].copy()
+            for artist in drawn:
+                artist.remove()
+
+
+def _draw_stage(axes: Axes, recording: Recording, title: str) -> None:
+    """What does not move: the frame, and the goals."""
+    axes.set_title(title, fontsize=9.5)
+    axes.set_aspect("equal")
+    axes.set_xlabel(
+        "x (m)\nfilled: in view of a driving robot; rings: personal space; diamonds: waypoints",
+        fontsize=8,
+    )
+    axes.set_ylabel("y (m)")
+    axes.grid(True, axis="both")
+    everything = np.concatenate(
+        [
+            recording.robot_position.reshape(-1, 2),
+            recording.human_position.reshape(-1, 2),
+            recording.robot_goal,
+        ]
+    )
+    middle = (everything.min(0) + everything.max(0)) / 2
+    half = (everything.max(0) - everything.min(0)).max() / 2 + 0.6
+    axes.set_xlim(middle[0] - half, middle[0] + half)
+    axes.set_ylim(middle[1] - half, middle[1] + half)
+    for i, goal in enumerate(recording.robot_goal):
+        axes.plot(*goal, marker="*", markersize=14, color=_colour(i), markeredgecolor="white")
+
+
+def _draw_state(axes: Axes, recording: Recording, t: int) -> list[Artist]:
+    scenario = recording.scenario
+    seen = (recording.humans_seen[t] & recording.driving[t][:, None]).any(0)
+    drawn: list[Artist] = []
+
+    def disc(centre: NDArray, radius: float, **look: Any) -> None:
+        drawn.append(axes.add_patch(Circle((centre[0], centre[1]), radius, **look)))
+
+    zone = scenario.reward.discomfort_distance
+    for j, human in enumerate(recording.human_position[t]):
+        radius = float(recording.human_radius[j])
+        disc(human, radius + zone, color=MUTED, alpha=0.1, linewidth=0)
+        disc(human, radius, facecolor=MUTED if seen[j] else "white", edgecolor=MUTED, zorder=2)
+    for i, robot in enumerate(recording.robot_position[t]):
+        colour, radius = _colour(i), scenario.robot_radius
+        heading = float(recording.robot_heading[t, i])
+        drawn += axes.plot(*recording.robot_position[: t + 1, i].T, color=colour, linewidth=1.4)
+        if recording.driving[t, i]:
+            half = scenario.fov_degrees / 2
+            towards = np.degrees(heading)
+            reach = min(_SHOWN_VIEW, scenario.sensing_range)
+            if half < 180:
+                wedge = Wedge((robot[0], robot[1]), reach, towards - half, towards + half,
+                              color=colour, alpha=0.09, linewidth=0)  # fmt: skip
+                drawn.append(axes.add_patch(wedge))
+            if recording.waypoint is not None:
+                waypoint = recording.waypoint[min(t, len(recording.waypoint) - 1), i]
+                drawn += axes.plot(*np.stack([robot, waypoint]).T, ":", color=colour, linewidth=1)
+                drawn += axes.plot(*waypoint, "D", color=colour, markersize=5)
+        disc(robot, radius, facecolor=colour, edgecolor="white", zorder=4)
+        nose = robot + 1.5 * radius * np.array([np.cos(heading), np.sin(heading)])
+        drawn += axes.plot(*np.stack([robot, nose]).T, color=INK, linewidth=1.6, zorder=5)
+        collided = recording.episodes.outcome[0, i] in (Outcome.hit_human, Outcome.hit_robot)
+        if collided and t == len(recording.robot_position) - 1:
+            drawn += axes.plot(*robot, "x", color=CONTACT, markersize=16, markeredgewidth=2.5,
+                               zorder=6)  # fmt: skip
+    clock = f"{t * scenario.time_step:.2f} s"
+    drawn.append(axes.text(0.02, 0.98, clock, transform=axes.transAxes, va="top", fontsize=11))
+    return drawn
+
+
+def _colour(i: int) -> str:
+    return COLOURS[i % len(COLOURS)]

@@ -1,0 +1,189 @@
+"""The pages of the report, from whatever a results folder holds."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from matplotlib.figure import Figure
+from tqdm import tqdm
+
+from mrsan import ConfigurationError
+from samarl.evaluation.files import code_version, write_atomically
+from samarl.evaluation.recording import Recording
+from samarl.evaluation.summary import Row
+from samarl.evaluation.table import column_name, grid_of, rows_as_cells
+from samarl.report.figures import Curve, curve_title, draw_curves, read_curve, sweep_figures
+from samarl.report.replays import as_replay
+from samarl.report.style import PALETTE, save_figure
+
+_TEMPLATES = Path(__file__).parent / "site"
+_MARK = "viewer.js"  # an earlier report has it
+
+
+@dataclass
+class Table:
+    """A file of rows."""
+
+    name: str
+    rows: list[Row]
+
+    @property
+    def key(self) -> str:
+        """The name as part of an address."""
+        return slug(self.name)
+
+
+@dataclass
+class Picture:
+    """A figure that was saved as `figures/KEY.svg` and `.png`."""
+
+    key: str
+    title: str
+
+
+def build_site(
+    output: Path, results: Path, recordings: Sequence[tuple[str, int, Recording]], split: str
+) -> list[Path]:
+    """Build all pages in a new folder that takes the place of an earlier report.
+
+    Args:
+        output: the folder.
+        results: tables in `*.json`, learning curves in `curves/*.csv`, sweeps in `sweeps/*.json`.
+        recordings: each with the method's name and the place of its case in the split.
+        split: its name.
+
+    Returns:
+        All files of the report.
+
+    Raises:
+        ConfigurationError: the folder holds something else, or a result cannot be read.
+    """
+    if output.exists() and not (output / _MARK).is_file() and any(output.iterdir()):
+        raise ConfigurationError(
+            f"output is {str(output)!r}; it must be a new folder or that of an earlier report"
+        )
+    site = output.with_name(output.name + ".part")
+    shutil.rmtree(site, ignore_errors=True)
+    tables, sweeps = read_tables(results), read_tables(results / "sweeps")
+    runs = read_runs(results / "curves")
+    pages = {"index": "Results", "curves": "Learning curves", "sweeps": "Sweeps",
+             "replays": "Replays"}  # fmt: skip
+    there = {"index": True, "curves": runs, "sweeps": sweeps, "replays": recordings}
+    environment = Environment(
+        loader=FileSystemLoader(_TEMPLATES), autoescape=True, trim_blocks=True, lstrip_blocks=True,
+        undefined=StrictUndefined,
+    )  # fmt: skip
+    environment.globals |= {
+        "pages": {page: title for page, title in pages.items() if there[page]},
+        "commit": code_version(),
+        "grid_of": grid_of,
+        "column_name": column_name,
+        "rows_as_cells": rows_as_cells,
+    }
+
+    def write(name: str, **content: Any) -> None:
+        write_atomically(site / name, environment.get_template(name).render(page=name, **content))
+
+    write("site.css", palette=PALETTE)
+    write("index.html", tables=tables)
+    if runs:
+        write("curves.html", **_draw_runs(runs, site), runs=runs)
+    if sweeps:
+        pictures = {
+            sweep.name: [
+                _save(figure, f"{sweep.key}-{title}", title, site)
+                for title, figure in sweep_figures(sweep.rows)
+            ]
+            for sweep in sweeps
+        }
+        write("sweeps.html", sweeps=sweeps, pictures=pictures)
+    if recordings:
+        write("replays.html", replays=_write_replays(recordings, split, site))
+    write_atomically(site / _MARK, (_TEMPLATES / _MARK).read_text(encoding="utf-8"))
+    if output.exists():
+        shutil.rmtree(output)
+    site.replace(output)
+    return sorted(file for file in output.rglob("*") if file.is_file())
+
+
+def read_tables(folder: Path) -> list[Table]:
+    """Every JSON file of a folder that is a list of rows."""
+    tables = []
+    for path in sorted(folder.glob("*.json")):
+        try:
+            content = json.loads(path.read_text(encoding="utf-8"))
+        except ValueError as error:
+            raise ConfigurationError(f"{path} is not JSON ({error})") from error
+        if isinstance(content, list) and content and all(map(_is_row, content)):
+            tables.append(Table(readable(path.stem), content))
+    return tables
+
+
+def _is_row(item: Any) -> bool:
+    return isinstance(item, dict) and Row.__annotations__.keys() <= item.keys()
+
+
+def read_runs(folder: Path) -> dict[str, list[Curve]]:
+    """Every curve of a folder by the name of its run; files `NAME_seedK.csv` are one run."""
+    runs: dict[str, list[Curve]] = {}
+    for path in sorted(folder.glob("*.csv")):
+        curve = read_curve(path)
+        if curve:
+            runs.setdefault(re.sub(r"_seed\d+$", "", path.stem), []).append(curve)
+    return runs
+
+
+def _draw_runs(runs: dict[str, list[Curve]], site: Path) -> dict[str, list[Picture]]:
+    """Figures of all columns: how well it does, and in `losses` everything else."""
+    columns = list(dict.fromkeys(c for curves in runs.values() for curve in curves for c in curve))
+    pictures: dict[str, list[Picture]] = {"scores": [], "losses": []}
+    for column in tqdm(columns, "curves", unit="figure", disable=None):
+        kind = "scores" if re.search("success|score", column) else "losses"
+        figure = draw_curves(runs, column)
+        pictures[kind].append(_save(figure, f"curve-{column}", curve_title(column), site))
+    return pictures
+
+
+def _save(figure: Figure, name: str, title: str, site: Path) -> Picture:
+    for ending in ("svg", "png"):
+        save_figure(figure, site / "figures" / f"{slug(name)}.{ending}")
+    return Picture(slug(name), title)
+
+
+def _write_replays(
+    recordings: Sequence[tuple[str, int, Recording]], split: str, site: Path
+) -> list[dict[str, Any]]:
+    """A script for each recording (pages from a disk may not fetch data), and the list of them."""
+    entries = []
+    for method, case, recording in recordings:
+        scenario = recording.scenario
+        column = column_name((scenario.fov_degrees, scenario.humans, scenario.robots))
+        key = slug(f"{method}-{column}-{split}-{case}")
+        data = json.dumps(as_replay(recording), separators=(",", ":"))
+        write_atomically(site / f"replays/{key}.js", f"replay({json.dumps(key)},{data});\n")
+        words = (
+            f"{scenario.fov_degrees:g}° view, {scenario.humans} humans, {scenario.robots} robots"
+        )
+        entries.append(
+            {"key": key, "method": method, "column": words, "case": f"{split} case {case}",
+             "success": bool(recording.episodes.success[0])}
+        )  # fmt: skip
+    return entries
+
+
+def readable(stem: str) -> str:
+    """A file's name as a title: `table1` is `Table 1`."""
+    words = re.sub(r"(?<=[A-Za-z])(?=\d)|[_-]+", " ", stem)
+    return words[:1].upper() + words[1:]
+
+
+def slug(name: str) -> str:
+    """A name that is safe as a file's and in an address."""
+    return re.sub(r"[^a-z0-9]+", "-", name.lower().replace("°", "")).strip("-")

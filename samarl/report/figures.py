@@ -1,0 +1,165 @@
+"""Learning curves, heat maps of sweeps and bars of robustness."""
+
+from __future__ import annotations
+
+import csv
+import math
+import re
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.figure import Figure
+from matplotlib.ticker import EngFormatter
+from numpy.typing import NDArray
+
+from samarl.evaluation.summary import Row
+from samarl.evaluation.table import Column, column_name, column_of, settings_of
+from samarl.report.style import COLOURS, INK, STYLE
+
+Curve = dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]  # column: steps, values
+_POINTS = 200  # more do not show
+_LIGHT_TEXT, _DARK_TEXT = "#FDFDFD", "#111111"  # on the colours of a heat map, in any mode
+
+
+def read_curve(path: Path) -> Curve:
+    """The columns of a training's curve over its steps, without the gaps."""
+    points: dict[str, list[tuple[float, float]]] = {}
+    with path.open(newline="", encoding="utf-8") as file:
+        for line in csv.DictReader(file):
+            steps = _number(line.get("steps"))
+            for column, text in line.items():
+                value = _number(text)
+                if column not in ("steps", "seconds") and math.isfinite(steps + value):
+                    points.setdefault(column, []).append((steps, value))
+    return {column: (np.array(p).T[0], np.array(p).T[1]) for column, p in points.items()}
+
+
+def _number(text: str | None) -> float:
+    try:
+        return float(text or "nan")
+    except ValueError:
+        return math.nan
+
+
+def draw_curves(runs: dict[str, list[Curve]], column: str) -> Figure:
+    """One column of all runs: the mean of a run's seeds as a line, their range as a band."""
+    with rc_context(STYLE):
+        figure = Figure(figsize=(4.6, 3.0), layout="constrained")
+        axes = figure.add_subplot()
+        scale = 100.0 if "success" in column else 1.0
+        for i, (name, curves) in enumerate(runs.items()):
+            found = [curve[column] for curve in curves if column in curve]
+            if not found:
+                continue
+            last = min(steps[-1] for steps, _ in found)  # where all seeds have come to
+            grid = np.unique(np.concatenate([steps for steps, _ in found]))
+            grid = grid[grid <= last]
+            grid = grid[np.linspace(0, len(grid) - 1, min(len(grid), _POINTS)).astype(int)]
+            values = scale * np.stack([np.interp(grid, *curve) for curve in found])
+            colour, dashes = COLOURS[i % len(COLOURS)], "--" if i >= len(COLOURS) else "-"
+            seeds = f" ({len(found)} seeds)" if len(found) > 1 else ""
+            axes.plot(grid, values.mean(0), dashes, color=colour, linewidth=1.5, label=name + seeds)
+            if len(found) > 1:
+                axes.fill_between(
+                    grid, values.min(0), values.max(0), color=colour, alpha=0.18, linewidth=0
+                )
+        axes.set_title(curve_title(column), loc="left")
+        axes.set_xlabel("world steps")
+        axes.xaxis.set_major_formatter(EngFormatter(sep=""))
+        if "success" in column or "score" in column:
+            axes.set_ylim(-2, 102)
+        axes.legend(fontsize=8, loc="best")
+    return figure
+
+
+def curve_title(column: str) -> str:
+    """What a column of a curve is called."""
+    group, _, name = column.rpartition("/")
+    name = re.sub(r"_([\d.]+)_(\d+h)_(\d+r)$", r", \1° \2 \3", name)  # on the cases of a column
+    name = name.replace("success", "success %").replace("_", " ")
+    return f"{'training' if group == 'charts' else group}: {name}"
+
+
+def draw_heat_map(rows: Sequence[Row], title: str) -> Figure:
+    """Success over the field of view and the number of humans and robots."""
+    views = sorted({row["fov_degrees"] for row in rows})
+    crowds = sorted({(row["humans"], row["robots"]) for row in rows})
+    success = np.full((len(crowds), len(views)), np.nan)
+    for row in rows:
+        place = crowds.index((row["humans"], row["robots"])), views.index(row["fov_degrees"])
+        success[place] = row["success_rate"]
+    with rc_context(STYLE):
+        figure = Figure(figsize=(4.6, 1.5 + 0.34 * len(crowds)), layout="constrained")
+        axes = figure.add_subplot()
+        axes.grid(visible=False)
+        axes.spines[:].set_visible(False)
+        axes.tick_params(length=0)
+        mesh = axes.pcolormesh(success, cmap="cividis", vmin=0, vmax=100, edgecolors="face")
+        for (y, x), value in np.ndenumerate(success):
+            if not math.isnan(value):
+                axes.text(x + 0.5, y + 0.5, f"{value:.0f}", ha="center", va="center", fontsize=8,
+                          color=_LIGHT_TEXT if value < 55 else _DARK_TEXT)  # fmt: skip
+        axes.set_xticks(np.arange(len(views)) + 0.5, [f"{view:g}°" for view in views])
+        axes.set_yticks(np.arange(len(crowds)) + 0.5, [f"{h}h {r}r" for h, r in crowds])
+        axes.set_xlabel("field of view")
+        axes.set_title(title, loc="left")
+        figure.colorbar(mesh, label="success %", pad=0.02).outline.set_visible(False)
+    return figure
+
+
+def draw_bars(rows: Sequence[Row], title: str) -> Figure:
+    """Success with its interval in one column of the table, for each setting and method."""
+    labels = settings_labels(rows)
+    settings, methods = list(dict.fromkeys(labels)), list(dict.fromkeys(r["method"] for r in rows))
+    thickness = 0.8 / len(methods)
+    with rc_context({**STYLE, "axes.grid.axis": "x"}):
+        height = 1.2 + max(0.16 * len(methods), 0.3) * len(settings)
+        figure = Figure(figsize=(4.6, height), layout="constrained")
+        axes = figure.add_subplot()
+        for m, method in enumerate(methods):
+            mine = [(r, label) for r, label in zip(rows, labels, strict=True)
+                    if r["method"] == method]  # fmt: skip
+            rate = np.array([row["success_rate"] for row, _ in mine])
+            low = np.array([row["success_low"] for row, _ in mine])
+            high = np.array([row["success_high"] for row, _ in mine])
+            place = [settings.index(label) - 0.4 + (m + 0.5) * thickness for _, label in mine]
+            axes.barh(place, rate, 0.9 * thickness, color=COLOURS[m % len(COLOURS)], label=method,
+                      xerr=(rate - low, high - rate), ecolor=INK,
+                      error_kw={"elinewidth": 1, "capsize": 2})  # fmt: skip
+        axes.set_yticks(range(len(settings)), settings)
+        axes.invert_yaxis()
+        axes.set_xlim(0, 100)
+        axes.set_xlabel("success %, with the 95 % interval")
+        axes.set_title(title, loc="left")
+        axes.legend(fontsize=8, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2)
+    return figure
+
+
+def settings_labels(rows: Sequence[Row]) -> list[str]:
+    """What was set for each row and not for all of them."""
+    words = [settings_of(row) for row in rows]
+    shared = set.intersection(*map(set, words))
+    return [
+        ", ".join(w.removeprefix("scenario.") for w in ws if w not in shared) or "default"
+        for ws in words
+    ]
+
+
+def sweep_figures(rows: Sequence[Row]) -> Iterable[tuple[str, Figure]]:
+    """A heat map of each method and setting that has several columns; bars of each column."""
+    labels = settings_labels(rows)
+    several = len(set(labels)) > 1
+    cells: dict[tuple[str, str], list[Row]] = {}
+    columns: dict[Column, list[tuple[Row, str]]] = {}
+    for row, label in zip(rows, labels, strict=True):
+        cells.setdefault((row["method"], label), []).append(row)
+        columns.setdefault(column_of(row), []).append((row, label))
+    for (method, label), mine in cells.items():
+        if len({column_of(row) for row in mine}) > 1:
+            title = f"{method}, {label}" if several else method
+            yield title, draw_heat_map(mine, title)
+    for column, found in columns.items():
+        if len({label for _, label in found}) > 1:
+            yield column_name(column), draw_bars([row for row, _ in found], column_name(column))

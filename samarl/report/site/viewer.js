@@ -1,0 +1,486 @@
+// Plays recorded episodes: one clock, one or two methods on the same case.
+"use strict";
+
+const element = (id) => document.getElementById(id);
+const entries = JSON.parse(element("entries").textContent);
+const replays = new Map(); // key: episode
+const state = { time: 0, playing: false, robot: 0, steps: 0, shown: [] }; // time in steps
+const sides = [...document.querySelectorAll(".side")].map((section) => ({
+  section,
+  canvas: section.querySelector("canvas"),
+  name: section.querySelector("h2"),
+  outcome: section.querySelector(".outcome"),
+  sight: section.querySelector(".sight"),
+  episode: null,
+}));
+
+// ---------------------------------------------------------------- data
+
+// Called by the scripts in replays/.
+function replay(key, data) {
+  const sums = (differences) => { let sum = 0; return differences.map((d) => (sum += d)); };
+  const points = (agents) => agents.map(([x, y]) => {
+    const [xs, ys] = [sums(x), sums(y)];
+    return xs.map((value, t) => [value / 100, ys[t] / 100]);
+  });
+  replays.set(key, {
+    ...data,
+    last: data.robots[0][0].length - 1,
+    robots: points(data.robots),
+    humans: points(data.humans),
+    waypoints: data.waypoints && points(data.waypoints),
+    headings: data.headings.map((h) => sums(h).map((degrees) => (degrees * Math.PI) / 180)),
+  });
+}
+
+function load(key) {
+  if (replays.has(key)) return Promise.resolve(replays.get(key));
+  return new Promise((resolve, reject) => {
+    const script = document.createElement("script");
+    script.src = `replays/${key}.js`;
+    script.onload = () => resolve(replays.get(key));
+    script.onerror = () => reject(new Error(`replays/${key}.js cannot be read`));
+    document.head.append(script);
+  });
+}
+
+const distance = (a, b) => Math.hypot(a[0] - b[0], a[1] - b[1]);
+const isSeen = (switches, t) => switches.filter((step) => step <= t).length % 2 === 1;
+
+function between(series, t) {
+  const k = Math.min(Math.floor(t), series.length - 1);
+  const next = series[Math.min(k + 1, series.length - 1)];
+  const share = t - k;
+  if (typeof next === "number") return series[k] + share * (next - series[k]);
+  return series[k].map((value, axis) => value + share * (next[axis] - value));
+}
+
+// What one robot sees and attends to at step k: [kind, number, seen, percent of attention].
+function othersOf(episode, robot, k) {
+  const at = Math.min(k, episode.last - 1);
+  const list = [];
+  for (const [kind, seen, attention] of [
+    ["human", episode.humansSeen, episode.humanAttention],
+    ["robot", episode.robotsSeen, episode.robotAttention],
+  ]) {
+    seen[robot].forEach((switches, number) => {
+      if (kind === "robot" && number === robot) return;
+      const percent = attention ? attention[at][robot][number] : null;
+      list.push({ kind, number, seen: isSeen(switches, k), percent });
+    });
+  }
+  return list;
+}
+
+// ---------------------------------------------------------------- drawing
+
+const style = () => getComputedStyle(document.documentElement);
+const darkness = matchMedia("(prefers-color-scheme: dark)");
+let colours = {};
+
+function readColours() {
+  const found = style();
+  colours = {};
+  for (const name of ["ink", "muted", "grid", "contact", "attention", "page", "panel"]) {
+    colours[name] = found.getPropertyValue(`--${name}`).trim();
+  }
+  colours.robots = [0, 1, 2, 3, 4, 5, 6].map((i) => found.getPropertyValue(`--series-${i}`).trim());
+}
+
+const colourOf = (robot) => colours.robots[robot % colours.robots.length];
+
+// The square that holds everything of all shown episodes: its middle and half of its side.
+function bounds() {
+  const low = [Infinity, Infinity], high = [-Infinity, -Infinity];
+  for (const { robots, humans, goals } of state.shown) {
+    for (const point of [...robots.flat(), ...humans.flat(), ...goals]) {
+      for (const axis of [0, 1]) {
+        low[axis] = Math.min(low[axis], point[axis]);
+        high[axis] = Math.max(high[axis], point[axis]);
+      }
+    }
+  }
+  const half = Math.max(high[0] - low[0], high[1] - low[1]) / 2 + 0.8;
+  return { middle: [(low[0] + high[0]) / 2, (low[1] + high[1]) / 2], half };
+}
+
+function drawSide({ canvas, episode }) {
+  const size = canvas.clientWidth, ratio = devicePixelRatio || 1;
+  const pixels = Math.round(size * ratio);
+  if (canvas.width !== pixels) canvas.width = canvas.height = pixels;
+  const { middle, half } = state.bounds;
+  const scale = size / (2 * half);
+  const place = ([x, y]) => [(x - middle[0] + half) * scale, (half - y + middle[1]) * scale];
+  const pen = canvas.getContext("2d");
+  pen.setTransform(ratio, 0, 0, ratio, 0, 0);
+  pen.clearRect(0, 0, size, size);
+  pen.lineJoin = "round";
+
+  const line = (points, colour, width, dash = []) => {
+    pen.beginPath();
+    points.map(place).forEach(([x, y], i) => (i ? pen.lineTo(x, y) : pen.moveTo(x, y)));
+    pen.setLineDash(dash);
+    pen.strokeStyle = colour;
+    pen.lineWidth = width;
+    pen.stroke();
+    pen.setLineDash([]);
+  };
+  const disc = (centre, radius, { fill, stroke, width = 1.5, dash = [], alpha = 1 }) => {
+    pen.beginPath();
+    pen.arc(...place(centre), radius * scale, 0, 2 * Math.PI);
+    pen.globalAlpha = alpha;
+    if (fill) { pen.fillStyle = fill; pen.fill(); }
+    pen.globalAlpha = 1;
+    if (stroke) {
+      pen.setLineDash(dash);
+      pen.strokeStyle = stroke;
+      pen.lineWidth = width;
+      pen.stroke();
+      pen.setLineDash([]);
+    }
+  };
+  const polygon = (centre, corners, radius, colour) => {
+    const [x, y] = place(centre);
+    pen.beginPath();
+    corners.forEach(([turn, far]) => {
+      const angle = turn * 2 * Math.PI - Math.PI / 2;
+      pen.lineTo(x + far * radius * Math.cos(angle), y + far * radius * Math.sin(angle));
+    });
+    pen.closePath();
+    pen.fillStyle = colour;
+    pen.fill();
+    pen.strokeStyle = colours.panel;
+    pen.lineWidth = 1;
+    pen.stroke();
+  };
+  const write = (text, [x, y], colour, size = 11) => {
+    pen.font = `600 ${size}px system-ui, sans-serif`;
+    pen.textAlign = "center";
+    pen.textBaseline = "middle";
+    pen.fillStyle = colour;
+    pen.fillText(text, x, y);
+  };
+
+  const t = Math.min(state.time, episode.last), k = Math.floor(t), me = state.robot;
+  const robots = episode.robots.map((path) => between(path, t));
+  const humans = episode.humans.map((path) => between(path, t));
+  const others = othersOf(episode, me, k);
+  const driving = (i) => t < episode.drivingSteps[i];
+
+  for (let metre = Math.ceil((middle[0] - half) / 2) * 2; metre < middle[0] + half; metre += 2) {
+    line([[metre, middle[1] - half], [metre, middle[1] + half]], colours.grid, 1);
+  }
+  for (let metre = Math.ceil((middle[1] - half) / 2) * 2; metre < middle[1] + half; metre += 2) {
+    line([[middle[0] - half, metre], [middle[0] + half, metre]], colours.grid, 1);
+  }
+
+  robots.forEach((robot, i) => { // fields of view
+    const view = (episode.fov * Math.PI) / 180, heading = between(episode.headings[i], t);
+    const [x, y] = place(robot);
+    if (episode.fov >= 360 && i !== me) return;
+    const reach = i === me ? episode.range : 4 * episode.radius; // of the others the direction only
+    pen.beginPath();
+    if (episode.fov < 360) pen.moveTo(x, y);
+    pen.arc(x, y, reach * scale, -heading - view / 2, -heading + view / 2);
+    pen.closePath();
+    pen.globalAlpha = i !== me ? 0.2 : episode.fov < 360 ? 0.13 : 0.07;
+    pen.fillStyle = colourOf(i);
+    pen.fill();
+    pen.globalAlpha = i === me && episode.fov < 360 ? 0.5 : 0;
+    pen.strokeStyle = colourOf(i);
+    pen.lineWidth = 1;
+    pen.stroke();
+    pen.globalAlpha = 1;
+  });
+
+  humans.forEach((human, j) => {
+    const reach = episode.radii[j] + episode.zone;
+    const near = robots.some((robot, i) =>
+      driving(i) && distance(robot, human) < reach + episode.radius);
+    disc(human, reach, { fill: near ? colours.contact : colours.muted, alpha: near ? 0.25 : 0.14 });
+  });
+  others.filter((o) => o.percent >= 1).forEach(({ kind, number, percent }) => {
+    const towards = kind === "human" ? humans[number] : robots[number];
+    pen.globalAlpha = 0.55;
+    line([robots[me], towards], colours.attention, 1 + percent / 8);
+    pen.globalAlpha = 1;
+  });
+  others.filter((o) => o.kind === "human").forEach(({ number, seen }) => {
+    disc(humans[number], episode.radii[number], seen
+      ? { fill: colours.muted, stroke: colours.ink, width: 1 }
+      : { fill: colours.panel, stroke: colours.muted, dash: [3, 3] });
+    write(String(number), place(humans[number]), seen ? colours.page : colours.muted, 10);
+  });
+
+  const star = [...Array(10).keys()].map((i) => [i / 10, i % 2 ? 0.42 : 1]);
+  const diamond = [[0, 1], [0.25, 1], [0.5, 1], [0.75, 1]];
+  episode.goals.forEach((goal, i) => polygon(goal, star, 10, colourOf(i)));
+  robots.forEach((robot, i) => {
+    const colour = colourOf(i), path = episode.robots[i];
+    pen.globalAlpha = 0.3;
+    line(path, colour, 1);
+    pen.globalAlpha = 1;
+    line([...path.slice(0, k + 1), robot], colour, 2.2);
+    if (episode.waypoints && driving(i)) {
+      const waypoint = episode.waypoints[i][Math.min(k, episode.last - 1)];
+      line([robot, waypoint], colour, 1.5, [2, 4]);
+      polygon(waypoint, diamond, 6, colour);
+    }
+  });
+  robots.forEach((robot, i) => {
+    const known = i === me || others.some((o) => o.kind === "robot" && o.number === i && o.seen);
+    const heading = between(episode.headings[i], t), colour = colourOf(i);
+    const tip = [0, 1].map((axis) =>
+      robot[axis] + 1.9 * episode.radius * [Math.cos(heading), Math.sin(heading)][axis]);
+    line([robot, tip], colour, 3);
+    disc(robot, episode.radius, known ? { fill: colour }
+      : { fill: colours.panel, stroke: colour, dash: [3, 3] });
+    if (i === me) disc(robot, episode.radius + 0.12, { stroke: colours.ink, width: 2 });
+    write(String(i), place(robot), known ? colours.page : colour);
+    if (t === episode.last && episode.outcomes[i].startsWith("hit")) {
+      const [x, y] = place(robot), arm = 11;
+      for (const [width, ink] of [[6, colours.page], [3.5, colours.contact]]) {
+        pen.beginPath();
+        pen.moveTo(x - arm, y - arm);
+        pen.lineTo(x + arm, y + arm);
+        pen.moveTo(x + arm, y - arm);
+        pen.lineTo(x - arm, y + arm);
+        pen.lineWidth = width;
+        pen.strokeStyle = ink;
+        pen.stroke();
+      }
+    }
+  });
+  others.filter((o) => o.percent >= 10).forEach(({ kind, number, percent }) => {
+    const [x, y] = place(kind === "human" ? humans[number] : robots[number]);
+    write(`${percent} %`, [x, y - episode.radius * scale - 9], colours.attention);
+  });
+  canvas.dataset.time = state.time.toFixed(3);
+  canvas.dataset.step = k;
+}
+
+const seconds = (episode, steps) => `${(steps * episode.step).toFixed(2)} s`;
+
+function outcomeOf(episode, i, t) {
+  const outcome = episode.outcomes[i].replace("_", " a ");
+  if (t >= episode.last && outcome !== "arrived") {
+    return { timeout: "out of time", interrupted: "still on its way" }[outcome] || outcome;
+  }
+  return t >= episode.drivingSteps[i] ? `arrived at ${seconds(episode, episode.drivingSteps[i])}`
+    : "driving";
+}
+
+function describe({ episode, outcome, sight, canvas, name }) {
+  const t = Math.min(state.time, episode.last), k = Math.floor(t);
+  const ended = t === episode.last ? `Ended at ${seconds(episode, episode.last)}. ` : "";
+  const robots = episode.outcomes.map((_, i) => `${i} ${outcomeOf(episode, i, t)}`);
+  const others = othersOf(episode, state.robot, k);
+  const count = (kind) => {
+    const all = others.filter((o) => o.kind === kind);
+    return `${all.filter((o) => o.seen).length} of ${all.length} ${kind}s`;
+  };
+  const attended = others.filter((o) => o.percent >= 1).sort((a, b) => b.percent - a.percent);
+  const attention = episode.humanAttention
+    ? ` Attends to ${attended.slice(0, 3).map((o) => `${o.kind} ${o.number} ${o.percent} %`).join(", ") || "nobody"}.`
+    : "";
+  const texts = [
+    [outcome, `${ended}Robots: ${robots.join(", ")}.`],
+    [sight, `Robot ${state.robot} sees ${count("human")}, ${count("robot")}.${attention}`],
+  ];
+  for (const [where, text] of texts) if (where.textContent !== text) where.textContent = text;
+  if (!state.playing) {
+    canvas.setAttribute("aria-label",
+      `${name.textContent} at ${seconds(episode, t)}: ${outcome.textContent} ${sight.textContent}`);
+  }
+}
+
+function draw() {
+  if (!state.shown.length) return;
+  const shown = sides.filter((side) => side.episode);
+  shown.forEach(drawSide);
+  shown.forEach(describe);
+  element("time").value = Math.floor(state.time);
+  const text = seconds(state.shown[0], state.time);
+  element("time").setAttribute("aria-valuetext", text);
+  element("clock").textContent = text;
+}
+
+// ---------------------------------------------------------------- playing
+
+let earlier = 0;
+
+function tick(now) {
+  if (!state.playing) return;
+  // A frame may have begun before the key was pressed; a hidden page has no frames at all.
+  const passed = Math.max(0, Math.min((now - earlier) / 1000, 0.25));
+  earlier = now;
+  const time = state.time + (passed * Number(element("speed").value)) / state.shown[0].step;
+  state.time = Math.min(time, state.steps);
+  if (state.time === state.steps) play(false);
+  draw();
+  requestAnimationFrame(tick);
+}
+
+function play(on) {
+  if (on && state.time >= state.steps) state.time = 0;
+  state.playing = on;
+  element("play").textContent = on ? "Pause" : "Play";
+  if (on) {
+    earlier = performance.now();
+    requestAnimationFrame(tick);
+  } else {
+    remember();
+  }
+}
+
+function seek(time) {
+  play(false);
+  state.time = Math.max(0, Math.min(time, state.steps));
+  draw();
+  remember();
+}
+
+const step = (by) => seek(by < 0 ? Math.ceil(state.time) + by : Math.floor(state.time) + by);
+
+function look(robot) {
+  const buttons = [...element("robots").children];
+  if (robot >= buttons.length) return;
+  state.robot = robot;
+  buttons.forEach((button, i) => button.setAttribute("aria-pressed", String(i === robot)));
+  draw();
+  remember();
+}
+
+// ---------------------------------------------------------------- choosing
+
+const chosen = () => ({
+  column: element("column").value, case: element("case").value,
+  left: element("left").value, right: element("right").value,
+});
+
+function fill(id, values, wanted, label = (value) => value) {
+  const select = element(id), kept = wanted ?? select.value;
+  select.replaceChildren(...values.map((value) => new Option(label(value), value)));
+  select.value = values.includes(kept) ? kept : values[0];
+}
+
+const different = (list, key) => [...new Set(list.map((entry) => entry[key]))];
+
+// Offer what there is; keep what was chosen where it still exists.
+function offer(wanted = {}) {
+  fill("column", different(entries, "column"), wanted.column);
+  const inColumn = entries.filter((entry) => entry.column === chosen().column);
+  fill("case", different(inColumn, "case"), wanted.case);
+  const inCase = inColumn.filter((entry) => entry.case === chosen().case);
+  const label = (method) => {
+    const entry = inCase.find((one) => one.method === method);
+    return entry ? `${entry.success ? "✓" : "✗"} ${method}` : "nothing";
+  };
+  fill("left", different(inCase, "method"), wanted.left, label);
+  fill("right", ["", ...different(inCase, "method")], wanted.right, label);
+}
+
+let loading = 0;
+
+async function show() {
+  const choice = chosen(), ticket = ++loading;
+  const keys = [choice.left, choice.right].map((method) => entries.find((entry) =>
+    entry.column === choice.column && entry.case === choice.case && entry.method === method)?.key);
+  let episodes;
+  try {
+    episodes = await Promise.all(keys.map((key) => key && load(key)));
+  } catch (error) {
+    element("failure").textContent = error.message;
+    element("failure").hidden = false;
+    return;
+  }
+  if (ticket !== loading) return; // something else was chosen meanwhile
+  sides.forEach((side, i) => {
+    side.episode = episodes[i] || null;
+    side.section.hidden = !side.episode;
+    side.name.textContent = [choice.left, choice.right][i];
+  });
+  state.shown = episodes.filter(Boolean);
+  state.steps = Math.max(...state.shown.map((episode) => episode.last));
+  state.time = Math.min(state.time, state.steps);
+  state.bounds = bounds();
+  element("stage").classList.toggle("alone", state.shown.length === 1);
+  element("time").max = state.steps;
+  const count = state.shown[0].robots.length;
+  if (element("robots").children.length !== count) {
+    element("robots").replaceChildren(...[...Array(count).keys()].map((i) => {
+      const button = document.createElement("button");
+      button.type = "button";
+      button.textContent = i;
+      button.setAttribute("aria-label", `robot ${i}`);
+      button.style.cssText = `--robot: var(--series-${i % 7}); border-color: var(--robot)`;
+      button.onclick = () => look(i);
+      return button;
+    }));
+  }
+  look(Math.min(state.robot, count - 1));
+}
+
+// The address says what is shown, so that it can be passed on.
+function remember() {
+  const address = new URLSearchParams({
+    ...chosen(), robot: state.robot, step: Math.floor(state.time),
+  });
+  history.replaceState(null, "", `#${address}`);
+}
+
+// ---------------------------------------------------------------- the page
+
+function key(event) {
+  if (event.ctrlKey || event.altKey || event.metaKey || event.target.tagName === "SELECT") return;
+  const second = state.shown.length ? Math.round(1 / state.shown[0].step) : 1;
+  const speed = element("speed");
+  const faster = (by) => {
+    speed.selectedIndex = Math.max(0, Math.min(speed.selectedIndex + by, speed.length - 1));
+  };
+  const actions = {
+    " ": () => play(!state.playing),
+    ArrowLeft: () => step(event.shiftKey ? -second : -1),
+    ArrowRight: () => step(event.shiftKey ? second : 1),
+    Home: () => seek(0),
+    End: () => seek(state.steps),
+    "+": () => faster(1),
+    "=": () => faster(1),
+    "-": () => faster(-1),
+  };
+  const onButton = event.target.tagName === "BUTTON" || event.target.tagName === "SUMMARY";
+  if (event.key === " " && onButton) return; // it presses the button
+  const action = actions[event.key] || (/^\d$/.test(event.key) && (() => look(Number(event.key))));
+  if (!action || !state.shown.length) return;
+  event.preventDefault();
+  action();
+}
+
+element("play").onclick = () => play(!state.playing);
+element("back").onclick = () => step(-1);
+element("forward").onclick = () => step(1);
+element("time").oninput = (event) => seek(Number(event.target.value));
+element("choice").onsubmit = (event) => event.preventDefault();
+element("choice").onchange = () => { offer(); show(); };
+document.addEventListener("keydown", key);
+sides.forEach((side) => {
+  side.canvas.onclick = (event) => {
+    const { middle, half } = state.bounds, size = side.canvas.clientWidth;
+    const at = [middle[0] + (event.offsetX / size) * 2 * half - half,
+      middle[1] - (event.offsetY / size) * 2 * half + half];
+    const away = side.episode.robots.map((path) =>
+      distance(at, between(path, Math.min(state.time, side.episode.last))));
+    look(away.indexOf(Math.min(...away)));
+  };
+});
+darkness.addEventListener("change", () => { readColours(); draw(); });
+new ResizeObserver(draw).observe(element("stage"));
+
+readColours();
+const wanted = Object.fromEntries(new URLSearchParams(location.hash.slice(1)));
+state.time = Math.max(0, Math.trunc(wanted.step)) || 0;
+state.robot = Math.max(0, Math.trunc(wanted.robot)) || 0;
+const successes = (method) => entries.filter((e) => e.method === method && e.success).length;
+const [best, second = ""] = different(entries, "method").sort((a, b) => successes(b) - successes(a));
+offer({ left: best, right: second, ...wanted });
+show();

@@ -1,0 +1,124 @@
+"""What a recording says of an episode, and the pictures made of it."""
+
+import sys
+from pathlib import Path
+
+import imageio_ffmpeg
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from mrsan import ConfigurationError, Scenario, World
+from samarl.agents import build_agent
+from samarl.agents.hierarchical import Architecture, HierarchicalPolicy
+from samarl.agents.learned import Deployed
+from samarl.encoders.spatio_temporal import Pool
+from samarl.evaluation.recording import record_episode
+from samarl.report.animation import save_animation
+from samarl.training.checkpoint import save_policy
+
+SCENARIO = Scenario(humans=4, robots=3, fov_degrees=120.0, time_limit=4.0)
+STRAIGHT = {"_target_": "samarl.agents.planners.straight.Straight"}
+
+
+def architecture(levels: int = 2, actors: int = 1) -> Architecture:
+    return Architecture(
+        actors=actors, width=8, heads=2, history=3, features=8, hidden=8, macro_steps=4,
+        levels=levels, round_below=180.0, round_radius=7.0, waypoint_ahead=2.0,
+        waypoint_range=2.0, track_steps=4,
+    )  # fmt: skip
+
+
+def test_what_is_seen_lies_in_the_field_of_view() -> None:
+    recording = record_episode(build_agent(STRAIGHT, SCENARIO), SCENARIO, 3)
+    humans = recording.human_position[:, None] - recording.robot_position[:, :, None]
+    robots = recording.robot_position[:, None] - recording.robot_position[:, :, None]
+    ahead = recording.robot_heading[..., None]
+    for away, seen in ((humans, recording.humans_seen), (robots, recording.robots_seen)):
+        bearing = np.arctan2(away[..., 1], away[..., 0]) - ahead
+        off = np.abs(np.degrees((bearing + np.pi) % (2 * np.pi) - np.pi))
+        distance = np.linalg.norm(away, axis=-1)
+        expected = (off < 60) & (distance < 10) & (distance > 0)
+        unclear = (np.abs(off - 60) < 0.01) | (np.abs(distance - 10) < 1e-4)
+        assert (seen == expected)[~unclear].all()
+        assert seen.any()
+        assert not seen.all()
+    assert recording.waypoint is recording.human_attention is recording.robot_attention is None
+
+
+@pytest.mark.parametrize("actors", [1, 3])
+def test_a_policy_tells_its_waypoints_and_its_attention(tmp_path: Path, actors: int) -> None:
+    torch.manual_seed(0)
+    path = tmp_path / "policy.safetensors"
+    save_policy(path, HierarchicalPolicy(architecture(2, actors), 3), "hierarchical", {})
+    config = {"_target_": "samarl.agents.learned.Learned", "checkpoint": str(path)}
+    recording = record_episode(build_agent(config, SCENARIO), SCENARIO, 3)
+    steps = len(recording.robot_position) - 1
+    assert recording.waypoint is not None
+    assert recording.human_attention is not None
+    assert recording.robot_attention is not None
+    assert recording.waypoint.shape == (steps, 3, 2)
+    # Kept for four steps, so there are as many as seconds that have begun, or a few more.
+    changes = (np.diff(recording.waypoint, axis=0) != 0).any(-1).sum(0)
+    assert (changes >= (steps - 1) // 4).all()
+    for share in (recording.human_attention, recording.robot_attention):
+        assert (share >= 0).all()
+        assert (share.sum(-1) < 1).all()  # "nobody" has a share too
+    first = recording.human_attention[0]
+    assert ((first > 0) == recording.humans_seen[0]).all()  # nobody is remembered yet
+    assert (np.diagonal(recording.robot_attention, axis1=1, axis2=2) == 0).all()
+
+
+def test_explaining_changes_nothing_and_a_flat_agent_has_no_waypoint() -> None:
+    torch.manual_seed(0)
+    model = HierarchicalPolicy(architecture(levels=1), 3)
+    agents = [Deployed(model, SCENARIO) for _ in range(2)]
+    world = World(SCENARIO, 2)
+    observation = world.reset([1, 2])
+    assert agents[0].explain() is None
+    for _ in range(4):
+        action, same = (agent.act(observation) for agent in agents)
+        explanation = agents[1].explain()
+        assert explanation is not None
+        assert explanation.waypoint is None
+        assert (action == same).all()
+        observation = world.step(action).observation
+
+
+def test_the_shares_are_those_that_the_pool_uses() -> None:
+    torch.manual_seed(0)
+    pool = Pool(8, heads=1)
+    torch.nn.init.normal_(pool.nobody)
+    own, tokens = torch.randn(5, 8), torch.randn(5, 3, 8)
+    masked = torch.where(torch.rand(5, 3) < 0.4, -1e9, 0.0)
+    shares = pool.shares(own, tokens, masked)
+    assert (shares[masked < 0] == 0).all()
+    value, nobody = pool.key_value(tokens)[..., 8:], pool.nobody[8:]
+    rest = 1 - shares.sum(-1, keepdim=True)
+    by_hand = pool.out((shares.unsqueeze(-1) * value).sum(1) + rest * nobody)
+    torch.testing.assert_close(by_hand, pool(own, tokens, masked), atol=1e-5, rtol=0)
+
+
+def test_animations_have_a_frame_for_each_state(tmp_path: Path) -> None:
+    recording = record_episode(build_agent(STRAIGHT, SCENARIO), SCENARIO, 3)
+    frames = len(recording.robot_position)
+    save_animation(recording, tmp_path / "case.gif", "a title")
+    with Image.open(tmp_path / "case.gif") as picture:
+        assert picture.n_frames == frames  # type: ignore[attr-defined]
+        assert picture.info["duration"] == 250
+    save_animation(recording, tmp_path / "case.mp4", "a title")
+    pictures = imageio_ffmpeg.read_frames(str(tmp_path / "case.mp4"))
+    assert next(pictures)["fps"] == 4
+    assert sum(1 for _ in pictures) == frames
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["case.gif", "case.mp4"]
+
+
+def test_a_missing_encoder_is_said_in_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
+    recording = record_episode(build_agent(STRAIGHT, SCENARIO), SCENARIO, 3)
+    with pytest.raises(ConfigurationError, match=r"pip install 'samarl\[video\]'"):
+        save_animation(recording, tmp_path / "case.mp4", "a title")
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,369 @@
+"""The report: whole pages from whatever there is, and a viewer that plays in a real browser."""
+
+import json
+import re
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from playwright.sync_api import Browser, ConsoleMessage, Page, sync_playwright
+
+from mrsan import Scenario
+from samarl.agents import build_agent
+from samarl.agents.hierarchical import Architecture, HierarchicalPolicy
+from samarl.evaluation.files import find_folder
+from samarl.evaluation.recording import Recording, record_episode
+from samarl.report.figures import draw_curves, read_curve, settings_labels
+from samarl.report.replays import as_replay
+from samarl.training.checkpoint import save_policy
+
+VOID = {"meta", "link", "input", "img", "br", "circle", "path", "rect"}
+FLAGS = [
+    "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
+    "--disable-background-networking", "--disable-component-update", "--disable-sync",
+]  # fmt: skip
+ARCHITECTURE = Architecture(
+    actors=1, width=8, heads=1, history=3, features=8, hidden=8, macro_steps=4,
+    levels=2, round_below=180.0, round_radius=7.0, waypoint_ahead=2.0, waypoint_range=2.0,
+    track_steps=4,
+)  # fmt: skip
+STRAIGHT = {"_target_": "samarl.agents.planners.straight.Straight"}
+
+
+def report(*arguments: str, cwd: Path, code: int = 0) -> subprocess.CompletedProcess[str]:
+    done = subprocess.run(
+        [sys.executable, "-m", "samarl.report", *arguments], cwd=cwd, capture_output=True, text=True
+    )
+    assert done.returncode == code, done.stderr
+    return done
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A report of a table, a run of two seeds and one of one, two sweeps and a policy."""
+    folder = tmp_path_factory.mktemp("report")
+    results = folder / "results"
+    for name in ("curves", "sweeps", "checkpoints"):
+        (results / name).mkdir(parents=True)
+    table = json.loads((find_folder("results") / "table1.json").read_text())
+    (results / "table1.json").write_text(json.dumps(table))
+    (results / "not_rows.json").write_text('{"worlds": 512}')
+    (results / "sweeps/views.json").write_text(json.dumps(table))
+    noisy = [
+        row | {"command": f"{row['command']} scenario.position_noise={noise}"}
+        for row in table[:2]
+        for noise in (0.1, 0.2)
+    ]
+    (results / "sweeps/noise.json").write_text(json.dumps(noisy))
+    for name, value in (("fast_seed0", 0.5), ("fast_seed1", 0.7), ("slow", 0.2)):
+        lines = [f"{1000 * k},{k},{value},{value if k % 2 else ''},{value}" for k in range(1, 6)]
+        header = "steps,seconds,charts/success,validation/success_90_10h_3r,losses/macro_critic"
+        (results / f"curves/{name}.csv").write_text("\n".join([header, *lines]))
+    torch.manual_seed(0)
+    policy = HierarchicalPolicy(ARCHITECTURE, action_size=3)
+    save_policy(results / "checkpoints/mine.safetensors", policy, "hierarchical", {})
+    done = report("results=results", "agents=[straight,perimeter,samarl]", "cases=[0,3]",
+                  "output=site", cwd=folder)  # fmt: skip
+    assert "written to site/index.html" in done.stdout
+    return folder / "site"
+
+
+class Reader(HTMLParser):
+    """Collects addresses and ids and demands that every element is closed in order."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.addresses: list[str] = []
+        self.ids: list[str] = []
+
+    def handle_starttag(self, tag: str, attributes: list[tuple[str, str | None]]) -> None:
+        if tag not in VOID:
+            self.open.append(tag)
+        for name, value in attributes:
+            if name in ("href", "src"):
+                self.addresses.append(value or "")
+            if name == "id":
+                self.ids.append(value or "")
+
+    def handle_endtag(self, tag: str) -> None:
+        if tag not in VOID:
+            assert self.open.pop() == tag
+
+
+def test_the_pages_are_whole_light_and_need_no_network(site: Path) -> None:
+    pages = sorted(page.stem for page in site.glob("*.html"))
+    assert pages == ["curves", "index", "replays", "sweeps"]
+    for page in site.glob("*.html"):
+        reader = Reader()
+        reader.feed(page.read_text())
+        assert reader.open == []
+        assert len(set(reader.ids)) == len(reader.ids)
+        for address in reader.addresses:
+            if address.startswith("#"):
+                assert address[1:] in reader.ids
+            elif address != "data:,":
+                assert not address.startswith(("/", "."))
+                assert (site / address).is_file(), address
+    for file in site.rglob("*"):
+        if file.suffix in (".html", ".css", ".js"):
+            assert not re.search(r"https?:|url\(|file:|/tmp/|/home/", file.read_text()), file
+        if file.suffix == ".svg":
+            assert not re.search(r'(href|src)="(?!#|data:)', file.read_text()), file
+    assert sum(file.stat().st_size for file in site.rglob("*") if file.is_file()) < 3e6
+    assert not list(site.parent.glob("*.part"))
+
+
+def test_whatever_is_in_the_results_is_shown(site: Path) -> None:
+    index = (site / "index.html").read_text()
+    assert "Table 1" in index
+    assert "Not rows" not in index
+    assert re.search(r"<b>75\.4 %</b> <span class=\"interval\">\[71\.4, 79\.0\]", index)
+    assert "paper: SAMARL-PPO" in index
+    figures = {figure.stem for figure in (site / "figures").glob("*.svg")}
+    assert figures == {figure.stem for figure in (site / "figures").glob("*.png")}
+    assert figures == {
+        "curve-charts-success", "curve-validation-success-90-10h-3r", "curve-losses-macro-critic",
+        "views-orca", "views-perimeter", "views-straight", "views-social-force",
+        "views-model-predictive", "noise-90-10h-3r",
+    }  # fmt: skip
+    assert len(list((site / "replays").glob("mine-*.js"))) == 2 * 2
+    assert "position_noise=0.2" in (site / "figures/noise-90-10h-3r.svg").read_text()
+
+
+def test_a_curve_is_the_mean_of_its_seeds_and_their_range(site: Path) -> None:
+    curves = [read_curve(site.parent / f"results/curves/fast_seed{k}.csv") for k in range(2)]
+    steps, values = curves[0]["validation/success_90_10h_3r"]  # with gaps
+    assert steps.tolist() == [1000, 3000, 5000]
+    assert values.tolist() == [0.5] * 3
+    axes = draw_curves({"fast": curves}, "charts/success").axes[0]
+    np.testing.assert_allclose(axes.lines[0].get_ydata(), 60.0)
+    low, high = axes.collections[0].get_paths()[0].get_extents().get_points()[:, 1]
+    assert (low, high) == (pytest.approx(50.0), pytest.approx(70.0))
+
+
+def test_settings_tell_rows_apart() -> None:
+    shared = "samarl-evaluate agent=orca scenario.humans=5 evaluation.cases=9"
+    rows = [{"command": shared}, {"command": f"{shared} scenario.occlusion=true"}]
+    assert settings_labels(rows) == ["default", "occlusion=true"]  # type: ignore[arg-type]
+
+
+def recorded() -> Recording:
+    scenario = Scenario(fov_degrees=90.0)
+    return record_episode(build_agent(STRAIGHT, scenario), scenario, 2**41)
+
+
+def test_a_replay_says_what_the_recording_says() -> None:
+    recording = recorded()
+    replay = as_replay(recording)
+    position = np.cumsum(replay["robots"], axis=-1).transpose(2, 0, 1) / 100
+    np.testing.assert_allclose(position, recording.robot_position, atol=0.0051)
+    heading = np.radians(np.cumsum(replay["headings"], axis=-1)).T
+    np.testing.assert_allclose(np.cos(heading), np.cos(recording.robot_heading), atol=0.01)
+    for t in range(len(position)):
+        for i, of_robot in enumerate(replay["humansSeen"]):
+            seen = [sum(step <= t for step in switches) % 2 == 1 for switches in of_robot]
+            assert seen == recording.humans_seen[t, i].tolist()
+    assert replay["waypoints"] is replay["humanAttention"] is None
+
+
+def test_an_agent_without_its_checkpoint_is_left_out(tmp_path: Path) -> None:
+    (tmp_path / "results").mkdir()
+    (tmp_path / "conf/agent").mkdir(parents=True)
+    (tmp_path / "conf/agent/mine.yaml").write_text("defaults:\n  - samarl\ncheckpoint: nowhere\n")
+    done = report("--config-dir", "conf", "results=results", "agents=[mine]", "cases=[0]",
+                  "output=site", "columns=[{robots: 2}]", cwd=tmp_path)  # fmt: skip
+    assert done.stdout.startswith("left out: mine, 360° view: checkpoint is 'nowhere'")
+    assert [page.name for page in (tmp_path / "site").glob("*.html")] == ["index.html"]
+    assert "There is no table in the results yet." in (tmp_path / "site/index.html").read_text()
+
+
+@pytest.mark.parametrize(
+    ("argument", "message"),
+    [
+        ("output=full", "output is 'full'; it must be a new folder or that of an earlier report"),
+        ("results=none", "results is 'none'; it must be a folder"),
+        ("results=broken", "broken/table.json is not JSON"),
+        ("cases=[-1]", "cases has -1; each must lie in [0, 1e+09]"),
+        ("agents=[nobody]", "agents has 'nobody'; it must be among"),
+    ],
+)
+def test_a_mistake_is_one_line(tmp_path: Path, argument: str, message: str) -> None:
+    for name in ("full", "broken"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "full/mine.txt").write_text("mine")
+    (tmp_path / "broken/table.json").write_text("[")
+    done = report("agents=[]", "output=site", argument, cwd=tmp_path, code=2)
+    assert done.stderr.startswith(f"error: {message}")
+    assert len(done.stderr.splitlines()) == 1
+    assert (tmp_path / "full/mine.txt").exists()
+    assert not (tmp_path / "site").exists()
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with sync_playwright() as playwright:
+        names = ("chromium", "chromium-browser", "google-chrome")
+        path = next(filter(None, map(shutil.which, names)), playwright.chromium.executable_path)
+        if not Path(path).exists():
+            pytest.fail(
+                "there is no Chromium to test the report with; install one: "
+                "apt-get install chromium, or playwright install chromium"
+            )
+        chromium = playwright.chromium.launch(executable_path=path, args=FLAGS)
+        yield chromium
+        chromium.close()
+
+
+@pytest.fixture
+def page(browser: Browser) -> Iterator[Page]:
+    """A page that may not complain and may not ask for anything but files."""
+    complaints: list[str] = []
+
+    def hear(message: ConsoleMessage) -> None:
+        if message.type in ("error", "warning"):
+            complaints.append(message.text)
+
+    page = browser.new_page(viewport={"width": 1200, "height": 900})
+    page.on("console", hear)
+    page.on("pageerror", lambda error: complaints.append(str(error)))
+    page.on("requestfailed", lambda request: complaints.append(request.url))
+    page.on(
+        "request",
+        lambda request: (
+            None if request.url.startswith(("file:", "data:")) else complaints.append(request.url)
+        ),
+    )
+    yield page
+    page.close()
+    assert complaints == []
+
+
+def show(page: Page, site: Path, choice: str) -> None:
+    page.goto(f"{(site / 'replays.html').as_uri()}#{choice}")
+    page.wait_for_selector("canvas[data-step]")
+
+
+def steps(page: Page) -> list[str]:
+    """The clocks of the canvases that are shown."""
+    return page.eval_on_selector_all(
+        ".side:not([hidden]) canvas", "canvases => canvases.map(c => c.dataset.time)"
+    )
+
+
+BOTH = "column=90°+view,+10+humans,+3+robots&case=test+case+0&left=perimeter&right=mine"
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("size", [(1200, 900), (375, 740)])
+def test_every_page_opens_and_fits(
+    page: Page, site: Path, tmp_path: Path, scheme: str, size: tuple[int, int]
+) -> None:
+    page.emulate_media(color_scheme=scheme)  # type: ignore[arg-type]
+    page.set_viewport_size({"width": size[0], "height": size[1]})
+    for path in site.glob("*.html"):
+        page.goto(path.as_uri())
+        page.wait_for_function("[...document.images].every(i => i.complete || i.loading == 'lazy')")
+        width = page.evaluate("document.documentElement.scrollWidth")
+        assert width <= size[0]
+        background = page.evaluate("getComputedStyle(document.body).backgroundColor")
+        assert background == ("rgb(22, 22, 22)" if scheme == "dark" else "rgb(255, 255, 255)")
+        picture = page.screenshot(path=tmp_path / f"{path.stem}.png", full_page=True)
+        assert len(picture) > 10_000
+
+
+def test_a_replay_plays_pauses_scrubs_and_ends(page: Page, site: Path) -> None:
+    show(page, site, BOTH)
+    assert steps(page) == ["0.000", "0.000"]
+    page.keyboard.press("Space")
+    seen = []
+    for _ in range(10):
+        time.sleep(0.05)
+        left, right = steps(page)
+        assert left == right  # one clock for both
+        seen.append(float(left))
+    assert seen == sorted(seen)
+    assert seen[-1] > seen[0]
+    page.keyboard.press("Space")
+    paused = steps(page)
+    time.sleep(0.2)
+    assert steps(page) == paused
+    assert page.inner_text("#play") == "Play"
+
+    page.fill("#time", "20")  # scrub
+    assert steps(page) == ["20.000"] * 2
+    assert page.inner_text("#clock") == "5.00 s"
+    page.keyboard.press("Home")
+    for _ in range(3):
+        page.keyboard.press("ArrowRight")
+    page.keyboard.press("ArrowLeft")
+    assert steps(page) == ["2.000"] * 2
+    page.keyboard.press("Shift+ArrowRight")
+    assert steps(page) == ["6.000"] * 2
+    page.keyboard.press("+")
+    assert page.input_value("#speed") == "2"
+    page.keyboard.press("-")
+    page.keyboard.press("-")
+    assert page.input_value("#speed") == "0.5"
+
+    page.keyboard.press("End")
+    last = int(page.get_attribute("#time", "max") or 0)
+    assert steps(page) == [f"{last}.000"] * 2
+    for outcome in page.locator(".outcome").all_inner_texts():
+        assert outcome.startswith("Ended at ")
+    page.locator("#speed").select_option("8")
+    page.click("#play")  # from the end it begins again, and stops at the end by itself
+    page.wait_for_function("document.getElementById('play').textContent == 'Play'", timeout=30_000)
+    assert steps(page) == [f"{last}.000"] * 2
+
+
+def test_the_chosen_robot_sees_what_was_recorded(page: Page, site: Path) -> None:
+    recording = recorded()
+    show(page, site, "column=90°+view,+10+humans,+3+robots&case=test+case+0&left=straight&right=")
+    assert len(steps(page)) == 1
+    for t in range(len(recording.robot_position)):
+        for robot in range(3):
+            page.keyboard.press(str(robot))
+            humans = recording.humans_seen[t, robot].sum()
+            others = recording.robots_seen[t, robot].sum()
+            said = page.inner_text(".sight >> nth=0")
+            assert said == f"Robot {robot} sees {humans} of 10 humans, {others} of 2 robots."
+        page.keyboard.press("ArrowRight")
+    ended = page.inner_text(".outcome >> nth=0")
+    assert "hit a human" in ended
+    assert page.get_attribute("canvas >> nth=0", "aria-label").startswith("straight at")  # type: ignore[union-attr]
+
+    before = page.locator("canvas").first.screenshot()
+    page.keyboard.press("Home")
+    assert page.locator("canvas").first.screenshot() != before
+    # Another method on the same case, and what it attends to.
+    page.locator("#left").select_option("mine")
+    page.wait_for_selector("h2:text('mine')")
+    assert "Attends to" in page.inner_text(".sight >> nth=0")
+    assert "left=mine" in page.evaluate("location.hash")
+
+
+def test_the_page_works_by_keyboard_alone(page: Page, site: Path) -> None:
+    show(page, site, BOTH)
+    order = []
+    for _ in range(30):
+        page.keyboard.press("Tab")
+        order.append(page.evaluate("document.activeElement.id || document.activeElement.className"))
+        if order[-1] == "play":
+            break
+    assert order[0] == "skip"
+    controls = [name for name in order if name]
+    assert controls == ["skip", "column", "case", "left", "right", "back", "play"]
+    assert page.locator("#robots button").count() == 3
+    assert page.evaluate("getComputedStyle(document.activeElement).outlineStyle") == "solid"
+    page.keyboard.press("Space")  # presses the button once, not twice
+    assert page.inner_text("#play") == "Pause"
+    page.keyboard.press("Space")
+    assert page.inner_text("#play") == "Play"
