@@ -62,6 +62,8 @@ train: setup ## Train SAMARL with the default recipe, or go on with an interrupt
 results: setup ## Rewrite results/, the table and the picture of the README (nothing else may)
 	@$(BIN)/samarl-bench output=results
 	@$(BIN)/python -m benchmarks.throughput --compile --output results/throughput.json
+	@$(BIN)/python -m benchmarks.latency --output results/latency.json
+	@$(BIN)/python -m benchmarks.training --output results/training_throughput.json
 	@awk 'FNR == NR { if (/^\|/ && !done) table = table $$0 "\n"; else if (table) done = 1; next } \
 	  /<!-- table1 -->/ { print; printf "%s", table; inside = 1; next } \
 	  /<!-- \/table1 -->/ { inside = 0 } !inside' results/table1.md README.md > README.md.part
