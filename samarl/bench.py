@@ -97,7 +97,7 @@ def load_agent(name: str) -> dict[str, Any]:
     """The configuration of an agent of `conf/agent/`."""
     if name not in available_agents():
         choices = ", ".join(available_agents())
-        raise ConfigurationError(f"agents has {name!r}; it must be among {choices}")
+        raise ConfigurationError(f"{name!r} is not an agent; it must be among {choices}")
     with _hydra():
         config = OmegaConf.to_container(compose("config", [f"agent={name}"]).agent)
     assert isinstance(config, dict)

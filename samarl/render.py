@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,7 @@ from omegaconf import MISSING, DictConfig, OmegaConf
 from mrsan import ConfigurationError, Scenario, Split
 from mrsan.scenario import check_numbers, number
 from samarl.agents import build_agent
+from samarl.bench import load_agent
 from samarl.cli import chosen_agent, run_command
 from samarl.evaluation.recording import Recording, record_episode
 
@@ -26,6 +27,7 @@ class Render:
     output: str = MISSING
     scenario: Any = MISSING
     agent: Any = MISSING
+    against: str | None = None
     checkpoint: str | None = None
     plugins: list[str] = field(default_factory=list)
 
@@ -42,18 +44,23 @@ def render(config: DictConfig) -> None:
     check_numbers(Render(case=config.case, split=config.split), "render")
     path = Path(config.output)
     save = _writer(path)
-    agent = build_agent(chosen_agent(config), scenario)
-    recording = record_episode(agent, scenario, config.split.case(config.case))
-    name = HydraConfig.get().runtime.choices.agent
-    title = (
-        f"{name}, {config.split.name} case {config.case}: {scenario.fov_degrees:g}° view, "
-        f"{scenario.humans} humans, {scenario.robots} robots"
-    )
-    save(recording, path, title)
+    agents: dict[str, Any] = {HydraConfig.get().runtime.choices.agent: chosen_agent(config)}
+    if config.against is not None:
+        agents[config.against] = load_agent(config.against)
+    recordings = []
+    for name, agent_config in agents.items():
+        agent = build_agent(agent_config, scenario)
+        recording = record_episode(agent, scenario, config.split.case(config.case))
+        title = (
+            f"{name}, {config.split.name} case {config.case}: {scenario.fov_degrees:g}° view, "
+            f"{scenario.humans} humans, {scenario.robots} robots"
+        )
+        recordings.append((recording, title))
+    save(recordings, path)
     print(f"written to {path}")
 
 
-def _writer(path: Path) -> Callable[[Recording, Path, str], None]:
+def _writer(path: Path) -> Callable[[Sequence[tuple[Recording, str]], Path], None]:
     """What draws a file with this ending."""
     if path.suffix in (".png", ".svg", ".pdf"):
         from samarl.report.trajectories import save_trajectories

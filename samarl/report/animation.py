@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -30,19 +30,24 @@ _SHOWN_VIEW = 3.0  # m, how far the wedge of the field of view is drawn
 _HOLD_SECONDS = 1.5  # the last frame stays
 
 
-def save_animation(recording: Recording, path: Path, title: str) -> None:
-    """Write a .gif or an .mp4 that plays as fast as the episode, atomically.
+def save_animation(recordings: Sequence[tuple[Recording, str]], path: Path) -> None:
+    """Write a .gif or an .mp4 that plays as fast as the episodes, atomically.
+
+    Args:
+        recordings: each with its title; side by side.
+        path: where to.
 
     Raises:
         ConfigurationError: there is no encoder for .mp4.
     """
     write = {".gif": _write_gif, ".mp4": _write_mp4}[path.suffix]
-    figure = Figure(figsize=(6.0, 6.4), dpi=_DPI[path.suffix], layout="constrained")
-    count = len(recording.robot_position)
-    pictures = tqdm(_frames(figure, recording, title), total=count, desc=path.name, unit="frame",
+    figure = Figure(figsize=(6.0 * len(recordings), 6.4), dpi=_DPI[path.suffix],
+                    layout="constrained")  # fmt: skip
+    count = max(len(recording.robot_position) for recording, _ in recordings)
+    pictures = tqdm(_frames(figure, recordings, count), total=count, desc=path.name, unit="frame",
                     disable=None)  # fmt: skip
     with unfinished(path) as part:
-        write(part, iter(pictures), recording.scenario)
+        write(part, iter(pictures), recordings[0][0].scenario)
 
 
 def video_encoder() -> Any:
@@ -90,14 +95,19 @@ def _write_mp4(path: Path, pictures: Iterator[NDArray[np.uint8]], scenario: Scen
         writer.close()
 
 
-def _frames(figure: Figure, recording: Recording, title: str) -> Iterator[NDArray[np.uint8]]:
-    """The pictures [height, width, 3] of all T + 1 states."""
+def _frames(
+    figure: Figure, recordings: Sequence[tuple[Recording, str]], count: int
+) -> Iterator[NDArray[np.uint8]]:
+    """The pictures [height, width, 3] of `count` states; the last of an episode stays."""
     canvas = FigureCanvasAgg(figure)
     with rc_context(STYLE):
-        axes = figure.add_subplot()
-        _draw_stage(axes, recording, title)
-        for t in range(len(recording.robot_position)):
-            drawn = _draw_state(axes, recording, t)
+        stages = figure.subplots(1, len(recordings), squeeze=False)[0]
+        for axes, (recording, title) in zip(stages, recordings, strict=True):
+            _draw_stage(axes, recording, title)
+        for t in range(count):
+            drawn: list[Artist] = []
+            for axes, (recording, _) in zip(stages, recordings, strict=True):
+                drawn += _draw_state(axes, recording, min(t, len(recording.robot_position) - 1))
             canvas.draw()
             if t == 0:
                 figure.set_layout_engine("none")  # it has settled

@@ -46,6 +46,7 @@ STYLE: Any = {
     "font.size": 9,
     "grid.color": GRID,
     "legend.frameon": False,
+    "savefig.bbox": "tight",
     "savefig.dpi": 130,
     "svg.fonttype": "none",  # text stays text
     "svg.hashsalt": "samarl",  # the same figure is the same file

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import textwrap
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,11 +24,21 @@ _HUMAN_SHADES = LinearSegmentedColormap.from_list("humans", ["#e4e4e4", "#777777
 _MARK_SECONDS = 3.0  # between the discs along a path
 
 
-def save_trajectories(recording: Recording, path: Path, title: str) -> None:
-    """Write the picture in the format of the file's ending, atomically."""
-    figure = Figure(figsize=(6.4, 6.9), layout="constrained")
+def save_trajectories(recordings: Sequence[tuple[Recording, str]], path: Path) -> None:
+    """Write the picture in the format of the file's ending, atomically.
+
+    Args:
+        recordings: each with its title; side by side.
+        path: where to.
+    """
+    figure = Figure(figsize=(6.4 * len(recordings), 6.9), layout="compressed")
     with rc_context(STYLE):
-        draw_trajectories(figure.add_subplot(), recording, title)
+        for axes, (recording, title) in zip(
+            figure.subplots(1, len(recordings), squeeze=False, sharex=True, sharey=True)[0],
+            recordings,
+            strict=True,
+        ):
+            draw_trajectories(axes, recording, title)
         figure.legend(handles=_legend(), loc="outside lower center", ncols=5, fontsize=8,
                       handletextpad=0.4, columnspacing=1.2)  # fmt: skip
     save_figure(figure, path)

@@ -1,6 +1,7 @@
 """What a recording says of an episode, and the pictures made of it."""
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import imageio_ffmpeg
@@ -103,11 +104,12 @@ def test_the_shares_are_those_that_the_pool_uses() -> None:
 def test_animations_have_a_frame_for_each_state(tmp_path: Path) -> None:
     recording = record_episode(build_agent(STRAIGHT, SCENARIO), SCENARIO, 3)
     frames = len(recording.robot_position)
-    save_animation(recording, tmp_path / "case.gif", "a title")
+    shorter = replace(recording, robot_position=recording.robot_position[:-3])
+    save_animation([(recording, "one"), (shorter, "two")], tmp_path / "case.gif")
     with Image.open(tmp_path / "case.gif") as picture:
         assert picture.n_frames == frames  # type: ignore[attr-defined]
         assert picture.info["duration"] == 250
-    save_animation(recording, tmp_path / "case.mp4", "a title")
+    save_animation([(recording, "a title")], tmp_path / "case.mp4")
     pictures = imageio_ffmpeg.read_frames(str(tmp_path / "case.mp4"))
     assert next(pictures)["fps"] == 4
     assert sum(1 for _ in pictures) == frames
@@ -120,5 +122,5 @@ def test_a_missing_encoder_is_said_in_one_line(
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
     recording = record_episode(build_agent(STRAIGHT, SCENARIO), SCENARIO, 3)
     with pytest.raises(ConfigurationError, match=r"pip install 'samarl\[video\]'"):
-        save_animation(recording, tmp_path / "case.mp4", "a title")
+        save_animation([(recording, "a title")], tmp_path / "case.mp4")
     assert list(tmp_path.iterdir()) == []

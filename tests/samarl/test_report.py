@@ -192,7 +192,7 @@ def test_an_agent_without_its_checkpoint_is_left_out(tmp_path: Path) -> None:
         ("results=none", "results is 'none'; it must be a folder"),
         ("results=broken", "broken/table.json is not JSON"),
         ("cases=[-1]", "cases has -1; each must lie in [0, 1e+09]"),
-        ("agents=[nobody]", "agents has 'nobody'; it must be among"),
+        ("agents=[nobody]", "'nobody' is not an agent; it must be among"),
     ],
 )
 def test_a_mistake_is_one_line(tmp_path: Path, argument: str, message: str) -> None:
