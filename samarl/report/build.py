@@ -19,7 +19,14 @@ from samarl.evaluation.files import code_version, write_atomically
 from samarl.evaluation.recording import Recording
 from samarl.evaluation.summary import Row
 from samarl.evaluation.table import column_name, grid_of, rows_as_cells
-from samarl.report.figures import Curve, curve_title, draw_curves, read_curve, sweep_figures
+from samarl.report.figures import (
+    Curve,
+    curve_title,
+    draw_curves,
+    draw_table,
+    read_curve,
+    sweep_figures,
+)
 from samarl.report.replays import as_replay
 from samarl.report.style import PALETTE, save_figure
 
@@ -92,7 +99,10 @@ def build_site(
         write_atomically(site / name, environment.get_template(name).render(page=name, **content))
 
     write("site.css", palette=PALETTE)
-    write("index.html", tables=tables)
+    headlines = {
+        table.name: _save(draw_table(table.rows), table.key, table.name, site) for table in tables
+    }
+    write("index.html", tables=tables, headlines=headlines)
     if runs:
         write("curves.html", **_draw_runs(runs, site), runs=runs)
     if sweeps:

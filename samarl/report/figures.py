@@ -15,7 +15,7 @@ from matplotlib.ticker import EngFormatter
 from numpy.typing import NDArray
 
 from samarl.evaluation.summary import Row
-from samarl.evaluation.table import Column, column_name, column_of, settings_of
+from samarl.evaluation.table import Column, column_name, column_of, grid_of, settings_of
 from samarl.report.style import COLOURS, INK, STYLE
 
 Curve = dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]  # column: steps, values
@@ -135,6 +135,40 @@ def draw_bars(rows: Sequence[Row], title: str) -> Figure:
         axes.set_title(title, loc="left")
         axes.legend(fontsize=8, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2)
     return figure
+
+
+def draw_table(rows: Sequence[Row]) -> Figure:
+    """Success with its interval and social score of every method, a panel for each column."""
+    grid = grid_of(rows)
+    methods = sorted(grid.ours, key=lambda name: _best(grid.ours[name]))
+    place = np.arange(len(methods))
+    with rc_context({**STYLE, "axes.grid.axis": "x"}):
+        figure = Figure(
+            figsize=(1.6 + 1.9 * len(grid.columns), 0.9 + 0.24 * len(methods)), layout="constrained"
+        )
+        panels = figure.subplots(1, len(grid.columns), sharey=True, squeeze=False)[0]
+        for c, (axes, column) in enumerate(zip(panels, grid.columns, strict=True)):
+            found = [grid.ours[name][c] for name in methods]
+            there = np.array([row is not None for row in found])
+            rate, low, high, social = (
+                np.array([row[key] for row in found if row is not None])
+                for key in ("success_rate", "success_low", "success_high", "social_score")
+            )
+            axes.barh(place[there], rate, 0.7, color=COLOURS[5], label="success %, 95 % interval",
+                      xerr=(rate - low, high - rate), ecolor=INK,
+                      error_kw={"elinewidth": 1, "capsize": 2})  # fmt: skip
+            axes.plot(social, place[there], "D", color=COLOURS[1], markersize=4,
+                      label="social score")  # fmt: skip
+            axes.set_xlim(0, 100)
+            axes.set_title(column_name(column), loc="left")
+        panels[0].set_yticks(place, methods)
+        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=2,
+                      fontsize=8)  # fmt: skip
+    return figure
+
+
+def _best(rows: Sequence[Row | None]) -> float:
+    return max((row["success_rate"] for row in rows if row is not None), default=0.0)
 
 
 def settings_labels(rows: Sequence[Row]) -> list[str]:

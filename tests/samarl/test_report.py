@@ -20,7 +20,9 @@ from samarl.agents import build_agent
 from samarl.agents.hierarchical import Architecture, HierarchicalPolicy
 from samarl.evaluation.files import find_folder
 from samarl.evaluation.recording import Recording, record_episode
-from samarl.report.figures import draw_curves, read_curve, settings_labels
+from samarl.evaluation.table import column_of
+from samarl.report.build import slug
+from samarl.report.figures import draw_curves, draw_table, read_curve, settings_labels
 from samarl.report.replays import as_replay
 from samarl.training.checkpoint import save_policy
 
@@ -125,14 +127,21 @@ def test_whatever_is_in_the_results_is_shown(site: Path) -> None:
     index = (site / "index.html").read_text()
     assert "Table 1" in index
     assert "Not rows" not in index
-    assert re.search(r"<b>75\.4 %</b> <span class=\"interval\">\[71\.4, 79\.0\]", index)
+    rows = json.loads((site.parent / "results/table1.json").read_text())
+    for row in rows:
+        interval = f"[{row['success_low']:.1f}, {row['success_high']:.1f}]"
+        cell = f'<b>{row["success_rate"]:.1f} %</b> <span class="interval">{interval}'
+        assert cell in index
+    panels = draw_table(rows).axes
+    assert len(panels) == len({row["fov_degrees"] * 100 + row["robots"] for row in rows})
+    drawn = sorted(bar.get_width() for bar in panels[0].patches)
+    assert drawn == sorted(row["success_rate"] for row in rows if column_of(row) == (90.0, 10, 3))
     assert "paper: SAMARL-PPO" in index
     figures = {figure.stem for figure in (site / "figures").glob("*.svg")}
     assert figures == {figure.stem for figure in (site / "figures").glob("*.png")}
     assert figures == {
         "curve-charts-success", "curve-validation-success-90-10h-3r", "curve-losses-macro-critic",
-        "views-orca", "views-perimeter", "views-straight", "views-social-force",
-        "views-model-predictive", "noise-90-10h-3r",
+        "noise-90-10h-3r", "table-1", *(slug(f"views {row['method']}") for row in rows),
     }  # fmt: skip
     assert len(list((site / "replays").glob("mine-*.js"))) == 2 * 2
     assert "position_noise=0.2" in (site / "figures/noise-90-10h-3r.svg").read_text()
