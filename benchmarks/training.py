@@ -57,7 +57,7 @@ def main() -> None:
             trainer.learner.update(batches)
             if 1 <= number <= rounds:  # the first one compiles and warms up
                 seconds.append(time.perf_counter() - begun)
-            steps = sum(batch.steps.truncated.numel() for batch in batches)
+            steps = sum(batch.environment_steps for batch in batches)
         profiler.disable()
     rates = [steps / second for second in seconds]
     result: dict[str, Any] = {

@@ -7,6 +7,7 @@ frame of the robot that makes them (x ahead, y to the left).
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -140,6 +141,7 @@ class World:
         self.auto_reset = auto_reset
         self.state = _empty_state(worlds, scenario.robots, scenario.humans)
         self._parameters = scenario.parameters()
+        self._all_seeing = _without_limits(scenario).parameters()
 
     def reset(self, cases: ArrayLike | None = None, worlds: ArrayLike | None = None) -> Observation:
         """Begin an episode in every world, or in some.
@@ -169,8 +171,12 @@ class World:
         begin_episodes(self.worlds, mask, self.state, self._parameters)
         return self.observe()
 
-    def observe(self) -> Observation:
-        """What every robot knows now, in fresh arrays."""
+    def observe(self, all_seeing: bool = False) -> Observation:
+        """What every robot sees now, in fresh arrays.
+
+        Args:
+            all_seeing: what a robot would see without any limit or noise: for central critics.
+        """
         scenario, others = self.scenario, len(OTHER_FEATURES)
         robots = (self.worlds, scenario.robots)
         observation = Observation(
@@ -181,7 +187,8 @@ class World:
             robots_visible=np.empty((*robots, scenario.robots - 1), np.bool_),
         )
         everywhere = np.ones(self.worlds, np.bool_)
-        observe(self.worlds, everywhere, self.state, self._parameters, *observation)
+        parameters = self._all_seeing if all_seeing else self._parameters
+        observe(self.worlds, everywhere, self.state, parameters, *observation)
         return observation
 
     def step(self, actions: ArrayLike) -> Step:
@@ -226,6 +233,19 @@ class World:
                 "every element must lie in [-1, 1]"
             )
         return action
+
+
+def _without_limits(scenario: Scenario) -> Scenario:
+    """The same scenario with a perfect sensor."""
+    return replace(
+        scenario,
+        fov_degrees=360.0,
+        sensing_range=1000.0,
+        occlusion=False,
+        position_noise=0.0,
+        velocity_noise=0.0,
+        missed_detection=0.0,
+    )
 
 
 def _empty_state(e: int, n: int, m: int) -> State:

@@ -12,17 +12,15 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.distributions import Independent, Normal
 
-from mrsan import EGO_FEATURES, OTHER_FEATURES, ConfigurationError, Scenario
+from mrsan import ConfigurationError, Scenario
 from mrsan.scenario import required
+from samarl.agents.central import CentralEncoder, Critic
+from samarl.agents.features import NETWORK_EGO_FEATURES, NETWORK_OTHER_FEATURES
 from samarl.agents.per_robot import PerRobotEncoder, PerRobotGaussian
 from samarl.agents.planners.perimeter import way_round
-from samarl.agents.tracker import Tracks
 from samarl.encoders import ENCODERS, Encoder, Frames
 
-LENGTH_SCALE = 5.0  # metres that are 1 to the network
 WAYPOINT_REACHED = 0.3  # m
-NETWORK_EGO_FEATURES = 11
-NETWORK_OTHER_FEATURES = 7
 WAYPOINT_FEATURES = 3
 
 
@@ -44,47 +42,6 @@ class Architecture:
     waypoint_range: float = required(0.1, 100.0)  # how far the macro level may move it, m
     track_steps: int = required(0, 1000)  # for how long those out of view are remembered
     encoder: str = "spatio_temporal"  # a name in ENCODERS
-
-
-def frames_of(tracks: Tracks, scenario: Scenario) -> Frames:
-    """What the robots know, scaled for the network: B = E N robots, one frame."""
-    ego = torch.from_numpy(tracks.ego).flatten(0, 1)
-    goal, velocity, origin = ego[:, 0:2], ego[:, 2:4], ego[:, 4:6]
-    distance = goal.norm(dim=-1, keepdim=True)
-    view = ego.new_full((len(ego), 1), math.cos(math.radians(scenario.fov_degrees / 2)))
-    own = torch.cat(
-        [
-            goal / LENGTH_SCALE,
-            goal / distance.clamp_min(1e-3),
-            torch.exp(-distance),
-            velocity,
-            origin / LENGTH_SCALE,
-            ego[:, 10:11],
-            view,
-        ],
-        -1,
-    )
-    humans = _others(tracks.humans, tracks.humans_known, scenario.robot_radius)
-    robots = _others(tracks.robots, tracks.robots_known, scenario.robot_radius)
-    return Frames(own.unsqueeze(1), *humans, *robots)
-
-
-def _others(
-    tracks: NDArray[np.float32], known: NDArray[np.bool_], own_radius: float
-) -> tuple[Tensor, Tensor]:
-    others = torch.from_numpy(tracks).flatten(0, 1)
-    mask = torch.from_numpy(known).flatten(0, 1)
-    gap = others[..., 0:2].norm(dim=-1, keepdim=True) - others[..., 4:5] - own_radius
-    features = torch.cat(
-        [
-            others[..., 0:2] / LENGTH_SCALE,
-            others[..., 2:5],
-            torch.exp(-2.0 * gap.clamp_min(0.0)),
-            others[..., 5:6],
-        ],
-        -1,
-    )
-    return (features * mask.unsqueeze(-1)).unsqueeze(1), mask.unsqueeze(1)
 
 
 class Gaussian(nn.Module):
@@ -115,33 +72,12 @@ class Gaussian(nn.Module):
         return Independent(Normal(*self(inputs, robot)), 1)
 
 
-class Critic(nn.Module):
-    """A central value: the robot's own feature and the mean of its team-mates'."""
-
-    def __init__(self, inputs: int, hidden: int) -> None:
-        super().__init__()
-        self.body = nn.Sequential(
-            nn.Linear(2 * inputs, hidden),
-            nn.Tanh(),
-            nn.Linear(hidden, hidden),
-            nn.Tanh(),
-            nn.Linear(hidden, 1),
-        )
-
-    def forward(self, joint: Tensor) -> Tensor:
-        """Value [..., 1] of joint features [..., 2 F], in units of the value normaliser."""
-        return self.body(joint)
-
-
-def joint_features(own: Tensor) -> Tensor:
-    """Own features and the mean of the other robots', [E, ..., N, F] to [E, ..., N, 2 F]."""
-    n = own.shape[-2]
-    others = (own.sum(-2, keepdim=True) - own) / max(n - 1, 1)
-    return torch.cat([own, others], -1)
-
-
 class HierarchicalPolicy(nn.Module):
-    """All networks of SAMARL: actors on one encoder, critics on another (Algorithm 1)."""
+    """All networks of SAMARL: actors on one encoder, critics on another (Algorithm 1).
+
+    The actors are given what the robot knows; the critics, which are needed in training alone, the
+    true state.
+    """
 
     def __init__(self, architecture: Architecture, action_size: int) -> None:
         super().__init__()
@@ -156,8 +92,8 @@ class HierarchicalPolicy(nn.Module):
         sizes = (NETWORK_EGO_FEATURES, NETWORK_OTHER_FEATURES, a.width, a.heads)
         means, deviations = [0.3, 0.0, 0.0], [0.37, 0.37, 0.6]  # it sets out moving forward
 
-        def encoder(history: int = a.history) -> Encoder:
-            return ENCODERS[a.encoder](*sizes, history, a.features)
+        def encoder() -> Encoder:
+            return ENCODERS[a.encoder](*sizes, a.history, a.features)
 
         def macro_actor() -> Gaussian:
             return Gaussian(a.features, a.hidden, [0.0, 0.0], [0.5, 0.5])
@@ -170,7 +106,7 @@ class HierarchicalPolicy(nn.Module):
             self.encoder: Encoder | PerRobotEncoder = encoder()
         else:
             self.encoder = PerRobotEncoder(encoder, a.actors)
-        self.critic_encoder = encoder(history=1)
+        self.critic_encoder = CentralEncoder(a.width, a.heads, a.features)
         self.macro_actor, self.local_actor = (
             make() if a.actors == 1 else PerRobotGaussian(make, a.actors)
             for make in (macro_actor, local_actor)
@@ -184,19 +120,24 @@ class HierarchicalPolicy(nn.Module):
         """Where the networks are."""
         return next(self.parameters()).device
 
-    def encode(self, frames: Frames, begins: Tensor, critic: bool = False) -> Tensor:
-        """Features [B, T', F] of the actors or the critics, on the device of the networks.
+    def encode(self, frames: Frames, begins: Tensor) -> Tensor:
+        """Features [B, T - H + 1, F] of the actors, on the device of the networks.
 
         Args:
             frames: [B, T, ...] on any device.
             begins: [B, T].
-            critic: for the critics, which look at single frames.
         """
         device = self.device
-        encoder = self.critic_encoder if critic else self.encoder
-        frames = Frames(*(tensor.to(device, non_blocking=True) for tensor in frames))
-        with torch.autocast(device.type, torch.bfloat16, enabled=self.low_precision):
-            return encoder(frames, begins.to(device)).float()
+        with self._precision():
+            return self.encoder(_moved(frames, device), begins.to(device)).float()
+
+    def encode_state(self, state: Frames) -> Tensor:
+        """Features [B, T, F] of the critics from `state_of`, on the device of the networks."""
+        with self._precision():
+            return self.critic_encoder(_moved(state, self.device)).float()
+
+    def _precision(self) -> torch.autocast:
+        return torch.autocast(self.device.type, torch.bfloat16, enabled=self.low_precision)
 
     def check(self, scenario: Scenario) -> None:
         """Refuse a scenario whose robots it cannot drive.
@@ -215,6 +156,10 @@ class HierarchicalPolicy(nn.Module):
                 f"scenario.robots is {scenario.robots}; it must be {actors} for a policy with "
                 "parameters of their own for so many robots"
             )
+
+
+def _moved(frames: Frames, device: torch.device) -> Frames:
+    return Frames(*(tensor.to(device, non_blocking=True) for tensor in frames))
 
 
 class Waypoints:
@@ -287,10 +232,6 @@ def to_world(point: NDArray[np.float32], ego: NDArray[np.float32]) -> NDArray[np
     cos, sin = ego[..., 6], ego[..., 7]
     dx, dy = point[..., 0] - ego[..., 4], point[..., 1] - ego[..., 5]
     return np.stack([cos * dx - sin * dy, sin * dx + cos * dy], -1)
-
-
-assert len(EGO_FEATURES) == 11
-assert len(OTHER_FEATURES) == 5
 
 
 class Decision(NamedTuple):

@@ -12,13 +12,8 @@ from numpy.typing import NDArray
 
 from mrsan import Observation, Scenario
 from samarl.agents.agent import Agent, Explanation
-from samarl.agents.hierarchical import (
-    Architecture,
-    HierarchicalPolicy,
-    Waypoints,
-    decide,
-    frames_of,
-)
+from samarl.agents.features import frames_of
+from samarl.agents.hierarchical import Architecture, HierarchicalPolicy, Waypoints, decide
 from samarl.agents.tracker import Tracker
 from samarl.encoders import Frames
 

@@ -14,8 +14,8 @@ from torchrl.objectives.multiagent import MAPPOLoss
 from torchrl.objectives.value import MultiAgentGAE
 
 from mrsan.scenario import number, required
-from samarl.agents.hierarchical import Critic, HierarchicalPolicy, joint_features
-from samarl.encoders import Frames
+from samarl.agents.central import Critic, joint_features
+from samarl.agents.hierarchical import HierarchicalPolicy
 from samarl.training.rollout import Batch, Steps
 
 
@@ -223,21 +223,13 @@ class Learner:
     def prepare(self, batch: Batch) -> dict[str, Tensor]:
         """Advantages and targets of both levels; names begin with `macro_` or `local_`."""
         e, t, n = batch.steps.driving.shape
-        past = self.policy.architecture.history - 1
-
-        def encode(frames: Frames, begins: Tensor) -> Tensor:
-            features = self.policy.encode(frames, begins, critic=True)
-            return features.view(e, n, features.shape[1], -1).transpose(1, 2)  # [E, T, N, F]
-
-        own = encode(batch.frames.at(slice(past, past + t)), batch.begins[:, past:])
-        last = encode(batch.last_frames, batch.begins[:, :1])
-        after = torch.cat([own[:, 1:], last], 1)
+        features = self.policy.encode_state(batch.state).view(e, n, t + 1, -1).transpose(1, 2)
+        own, after = features[:, :t], features[:, 1:].clone()  # [E, T, N, F]
         told_after = torch.cat([batch.steps.waypoint[:, 1:], batch.last_waypoint.unsqueeze(1)], 1)
-        cut = batch.steps.truncated
-        if cut.any():
-            final = encode(batch.final_frames, batch.begins[:, past:])
-            after = torch.where(cut[..., None, None], final, after)
-            told_after = torch.where(cut[..., None, None], batch.final_waypoint, told_after)
+        world, step = batch.ends.unbind(1)  # there the next state is not that of the next episode
+        final = self.policy.encode_state(batch.final_state)
+        after[world, step] = final.view(len(world), n, own.shape[-1])
+        told_after[world, step] = batch.final_waypoint
         out: dict[str, Tensor] = {}
         for name, level in self.levels.items():
             steps, where = batch.steps, self._decided(name, batch.steps)
@@ -252,6 +244,8 @@ class Learner:
                     steps.terminated, self.mappo.local_discount, self.mappo.gae_lambda,
                 )  # fmt: skip
             chosen = advantage[where]
+            unexplained = (target - value)[where].var() / target[where].var().clamp_min(1e-8)
+            out[f"{name}_explained"] = 1.0 - unexplained
             mean, deviation = chosen.mean(), chosen.std().clamp_min(1e-4)
             level.values.update(target[where])
             out[f"{name}_advantage"] = (advantage - mean) / deviation
@@ -289,6 +283,9 @@ class Learner:
         batches = [batch.to(self.policy.device) for batch in batches]
         prepared = [self.prepare(batch) for batch in batches]
         statistics: dict[str, list[float]] = defaultdict(list)
+        for data in prepared:
+            for name in self.levels:
+                statistics[f"losses/{name}_explained"].append(float(data[f"{name}_explained"]))
         for _ in range(self.mappo.epochs):
             pieces = [
                 torch.randperm(len(batch.steps.driving))
@@ -314,7 +311,6 @@ class Learner:
         self, batch: Batch, data: dict[str, Tensor], worlds: Tensor, statistics: dict
     ) -> Tensor:
         e, (_, t, n) = len(worlds), batch.steps.driving.shape
-        past = self.policy.architecture.history - 1
         rows = (worlds.unsqueeze(1) * n + torch.arange(n, device=worlds.device)).flatten()
         frames, begins = batch.frames.of(rows), batch.begins[rows]
 
@@ -322,9 +318,7 @@ class Learner:
             return features.view(e, n, t, -1).transpose(1, 2)
 
         y = by_world(self.policy.encode(frames, begins))
-        critic = by_world(
-            self.policy.encode(frames.at(slice(past, past + t)), begins[:, past:], critic=True)
-        )
+        critic = by_world(self.policy.encode_state(batch.state.of(rows).at(slice(0, t))))
         told = batch.steps.waypoint[worlds]
         robot = torch.arange(n, device=y.device).expand(e, t, n)
         total = y.new_zeros(())
@@ -354,9 +348,11 @@ class Learner:
             total = total + losses["loss_entropy"]
             if name == "local":
                 # At full speed every acceleration has the same effect, so nothing would keep the
-                # mean from drifting up until noise never brakes and braking is never learnt.
-                mean, _ = self.policy.local_actor(feature[counts], robot[counts])
-                excess = (mean[:, 0] - batch.steps.headroom[worlds][counts]).clamp_min(0.0)
+                # mean from drifting up until noise never brakes and braking is never learnt: here
+                # one action in six does.
+                mean, deviation = self.policy.local_actor(feature[counts], robot[counts])
+                most = batch.steps.headroom[worlds][counts] + deviation[:, 0].detach()
+                excess = (mean[:, 0] - most).clamp_min(0.0)
                 total = total + self.mappo.excess_coefficient * excess.square().mean()
             for key in ("loss_objective", "loss_critic", "entropy", "kl_approx", "clip_fraction"):
                 statistics[f"losses/{name}_{key.removeprefix('loss_')}"].append(losses[key].item())

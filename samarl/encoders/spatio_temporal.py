@@ -18,6 +18,11 @@ from samarl.encoders.encoder import Encoder, Frames, encoder_named
 _MASKED = -1e9
 
 
+def masked_where(known: Tensor) -> Tensor:
+    """What is added to scores: zero where known, very negative elsewhere."""
+    return torch.where(known, 0.0, _MASKED)
+
+
 def _attend(query: Tensor, key_value: Tensor, mask: Tensor, heads: int) -> Tensor:
     """Multi-head attention (Eq. 5) of `query` [R, Q, D] over `key_value` [R, K, 2 D].
 
@@ -159,7 +164,7 @@ class TemporalTransformer(nn.Module):
         allowed = allowed & (episode[:, self.history - 1 :].unsqueeze(2) == episode.unsqueeze(1))
         allowed = allowed.unsqueeze(1) & known.unsqueeze(2)  # [B, M, T', T]
         bias = -self.slopes[:, None, None] * lag.clamp_min(0)
-        mask = bias + torch.where(allowed, 0.0, _MASKED).flatten(0, 1).unsqueeze(1)
+        mask = bias + masked_where(allowed).flatten(0, 1).unsqueeze(1)
         query, key_value = self.query(present), self.key_value(normed)
         timed = _attend(query.flatten(0, 1), key_value.flatten(0, 1), mask, self.heads)
         return tokens[:, :, self.history - 1 :] + timed.view(b, m, present.shape[2], d)
@@ -169,7 +174,7 @@ class TemporalTransformer(nn.Module):
         b, m, d = tokens.shape
         lag = torch.arange(self.history - 1, -1, -1, device=tokens.device)
         bias = (-self.slopes[:, None] * lag).unsqueeze(1)  # [heads, 1, H]
-        mask = bias + torch.where(window.known, 0.0, _MASKED).view(b * m, 1, 1, self.history)
+        mask = bias + masked_where(window.known).view(b * m, 1, 1, self.history)
         query = self.query(self.norm(tokens)).view(b * m, 1, d)
         return tokens + _attend(query, window.key_value.flatten(0, 1), mask, self.heads).view(
             b, m, d
@@ -193,7 +198,7 @@ class Block(nn.Module):
         """Spatial and temporal feature, each [B T', D], of the frames after the first H - 1."""
         past = self.temporal.history - 1
         tokens = self._embedded(ego, others)  # [B, T, M, D]
-        masked = torch.where(known[:, past:].flatten(0, 1), 0.0, _MASKED)
+        masked = masked_where(known[:, past:].flatten(0, 1))
         position = others[:, past:, :, :2].flatten(0, 1)
         spatial = self.spatial(own, tokens[:, past:].flatten(0, 1), position, masked)
         timed = self.temporal(tokens.transpose(1, 2), known.transpose(1, 2), begins)
@@ -211,7 +216,7 @@ class Block(nn.Module):
     ) -> tuple[list[Tensor], Window]:
         """The same of one more frame (T = 1), and the window that ends with it."""
         tokens = self._embedded(ego, others)[:, 0]
-        masked = torch.where(known[:, 0], 0.0, _MASKED)
+        masked = masked_where(known[:, 0])
         spatial = self.spatial(own, tokens, others[:, 0, :, :2], masked)
         temporal = self.temporal
         key_value = temporal.key_value(temporal.norm(tokens))
@@ -220,7 +225,7 @@ class Block(nn.Module):
 
     def attention(self, own: Tensor, ego: Tensor, others: Tensor, known: Tensor) -> Tensor:
         """The shares [B, M] of the robot's attention in one frame (T = 1)."""
-        masked = torch.where(known[:, 0], 0.0, _MASKED)
+        masked = masked_where(known[:, 0])
         tokens = self._embedded(ego, others)[:, 0]
         related = self.spatial.related(tokens, others[:, 0, :, :2], masked)
         return self.spatial.pool.shares(own, related, masked)

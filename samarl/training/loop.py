@@ -144,7 +144,7 @@ class Trainer:
                 collected = time.perf_counter()
                 statistics = self.learner.update(batches)
                 before = self.steps_done
-                per_round = sum(batch.steps.truncated.numel() for batch in batches)
+                per_round = sum(batch.environment_steps for batch in batches)
                 self.steps_done += per_round
                 self.learner.set_progress(min(self.steps_done / t.steps, 1.0))
                 self.seconds += time.perf_counter() - begun

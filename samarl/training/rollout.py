@@ -16,13 +16,8 @@ from torch.utils._pytree import tree_map_only
 
 from mrsan import Episodes, Kinematics, Scenario, Split, World
 from mrsan.metrics import episodes_of
-from samarl.agents.hierarchical import (
-    HierarchicalPolicy,
-    Waypoints,
-    decide,
-    frames_of,
-    to_world,
-)
+from samarl.agents.features import frames_of, state_of
+from samarl.agents.hierarchical import HierarchicalPolicy, Waypoints, decide, to_world
 from samarl.agents.tracker import Tracker
 from samarl.encoders import Frames
 
@@ -41,22 +36,27 @@ class Steps(NamedTuple):
     macro_reward: Tensor
     local_reward: Tensor
     done: Tensor  # the robot's stream ends with this step
-    terminated: Tensor  # and nothing comes after it
-    truncated: Tensor  # [E, T] the time limit
+    terminated: Tensor  # by its arrival or collision; else the time or a team-mate cut it short
 
 
 @dataclass
 class Batch:
     """What happened in one rollout; a row of robot `n` of world `e` is `e * N + n`."""
 
-    frames: Frames  # [B, T + H - 1, ...] the first H - 1 are history
+    frames: Frames  # [B, T + H - 1, ...] what was known; the first H - 1 are history
     begins: Tensor  # [B, T + H - 1]
+    state: Frames  # [B, T + 1, ...] the true state, also after the last step
     steps: Steps
-    final_frames: Frames  # [B, T, ...] of the time limit's last observation, zero elsewhere
-    final_waypoint: Tensor  # [E, T, N, 3]
-    last_frames: Frames  # [B, 1, ...] after the last step
-    last_waypoint: Tensor  # [E, N, 3]
-    episodes: list[Episodes]  # that ended
+    last_waypoint: Tensor  # [E, N, 3] after the last step
+    ends: Tensor  # [R, 2] world and step of the R episodes that ended
+    final_state: Frames  # [R N, 1, ...] in which they ended
+    final_waypoint: Tensor  # [R, N, 3]
+    episodes: list[Episodes]  # their records
+
+    @property
+    def environment_steps(self) -> int:
+        """E T."""
+        return self.steps.done[:, :, 0].numel()
 
     def to(self, device: torch.device) -> Batch:
         """The same on another device."""
@@ -118,8 +118,10 @@ class Rollout:
         for tensor in (*self._frames, self._begins):  # the last frames are the history of the next
             tensor[:, :past] = tensor[:, t : t + past].clone()
         frames, begins = self._frames, self._begins
-        final = Frames(*(_room(tensor[:, :1], t) for tensor in frames))
-        final_waypoint = torch.zeros(e, t, n, 3)
+        states: list[Frames] = []
+        ends: list[Tensor] = []
+        final_states: list[Frames] = []
+        final_waypoints: list[Tensor] = []
         self.waypoints.reset(np.ones(e, np.bool_))  # every rollout begins with macro decisions
         columns: list[Steps] = []
         episodes: list[Episodes] = []
@@ -127,6 +129,7 @@ class Rollout:
             now = past + step
             _store(frames, now, frames_of(self.tracks, scenario))
             begins[:, now] = torch.from_numpy(np.repeat(self.began, n))
+            states.append(state_of(world))
             window = frames.at(slice(step, now + 1))
             y = policy.encode(window, begins[:, step : now + 1]).view(e, n, -1)
             ego = self.tracks.ego
@@ -135,7 +138,7 @@ class Rollout:
             result = world.step(choice.action.clamp(-1, 1).numpy())
             tracks = self.tracker.update(result.observation)
             ended = result.terminated | result.truncated
-            arrived = world.state.arrived & driving
+            arrived, hit = world.state.arrived & driving, world.state.collision != 0
             macro, local = self._rewards(result.reward, ego, tracks.ego, arrived)
             columns.append(
                 Steps(
@@ -150,14 +153,14 @@ class Rollout:
                     torch.from_numpy(macro),
                     torch.from_numpy(local),
                     torch.from_numpy(arrived | ended[:, None]),
-                    torch.from_numpy(arrived | result.terminated[:, None]),
-                    torch.from_numpy(result.truncated),
+                    torch.from_numpy(arrived | hit),
                 )
             )
-            if result.truncated.any():
-                _store(final, step, frames_of(tracks, scenario))
-                final_waypoint[:, step] = self.waypoints.features(tracks.ego)
             if ended.any():
+                rows = torch.from_numpy(np.flatnonzero(ended))
+                ends.append(torch.stack([rows, torch.full_like(rows, step)], 1))
+                final_states.append(state_of(world).of(torch.from_numpy(np.repeat(ended, n))))
+                final_waypoints.append(self.waypoints.features(tracks.ego)[rows])
                 episodes.append(episodes_of(world.state, scenario, ended))
                 self.tracker.reset(ended)
                 self.waypoints.reset(ended)
@@ -166,11 +169,12 @@ class Rollout:
         return Batch(
             frames=Frames(*(tensor.clone() for tensor in frames)),
             begins=begins.clone(),
+            state=_joined([*states, state_of(world)], 1),
             steps=Steps(*(torch.stack(column, 1) for column in zip(*columns, strict=True))),
-            final_frames=final,
-            final_waypoint=final_waypoint,
-            last_frames=frames_of(self.tracks, scenario),
             last_waypoint=self.waypoints.features(self.tracks.ego),
+            ends=torch.cat([torch.empty(0, 2, dtype=torch.long), *ends]),
+            final_state=_joined([states[0].of(slice(0, 0)), *final_states], 0),
+            final_waypoint=torch.cat([torch.empty(0, n, 3), *final_waypoints]),
             episodes=episodes,
         )
 
@@ -235,6 +239,10 @@ class Rollout:
         if self.policy.architecture.levels == 1:
             return macro, macro
         return macro, local + self._arrival_bonus * arrived
+
+
+def _joined(frames: list[Frames], dimension: int) -> Frames:
+    return Frames(*(torch.cat(tensors, dimension) for tensors in zip(*frames, strict=True)))
 
 
 def _room(example: Tensor, frames: int) -> Tensor:

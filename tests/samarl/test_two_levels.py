@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from mrsan import ConfigurationError, Scenario, World
+from samarl.agents.features import state_of
 from samarl.agents.hierarchical import Architecture, HierarchicalPolicy, Waypoints
 from samarl.agents.learned import Deployed
 from samarl.algorithms.mappo import MAPPO, Learner, advantages, macro_records
@@ -166,23 +167,50 @@ def test_an_arrived_robot_ends_its_own_stream() -> None:
     assert records.terminated.all()
 
 
-def test_the_last_observation_of_a_timeout_is_what_its_value_is_bootstrapped_from() -> None:
+def test_a_timeout_is_bootstrapped_from_the_last_state_and_not_from_the_next_episode() -> None:
     model = policy()
     rollout = Rollout(replace(SCENARIO, humans=0, time_limit=1.0), model, 6, 8, 0, 0.98, 0.5)
     batch: Batch = rollout.collect()
-    assert batch.steps.truncated[:, 3].all()  # 1 s is 4 steps: everybody is still on the way
+    # 1 s is 4 steps: everybody is still on the way.
+    assert batch.ends.tolist() == [[e, t] for t in (3, 7) for e in range(6)]
     begins = batch.begins[:, 3:].view(6, 2, -1)[:, 0]
     assert begins[:, 4].all()  # and the next episode begins
-    # The frame kept is the old episode's end, not the new one's beginning: all time used up.
-    assert (batch.final_frames.ego[:, 3, 9] == 1.0).all()
-    assert (batch.frames.ego[:, 3 + 4, 9] == 0.0).all()
+    assert (batch.final_state.ego[..., 9] == 1.0).all()  # all time used up
+    assert (batch.state.ego[:, 4, 9] == 0.0).all()
     assert not batch.steps.terminated[:, 3].any()
     assert batch.steps.done[:, 3].all()
 
 
+def test_a_collision_ends_the_stream_of_the_robot_and_cuts_short_those_of_its_team() -> None:
+    scenario = replace(SCENARIO, humans=10, circle_radius=4.0)
+    rollout = Rollout(scenario, policy(), 32, 40, 0, 0.98, 0.5)
+    steps = rollout.collect().steps
+    alone = steps.terminated.sum(-1) == 1
+    hit = steps.macro_reward <= -20.0
+    cut = steps.done & ~steps.terminated
+    assert (alone & hit.any(-1)).any()
+    assert (steps.terminated[hit]).all()
+    assert not hit[cut].any()
+    assert cut[alone & hit.any(-1)].any()
+
+
+def test_critics_see_everybody_with_their_goals() -> None:
+    world = World(replace(SCENARIO, fov_degrees=30.0, sensing_range=1.0), 3)
+    world.reset([0, 1, 2])
+    state = state_of(world)
+    assert state.humans_known.all()
+    assert state.robots_known.all()
+    goals = torch.linalg.vector_norm(state.humans[:, 0, :, 9:11] * 5.0, dim=-1).view(3, 2, 4)
+    true = world.state.human_goal[:, None] - world.state.robot_position[:, :, None]
+    np.testing.assert_allclose(goals, np.linalg.norm(true, axis=-1), rtol=1e-5)
+    world.state.arrived[0, 1] = True
+    assert state_of(world).robots[0, 0, 0, 11] == 1.0
+    assert state_of(world).robots[1, 0, 0, 11] == 0.0
+
+
 def test_an_update_learns_and_reports_what_it_did() -> None:
     model = policy()
-    learner = Learner(model, replace(UPDATE, epochs=4))
+    learner = Learner(model, replace(UPDATE, epochs=8, learning_rate=0.01))
     rollout = Rollout(
         replace(SCENARIO, humans=0),
         model,
@@ -200,7 +228,7 @@ def test_an_update_learns_and_reports_what_it_did() -> None:
         assert any(name.startswith(part) for name in changed), part
     for _ in range(6):
         last = learner.update([rollout.collect()])
-    assert last["losses/local_critic"] < first["losses/local_critic"]
+    assert last["losses/local_explained"] > first["losses/local_explained"] + 0.1
 
 
 def test_a_flat_agent_learns_without_waypoints() -> None:

@@ -1,0 +1,110 @@
+"""What the networks are given: what a robot knows, and the true state, both scaled.
+
+Shapes: E worlds, N robots, M humans, B = E N robots of all worlds, one frame.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from mrsan import EGO_FEATURES, OTHER_FEATURES, Scenario, World
+from samarl.agents.tracker import Tracks
+from samarl.encoders import Frames
+
+LENGTH_SCALE = 5.0  # metres that are 1 to the network
+NETWORK_EGO_FEATURES = 11
+NETWORK_OTHER_FEATURES = 10  # of what a robot knows of another
+STATE_OTHER_FEATURES = 12  # of the true state of another
+
+assert len(EGO_FEATURES) == 11
+assert len(OTHER_FEATURES) == 5
+
+
+def frames_of(tracks: Tracks, scenario: Scenario) -> Frames:
+    """What the robots know: the input of the actors' encoder."""
+    age = [torch.from_numpy(known[..., 5:6]) for known in (tracks.humans, tracks.robots)]
+    humans = _others(tracks.humans, age[0], tracks.humans_known, scenario)
+    robots = _others(tracks.robots, age[1], tracks.robots_known, scenario)
+    return Frames(_own(tracks.ego, scenario), *humans, *robots)
+
+
+def state_of(world: World) -> Frames:
+    """The true state seen from every robot: the input of the critics' encoder.
+
+    Everybody is known, with the goal, and robots with whether they have arrived.
+    """
+    state, scenario = world.state, world.scenario
+    seen = world.observe(all_seeing=True)
+    n = scenario.robots
+    others = np.array([[k for k in range(n) if k != i] for i in range(n)], int).reshape(n, n - 1)
+    human_goals = np.repeat(state.human_goal[:, None], n, 1)  # [E, N, M, 2]
+    robot_goals, arrived = state.robot_goal[:, others], state.arrived[:, others]
+    here, heading = state.robot_position[:, :, None], state.robot_heading[:, :, None]
+    cos, sin = np.cos(heading), np.sin(heading)
+    found: list[Tensor] = []
+    for rows, visible, goals, there in (
+        (seen.humans, seen.humans_visible, human_goals, np.zeros(human_goals.shape[:3], np.bool_)),
+        (seen.robots, seen.robots_visible, robot_goals, arrived),
+    ):
+        dx, dy = np.moveaxis(goals - here, -1, 0)
+        more = [(cos * dx + sin * dy) / LENGTH_SCALE, (cos * dy - sin * dx) / LENGTH_SCALE, there]
+        extra = torch.from_numpy(np.stack(more, -1).astype(np.float32))
+        found += _others(rows, extra, visible, scenario)
+    return Frames(_own(seen.ego, scenario), *found)
+
+
+def _own(of_robots: NDArray[np.float32], scenario: Scenario) -> Tensor:
+    """[B, 1, NETWORK_EGO_FEATURES]."""
+    ego = torch.from_numpy(of_robots).flatten(0, 1)
+    goal, velocity, origin = ego[:, 0:2], ego[:, 2:4], ego[:, 4:6]
+    distance = goal.norm(dim=-1, keepdim=True)
+    view = ego.new_full((len(ego), 1), math.cos(math.radians(scenario.fov_degrees / 2)))
+    own = torch.cat(
+        [
+            goal / LENGTH_SCALE,
+            goal / distance.clamp_min(1e-3),
+            torch.exp(-distance),
+            velocity,
+            origin / LENGTH_SCALE,
+            ego[:, 10:11],
+            view,
+        ],
+        -1,
+    )
+    return own.unsqueeze(1)
+
+
+def _others(
+    of_others: NDArray[np.float32], extra: Tensor, known: NDArray[np.bool_], scenario: Scenario
+) -> tuple[Tensor, Tensor]:
+    """Features [B, 1, M, 9 + extra] and mask [B, 1, M], with the closest approach ahead.
+
+    That is when and how near the two will pass if both keep their velocities.
+    """
+    others, mask = torch.from_numpy(of_others).flatten(0, 1), torch.from_numpy(known).flatten(0, 1)
+    position, velocity = others[..., 0:2], others[..., 2:4]
+    radii = others[..., 4:5] + scenario.robot_radius
+    gap = position.norm(dim=-1, keepdim=True) - radii
+    closing = -(position * velocity).sum(-1, keepdim=True)
+    time = (closing / velocity.square().sum(-1, keepdim=True).clamp_min(1e-3)).clamp(0.0, 5.0)
+    miss = (position + time * velocity).norm(dim=-1, keepdim=True) - radii
+    soon, near = torch.exp(-0.5 * time), torch.exp(-2.0 * miss.clamp_min(0.0))
+    features = torch.cat(
+        [
+            position / LENGTH_SCALE,
+            velocity,
+            others[..., 4:5],
+            torch.exp(-2.0 * gap.clamp_min(0.0)),
+            soon,
+            near,
+            soon * near,
+            extra.flatten(0, 1),
+        ],
+        -1,
+    )
+    return (features * mask.unsqueeze(-1)).unsqueeze(1), mask.unsqueeze(1)
