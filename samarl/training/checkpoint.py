@@ -70,7 +70,7 @@ def find_policy(name: str) -> Path:
     for path in (Path(name), shipped / f"{name}.safetensors"):
         if path.is_file():
             return path
-    names = ", ".join(sorted(path.stem for path in shipped.glob("*.safetensors")))
+    names = ", ".join(sorted(path.stem for path in shipped.glob("*.safetensors"))) or "(none)"
     raise ConfigurationError(
         f"checkpoint is {name!r}; it must be a .safetensors file or one of the shipped: {names}"
     )

@@ -20,6 +20,7 @@ from samarl.agents.features import frames_of, state_of
 from samarl.agents.hierarchical import HierarchicalPolicy, Waypoints, decide, to_world
 from samarl.agents.tracker import Tracker
 from samarl.encoders import Frames
+from samarl.training.starts import Crowd
 
 
 class Steps(NamedTuple):
@@ -79,6 +80,7 @@ class Rollout:
         first: int,
         local_discount: float,
         waypoint_progress: float,
+        begun_share: float = 0.0,
     ) -> None:
         """Begin the training cases `first`, `first + 1`, ... in `worlds` worlds.
 
@@ -90,6 +92,7 @@ class Rollout:
             first: the first case number within the training split.
             local_discount: per step, of the local level.
             waypoint_progress: reward of the local level per metre nearer to its waypoint.
+            begun_share: of the episodes whose way is round the crowd; they begin somewhere on it.
         """
         self._waypoint_progress = np.float32(waypoint_progress)
         # Following waypoints for ever would be worth so much: arriving must not be worth less.
@@ -104,6 +107,9 @@ class Rollout:
         cases = np.array([Split.training.case(first + e) for e in range(worlds)])
         self.tracks = self.tracker.update(self.world.reset(cases))
         self.began = np.ones(worlds, np.bool_)
+        begun = begun_share > 0.0 and self.waypoints.round
+        self.crowd = Crowd(scenario, worlds, first) if begun else None
+        self._begun_share = begun_share
         frames = frames_of(self.tracks, scenario)
         length = a.history - 1 + steps
         self._frames = Frames(*(_room(tensor, length) for tensor in frames))
@@ -164,7 +170,12 @@ class Rollout:
                 episodes.append(episodes_of(world.state, scenario, ended))
                 self.tracker.reset(ended)
                 self.waypoints.reset(ended)
-                tracks = self.tracker.update(world.reset(worlds=ended), ended)
+                world.reset(worlds=ended)
+                if self.crowd is not None:
+                    self.crowd.step()
+                    begun = ended & (torch.rand(e).numpy() < self._begun_share)
+                    self.crowd.enter(world, begun, policy.architecture.round_radius)
+                tracks = self.tracker.update(world.observe(), ended)
             self.tracks, self.began = tracks, ended
         return Batch(
             frames=Frames(*(tensor.clone() for tensor in frames)),
@@ -182,6 +193,7 @@ class Rollout:
         """Everything that the next `collect` depends on, but the networks and torch's generator."""
         return {
             "world": self.world.state._asdict(),
+            "crowd": {} if self.crowd is None else self.crowd.world.state._asdict(),
             "tracker": self.tracker.memory(),
             "waypoint": self.waypoints.position,
             "clock": self.waypoints.clock,
@@ -194,6 +206,9 @@ class Rollout:
         """Go on from a saved state."""
         for name, value in state["world"].items():
             getattr(self.world.state, name)[:] = value
+        for name, value in state["crowd"].items():
+            assert self.crowd is not None
+            getattr(self.crowd.world.state, name)[:] = value
         self.tracker.restore(state["tracker"])
         self.waypoints.position[:], self.waypoints.clock[:] = state["waypoint"], state["clock"]
         self.began = state["began"].copy()
