@@ -90,7 +90,7 @@ class HierarchicalPolicy(nn.Module):
                 "(one's own becomes known by plugins=[its_module])"
             )
         sizes = (NETWORK_EGO_FEATURES, NETWORK_OTHER_FEATURES, a.width, a.heads)
-        means, deviations = [0.3, 0.0, 0.0], [0.37, 0.37, 0.6]  # it sets out moving forward
+        means, deviations = [0.3, 0.0, 0.0], [0.37, 0.1, 0.5]  # it sets out moving forward
 
         def encoder() -> Encoder:
             return ENCODERS[a.encoder](*sizes, a.history, a.features)

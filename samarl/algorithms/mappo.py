@@ -16,6 +16,7 @@ from torchrl.objectives.value import MultiAgentGAE
 from mrsan.scenario import number, required
 from samarl.agents.central import Critic, joint_features
 from samarl.agents.hierarchical import HierarchicalPolicy
+from samarl.algorithms.excess import excess
 from samarl.training.rollout import Batch, Steps
 
 
@@ -33,7 +34,7 @@ class MAPPO:
     entropy_coefficient: float = required(0.0, 10.0)
     critic_coefficient: float = required(0.0, 100.0)
     max_gradient_norm: float = required(0.0, 1e6)
-    excess_coefficient: float = required(0.0, 10.0)  # of accelerating beyond the speed limit ...
+    excess_coefficient: float = required(0.0, 10.0)  # of commands beyond what robots can do ...
     excess_slack: float = number(1.0, 0.0, 10.0)  # ... by more than so many deviations of the noise
     deviation_start: float = number(1.0, 0.01, 10.0)  # cap of the exploration noise ...
     deviation_end: float = number(0.2, 0.01, 10.0)  # ... falls linearly to this
@@ -348,13 +349,11 @@ class Learner:
             total = total + losses["loss_objective"] + losses["loss_critic"]
             total = total + losses["loss_entropy"]
             if name == "local":
-                # At full speed every acceleration has the same effect, so nothing would keep the
-                # mean from drifting up until noise never brakes and braking is never learnt.
                 mean, deviation = self.policy.local_actor(feature[counts], robot[counts])
-                slack = self.mappo.excess_slack * deviation[:, 0].detach()
-                most = batch.steps.headroom[worlds][counts] + slack
-                excess = (mean[:, 0] - most).clamp_min(0.0)
-                total = total + self.mappo.excess_coefficient * excess.square().mean()
+                speed = batch.steps.speed[worlds][counts]
+                beyond = excess(mean, deviation, speed, batch.scenario, self.mappo.excess_slack)
+                total = total + self.mappo.excess_coefficient * beyond.mean()
+                statistics["losses/local_excess"].append(beyond.mean().item())
             for key in ("loss_objective", "loss_critic", "entropy", "kl_approx", "clip_fraction"):
                 statistics[f"losses/{name}_{key.removeprefix('loss_')}"].append(losses[key].item())
         return total

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.utils._pytree import tree_map_only
 
-from mrsan import Episodes, Kinematics, Scenario, Split, World
+from mrsan import Episodes, Scenario, Split, World
 from mrsan.metrics import episodes_of
 from samarl.agents.features import frames_of, state_of
 from samarl.agents.hierarchical import HierarchicalPolicy, Waypoints, decide, to_world
@@ -33,7 +33,7 @@ class Steps(NamedTuple):
     waypoint: Tensor  # [E, T, N, 3] what the local level was told
     action: Tensor  # [E, T, N, A] before clipping to [-1, 1]
     action_log_prob: Tensor
-    headroom: Tensor  # the first action that reaches the speed limit; more has no effect
+    speed: Tensor  # before the step, m/s
     macro_reward: Tensor
     local_reward: Tensor
     done: Tensor  # the robot's stream ends with this step
@@ -44,6 +44,7 @@ class Steps(NamedTuple):
 class Batch:
     """What happened in one rollout; a row of robot `n` of world `e` is `e * N + n`."""
 
+    scenario: Scenario
     frames: Frames  # [B, T + H - 1, ...] what was known; the first H - 1 are history
     begins: Tensor  # [B, T + H - 1]
     state: Frames  # [B, T + 1, ...] the true state, also after the last step
@@ -155,7 +156,7 @@ class Rollout:
                     choice.waypoint,
                     choice.action,
                     choice.action_log_prob,
-                    self._headroom(ego),
+                    torch.from_numpy(np.linalg.norm(ego[..., 2:4], axis=-1)),
                     torch.from_numpy(macro),
                     torch.from_numpy(local),
                     torch.from_numpy(arrived | ended[:, None]),
@@ -178,6 +179,7 @@ class Rollout:
                 tracks = self.tracker.update(world.observe(), ended)
             self.tracks, self.began = tracks, ended
         return Batch(
+            scenario=scenario,
             frames=Frames(*(tensor.clone() for tensor in frames)),
             begins=begins.clone(),
             state=_joined([*states, state_of(world)], 1),
@@ -217,15 +219,6 @@ class Rollout:
             room[:] = value
         nobody = np.zeros(self.world.worlds, np.bool_)
         self.tracks = self.tracker.update(self.world.observe(), nobody)
-
-    def _headroom(self, ego: NDArray[np.float32]) -> Tensor:
-        s = self.scenario
-        if s.kinematics is not Kinematics.acceleration_heading:
-            return torch.full(ego.shape[:2], torch.inf)
-        speed = np.linalg.norm(ego[..., 2:4], axis=-1)
-        return torch.from_numpy(
-            (s.robot_speed - speed) / np.float32(s.max_acceleration * s.time_step)
-        )
 
     def _rewards(
         self,

@@ -1,5 +1,6 @@
 """The two levels: decentralised at run time, the same when acting as when training."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +11,7 @@ from mrsan import ConfigurationError, Scenario, World
 from samarl.agents.features import state_of
 from samarl.agents.hierarchical import Architecture, HierarchicalPolicy, Waypoints
 from samarl.agents.learned import Deployed
+from samarl.algorithms.excess import excess
 from samarl.algorithms.mappo import MAPPO, Learner, advantages, macro_records
 from samarl.training.rollout import Batch, Rollout, Steps
 
@@ -311,20 +313,38 @@ def test_low_precision_is_close_and_learns() -> None:
     assert all(np.isfinite(value) for value in Learner(model, UPDATE).update([batch]).values())
 
 
-def test_accelerating_beyond_the_speed_limit_costs_and_only_that() -> None:
-    model = policy()
-    scenario = replace(SCENARIO, humans=0, fov_degrees=360.0)
-    rollout = Rollout(scenario, model, 8, 6, 0, 0.98, 0.5)
-    batch = rollout.collect()
-    # At rest 1 m/s is four fifths of what 5 m/s^2 gives in 0.25 s; at full speed nothing is left.
-    assert torch.allclose(batch.steps.headroom[:, 0], torch.tensor(0.8))
-    assert batch.steps.headroom.min() < 0.3
+def test_commands_beyond_the_limits_cost_and_only_those() -> None:
+    """5 m/s^2 for 0.25 s is 1.25 m/s; at 1 m/s a robot turns by up to 0.25 rad, standing by 15°."""
+    cases = [  # speed, mean action, squared excess without slack
+        (0.0, [0.8, 0.0, 0.0], 0.0),
+        (0.0, [1.0, 0.0, 0.0], 0.2**2),
+        (1.0, [0.3, 0.0, 0.0], 0.3**2),
+        (1.0, [-0.8, 0.0, 1.0], 0.0),
+        (0.5, [-0.9, 0.0, 0.0], 0.5**2),
+        (0.0, [-0.5, 0.3, 1.0], 0.5**2),
+        (1.0, [0.0, 0.2, 0.0], 0.0),
+        (1.0, [0.0, 0.8, 0.0], ((math.atan(1.0) - 0.25) / math.radians(15.0)) ** 2),
+        (1.0, [0.0, -0.2, 0.9], 0.0),
+        (1.0, [0.0, 0.0, -1.2], ((0.3 * math.pi / 3 - 0.25) / math.radians(15.0)) ** 2),
+    ]
+    speed, mean = torch.tensor([c[0] for c in cases]), torch.tensor([c[1] for c in cases])
+    found = excess(mean, torch.full_like(mean, 0.3), speed, SCENARIO, slack=0.0)
+    assert found.tolist() == pytest.approx([c[2] for c in cases], abs=1e-6)
+    forgiven = excess(mean[2:3], torch.full((1, 3), 0.2), speed[2:3], SCENARIO, slack=1.0)
+    assert forgiven.item() == pytest.approx(0.1**2)
+    holonomic = replace(SCENARIO, kinematics="holonomic")
+    assert not excess(mean[:, :2], mean[:, :2], speed, holonomic, slack=0.0).any()
 
-    def mean_after(excess: float) -> torch.Tensor:
+
+def test_the_mean_is_drawn_back_to_what_can_be_done() -> None:
+    batch = Rollout(replace(SCENARIO, humans=0), policy(), 8, 6, 0, 0.98, 0.5).collect()
+
+    def mean_after(coefficient: float) -> torch.Tensor:
         copy = policy()
         with torch.no_grad():
             copy.local_actor.body[-1].bias[0] = 1.5
-        learner = Learner(copy, replace(UPDATE, excess_coefficient=excess, learning_rate=0.01))
+        update = replace(UPDATE, excess_coefficient=coefficient, learning_rate=0.01)
+        learner = Learner(copy, update)
         for _ in range(5):
             learner.update([batch])
         return copy.local_actor.body[-1].bias[0].detach()

@@ -1,0 +1,46 @@
+"""How far commands lie beyond what a robot can execute."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from mrsan import Kinematics, Scenario
+
+
+def excess(
+    mean: Tensor, deviation: Tensor, speed: Tensor, scenario: Scenario, slack: float
+) -> Tensor:
+    """The squared excess of mean actions over the limits of the robots, [R].
+
+    Beyond the limits of speed and turning (SAMARL, Eq. 3) every command has the same effect. A
+    policy whose mean lies far outside never tries anything else, whatever its noise: robots that
+    drive at full speed would never brake, those that stand never set out, those that turn hard
+    never turn less. Other kinematics have no such limits: zero.
+
+    Args:
+        mean: [R, 3] longitudinal and lateral acceleration and heading change.
+        deviation: [R, 3] of the exploration noise.
+        speed: [R] m/s.
+        scenario: of the robots.
+        slack: so many deviations beyond the limits are free.
+    """
+    s = scenario
+    if s.kinematics is not Kinematics.acceleration_heading:
+        return torch.zeros_like(speed)
+    deviation = slack * deviation.detach()
+    gain = s.max_acceleration * s.time_step  # m/s that a full acceleration adds in a step
+    turn = math.radians(s.max_turn_degrees)
+    along = mean[:, 0]
+    faster = (along - (s.robot_speed - speed) / gain - deviation[:, 0]).clamp_min(0.0)
+    slower = (-speed / gain - along - deviation[:, 0]).clamp_min(0.0)
+    after = (speed + gain * along.detach()).clamp(0.0, s.robot_speed)
+    limit = (s.time_step * after / s.min_turning_radius).clamp(max=turn)
+    # Near a standstill the lateral part may turn by anything: taken as at a quarter of the speed.
+    across = torch.atan2(gain * mean[:, 1], after.clamp_min(0.25 * s.robot_speed))
+    free = turn * deviation[:, 2] + gain * deviation[:, 1]
+    sharper = ((turn * mean[:, 2] + across).abs() - limit - free).clamp_min(0.0) / turn
+    sharper = torch.where(after > 0.0, sharper, (mean[:, 2].abs() - 1 - deviation[:, 2]).relu())
+    return faster.square() + slower.square() + sharper.square()
