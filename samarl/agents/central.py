@@ -7,7 +7,7 @@ from torch import Tensor, nn
 
 from samarl.agents.features import NETWORK_EGO_FEATURES, STATE_OTHER_FEATURES
 from samarl.encoders import Frames
-from samarl.encoders.spatio_temporal import Pool, masked_where
+from samarl.encoders.spatio_temporal import Pool, nearness
 
 
 class CentralEncoder(nn.Module):
@@ -36,8 +36,9 @@ class CentralEncoder(nn.Module):
             (self.humans, self.embed_humans, state.humans, state.humans_known),
             (self.robots, self.embed_robots, state.robots, state.robots_known),
         ):
-            tokens = torch.relu(embed(others.flatten(0, 1)))
-            pooled.append(pool(own, tokens, masked_where(known.flatten(0, 1))))
+            others, known = others.flatten(0, 1), known.flatten(0, 1)
+            score = nearness(others, known, pool.heads)
+            pooled.append(pool(own, torch.relu(embed(others)), score))
         features = torch.relu(self.out(torch.cat(pooled, -1)))
         return features.unflatten(0, state.ego.shape[:2])
 

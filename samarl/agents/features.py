@@ -15,6 +15,7 @@ from torch import Tensor
 from mrsan import EGO_FEATURES, OTHER_FEATURES, Scenario, World
 from samarl.agents.tracker import Tracks
 from samarl.encoders import Frames
+from samarl.encoders.encoder import NEAR_NOW, NEAR_SOON, POSITION
 
 LENGTH_SCALE = 5.0  # metres that are 1 to the network
 NETWORK_EGO_FEATURES = 11
@@ -23,6 +24,7 @@ STATE_OTHER_FEATURES = 12  # of the true state of another
 
 assert len(EGO_FEATURES) == 11
 assert len(OTHER_FEATURES) == 5
+assert (slice(0, 2), 5, 8) == (POSITION, NEAR_NOW, NEAR_SOON)  # as laid out in `_others`
 
 
 def frames_of(tracks: Tracks, scenario: Scenario) -> Frames:

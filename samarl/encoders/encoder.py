@@ -22,6 +22,11 @@ def encoder_named(name: str) -> Callable[[type[Encoder]], type[Encoder]]:
     return register
 
 
+POSITION = slice(0, 2)  # where in F_h and F_r: seen from the robot, in units of 5 m
+NEAR_NOW = 5  # exp(-2 gap), gap the distance between surfaces in m
+NEAR_SOON = 8  # the same of the closest approach ahead, times exp(-0.5 t), t s away
+
+
 class Frames(NamedTuple):
     """What B robots knew in T frames, scaled for the network."""
 

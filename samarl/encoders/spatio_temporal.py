@@ -13,14 +13,16 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from samarl.encoders.encoder import Encoder, Frames, encoder_named
+from samarl.encoders.encoder import (
+    NEAR_NOW,
+    NEAR_SOON,
+    POSITION,
+    Encoder,
+    Frames,
+    encoder_named,
+)
 
 _MASKED = -1e9
-
-
-def masked_where(known: Tensor) -> Tensor:
-    """What is added to scores: zero where known, very negative elsewhere."""
-    return torch.where(known, 0.0, _MASKED)
 
 
 def _attend(query: Tensor, key_value: Tensor, mask: Tensor, heads: int) -> Tensor:
@@ -36,6 +38,18 @@ def _attend(query: Tensor, key_value: Tensor, mask: Tensor, heads: int) -> Tenso
     return out.transpose(1, 2).reshape(r, q, d)
 
 
+def nearness(others: Tensor, known: Tensor, heads: int) -> Tensor:
+    """What is added to the scores [R, heads, M] of a robot's attention over others [R, M, F].
+
+    Nearer agents matter more: to the even heads those that are near now, to the odd ones those
+    whose closest approach ahead is near and soon, each less by 1 per metre. Attention that begins
+    with equal shares learns to tell agents apart too late.
+    """
+    now, soon = (others[..., k].clamp_min(1e-20).log() / 2 for k in (NEAR_NOW, NEAR_SOON))
+    score = torch.stack([(now, soon)[head % 2] for head in range(heads)], 1)
+    return torch.where(known.unsqueeze(1), score, _MASKED)
+
+
 class Pool(nn.Module):
     """Attention of the robot itself over a set of agents, with a key for "nobody"."""
 
@@ -47,26 +61,26 @@ class Pool(nn.Module):
         self.nobody = nn.Parameter(torch.zeros(2 * width))
         self.out = nn.Linear(width, width)
 
-    def forward(self, own: Tensor, tokens: Tensor, masked: Tensor) -> Tensor:
+    def forward(self, own: Tensor, tokens: Tensor, score: Tensor) -> Tensor:
         """Summary [R, D] of `tokens` [R, M, D] for the robot's own embedding [R, D].
 
-        `masked` [R, M] is zero where an agent is known and very negative elsewhere.
+        `score` [R, heads, M] is added to the attention's own, see `nearness`.
         """
-        return self.out(_attend(*self._asked(own, tokens, masked), self.heads).squeeze(1))
+        return self.out(_attend(*self._asked(own, tokens, score), self.heads).squeeze(1))
 
-    def shares(self, own: Tensor, tokens: Tensor, masked: Tensor) -> Tensor:
+    def shares(self, own: Tensor, tokens: Tensor, score: Tensor) -> Tensor:
         """The share of the attention that each of the M gets, [R, M]; "nobody" gets the rest."""
-        query, key_value, mask = self._asked(own, tokens, masked)
+        query, key_value, mask = self._asked(own, tokens, score)
         r, keys, d = len(query), key_value.shape[1], query.shape[2] // self.heads
         key = key_value.view(r, keys, 2, self.heads, d)[:, :, 0]
-        score = torch.einsum("rhd,rkhd->rhk", query.view(r, self.heads, d), key) / d**0.5
-        return torch.softmax(score + mask[:, 0], -1).mean(1)[:, 1:]
+        found = torch.einsum("rhd,rkhd->rhk", query.view(r, self.heads, d), key) / d**0.5
+        return torch.softmax(found + mask[:, :, 0], -1).mean(1)[:, 1:]
 
-    def _asked(self, own: Tensor, tokens: Tensor, masked: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    def _asked(self, own: Tensor, tokens: Tensor, score: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Query, keys with values, and mask, as `_attend` takes them."""
         nobody = self.nobody.expand(len(tokens), 1, -1)
         key_value = torch.cat([nobody, self.key_value(tokens)], 1)
-        mask = functional.pad(masked, (1, 0))[:, None, None, :]
+        mask = functional.pad(score, (1, 0)).unsqueeze(2)
         return self.query(own).unsqueeze(1), key_value, mask
 
 
@@ -86,22 +100,18 @@ class SpatialTransformer(nn.Module):
         self.gate = nn.Linear(2 * width, width)
         self.pool = Pool(width, heads)
 
-    def forward(self, own: Tensor, tokens: Tensor, position: Tensor, masked: Tensor) -> Tensor:
-        """Feature [R, D] of R robot-frames.
+    def forward(self, tokens: Tensor, others: Tensor, known: Tensor) -> Tensor:
+        """The tokens [R, M, D] of R robot-frames, each knowing of the others.
 
         Args:
-            own: [R, D] embedding of the robot itself.
-            tokens: [R, M, D] embeddings of the others.
-            position: [R, M, 2] in units of 5 m.
-            masked: [R, M], zero where an agent is known and very negative elsewhere.
+            tokens: [R, M, D] embeddings.
+            others: [R, M, F] what is known of them.
+            known: [R, M].
         """
-        return self.pool(own, self.related(tokens, position, masked), masked)
-
-    def related(self, tokens: Tensor, position: Tensor, masked: Tensor) -> Tensor:
-        """The tokens [R, M, D], each knowing of the others."""
         if tokens.shape[1] == 0:
             return tokens
-        normed = self.norm(tokens)
+        normed, position = self.norm(tokens), others[..., POSITION].contiguous()
+        masked = torch.where(known, 0.0, _MASKED)
         attention = _attend(
             self.query(normed), self.key_value(normed), masked[:, None, None, :], self.heads
         )
@@ -164,7 +174,7 @@ class TemporalTransformer(nn.Module):
         allowed = allowed & (episode[:, self.history - 1 :].unsqueeze(2) == episode.unsqueeze(1))
         allowed = allowed.unsqueeze(1) & known.unsqueeze(2)  # [B, M, T', T]
         bias = -self.slopes[:, None, None] * lag.clamp_min(0)
-        mask = bias + masked_where(allowed).flatten(0, 1).unsqueeze(1)
+        mask = bias + torch.where(allowed, 0.0, _MASKED).flatten(0, 1).unsqueeze(1)
         query, key_value = self.query(present), self.key_value(normed)
         timed = _attend(query.flatten(0, 1), key_value.flatten(0, 1), mask, self.heads)
         return tokens[:, :, self.history - 1 :] + timed.view(b, m, present.shape[2], d)
@@ -174,7 +184,7 @@ class TemporalTransformer(nn.Module):
         b, m, d = tokens.shape
         lag = torch.arange(self.history - 1, -1, -1, device=tokens.device)
         bias = (-self.slopes[:, None] * lag).unsqueeze(1)  # [heads, 1, H]
-        mask = bias + masked_where(window.known).view(b * m, 1, 1, self.history)
+        mask = bias + torch.where(window.known, 0.0, _MASKED).view(b * m, 1, 1, self.history)
         query = self.query(self.norm(tokens)).view(b * m, 1, d)
         return tokens + _attend(query, window.key_value.flatten(0, 1), mask, self.heads).view(
             b, m, d
@@ -189,6 +199,8 @@ class Block(nn.Module):
         self.embed_ego = nn.Linear(ego, width)
         self.embed_other = nn.Linear(other, width)
         self.embed = nn.Linear(width, width)
+        for layer in (self.embed_ego, self.embed_other, self.embed):
+            nn.init.orthogonal_(layer.weight, gain=2**0.5)
         self.spatial = SpatialTransformer(width, heads)
         self.temporal = TemporalTransformer(width, heads, history)
 
@@ -198,12 +210,17 @@ class Block(nn.Module):
         """Spatial and temporal feature, each [B T', D], of the frames after the first H - 1."""
         past = self.temporal.history - 1
         tokens = self._embedded(ego, others)  # [B, T, M, D]
-        masked = masked_where(known[:, past:].flatten(0, 1))
-        position = others[:, past:, :, :2].flatten(0, 1)
-        spatial = self.spatial(own, tokens[:, past:].flatten(0, 1), position, masked)
         timed = self.temporal(tokens.transpose(1, 2), known.transpose(1, 2), begins)
-        timed = timed.transpose(1, 2).flatten(0, 1)
-        return [spatial, self.temporal.pool(own, timed, masked)]
+        tokens, timed, others, known = (
+            tensor.flatten(0, 1)
+            for tensor in (
+                tokens[:, past:],
+                timed.transpose(1, 2),
+                others[:, past:],
+                known[:, past:],
+            )
+        )
+        return self._features(own, tokens, timed, others, known)
 
     def step(
         self,
@@ -216,19 +233,27 @@ class Block(nn.Module):
     ) -> tuple[list[Tensor], Window]:
         """The same of one more frame (T = 1), and the window that ends with it."""
         tokens = self._embedded(ego, others)[:, 0]
-        masked = masked_where(known[:, 0])
-        spatial = self.spatial(own, tokens, others[:, 0, :, :2], masked)
         temporal = self.temporal
         key_value = temporal.key_value(temporal.norm(tokens))
         window = window.follow(key_value, known[:, 0], begins)
-        return [spatial, temporal.pool(own, temporal.step(tokens, window), masked)], window
+        timed = temporal.step(tokens, window)
+        return self._features(own, tokens, timed, others[:, 0], known[:, 0]), window
 
     def attention(self, own: Tensor, ego: Tensor, others: Tensor, known: Tensor) -> Tensor:
         """The shares [B, M] of the robot's attention in one frame (T = 1)."""
-        masked = masked_where(known[:, 0])
-        tokens = self._embedded(ego, others)[:, 0]
-        related = self.spatial.related(tokens, others[:, 0, :, :2], masked)
-        return self.spatial.pool.shares(own, related, masked)
+        tokens, others, known = self._embedded(ego, others)[:, 0], others[:, 0], known[:, 0]
+        score = nearness(others, known, self.spatial.heads)
+        return self.spatial.pool.shares(own, self.spatial(tokens, others, known), score)
+
+    def _features(
+        self, own: Tensor, tokens: Tensor, timed: Tensor, others: Tensor, known: Tensor
+    ) -> list[Tensor]:
+        score = nearness(others, known, self.spatial.heads)
+        spatial = self.spatial(tokens, others, known)
+        return [
+            pool(own, both, score)
+            for pool, both in ((self.spatial.pool, spatial), (self.temporal.pool, timed))
+        ]
 
     def _embedded(self, ego: Tensor, others: Tensor) -> Tensor:
         embedded = self.embed_other(others) + self.embed_ego(ego).unsqueeze(2)

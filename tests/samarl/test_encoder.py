@@ -1,10 +1,13 @@
 """The spatio-temporal encoder: what it must be blind to, and what it computes once."""
 
+import pytest
 import torch
 
 from samarl.encoders import Frames, SpatioTemporalEncoder
+from samarl.encoders.encoder import NEAR_NOW, NEAR_SOON
+from samarl.encoders.spatio_temporal import Pool, nearness
 
-EGO, OTHER, HISTORY = 5, 7, 4
+EGO, OTHER, HISTORY = 5, 10, 4
 
 
 def encoder(history: int = HISTORY) -> SpatioTemporalEncoder:
@@ -98,18 +101,35 @@ def test_what_is_masked_changes_nothing() -> None:
 
 
 def test_the_near_weigh_more_in_the_graph() -> None:
-    model = encoder(history=1)
-    spatial = model.humans.spatial
+    spatial = encoder(history=1).humans.spatial
     tokens = torch.randn(1, 3, 16, requires_grad=True)
-    position = torch.tensor([[[0.0, 0.0], [0.1, 0.0], [2.0, 0.0]]])  # units of 5 m
+    others = torch.zeros(1, 3, OTHER)
+    others[0, :, 0] = torch.tensor([0.0, 0.1, 2.0])  # units of 5 m
     with torch.no_grad():  # the gate shut to attention: only the graph convolution is left
         spatial.gate.weight.zero_()
         spatial.gate.bias.fill_(-50.0)
         spatial.norm.weight.fill_(1.0)
-    captured = []
-    spatial.pool.register_forward_hook(lambda _, inputs, __: captured.append(inputs[1]))
-    spatial(torch.randn(1, 16), tokens, position, torch.zeros(1, 3))
-    captured[0][0, 0].sum().backward()
+    spatial(tokens, others, torch.ones(1, 3, dtype=torch.bool))[0, 0].sum().backward()
     assert tokens.grad is not None
     near, far = tokens.grad[0, 1].norm(), tokens.grad[0, 2].norm()
     assert near > 10 * far
+
+
+def test_attention_begins_with_the_near_and_with_those_who_will_be_near() -> None:
+    gap = torch.tensor([0.5, 1.5, 4.0])
+    others = torch.zeros(1, 3, OTHER)
+    others[0, :, NEAR_NOW] = torch.exp(-2 * gap)
+    others[0, :, NEAR_SOON] = torch.exp(-2 * gap.flip(0))
+    known = torch.tensor([[True, True, False]])
+    score = nearness(others, known, heads=3)
+    assert score[0, :, 0].tolist() == pytest.approx([-0.5, -4.0, -0.5])  # now, soon, now
+    assert score[0, :, 1].tolist() == pytest.approx([-1.5] * 3)
+    assert (score[0, :, 2] < -1e8).all()
+    pool = Pool(16, heads=1)
+    with torch.no_grad():
+        pool.query.weight.zero_()  # nothing learned yet: 1 per metre, and 0 for nobody
+        pool.query.bias.zero_()
+    shares = pool.shares(torch.zeros(1, 16), torch.randn(1, 3, 16), score[:, :1])
+    weights = torch.exp(torch.tensor([-0.5, -1.5]))
+    torch.testing.assert_close(shares[0, :2], weights / (1 + weights.sum()))
+    assert shares[0, 2] == 0

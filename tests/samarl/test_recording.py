@@ -92,9 +92,9 @@ def test_the_shares_are_those_that_the_pool_uses() -> None:
     pool = Pool(8, heads=1)
     torch.nn.init.normal_(pool.nobody)
     own, tokens = torch.randn(5, 8), torch.randn(5, 3, 8)
-    masked = torch.where(torch.rand(5, 3) < 0.4, -1e9, 0.0)
+    masked = torch.where(torch.rand(5, 1, 3) < 0.4, -1e9, torch.randn(5, 1, 3))
     shares = pool.shares(own, tokens, masked)
-    assert (shares[masked < 0] == 0).all()
+    assert (shares[masked[:, 0] < -1e8] == 0).all()
     value, nobody = pool.key_value(tokens)[..., 8:], pool.nobody[8:]
     rest = 1 - shares.sum(-1, keepdim=True)
     by_hand = pool.out((shares.unsqueeze(-1) * value).sum(1) + rest * nobody)
