@@ -15,7 +15,7 @@ GOMP_SPINCOUNT ?= 1000
 export GOMP_SPINCOUNT
 
 .DEFAULT_GOAL := help
-.PHONY: help setup bench test test-browser lint train results picture report latency throughput soak wheel check-wheel clean
+.PHONY: help setup bench test test-browser lint train results pictures report latency throughput soak wheel check-wheel clean
 
 help: ## List what can be made
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -59,7 +59,7 @@ lint: setup ## Check style and types
 train: setup ## Train SAMARL with the default recipe, or go on with an interrupted training (hours)
 	@$(BIN)/samarl-train
 
-results: setup ## Rewrite results/, the table and the picture of the README (nothing else may)
+results: setup ## Rewrite results/, the table and the pictures of the README (nothing else may)
 	@$(BIN)/samarl-bench output=results
 	@$(BIN)/python -m benchmarks.throughput --compile --output results/throughput.json
 	@$(BIN)/python -m benchmarks.latency --output results/latency.json
@@ -68,10 +68,11 @@ results: setup ## Rewrite results/, the table and the picture of the README (not
 	  /<!-- table1 -->/ { print; printf "%s", table; inside = 1; next } \
 	  /<!-- \/table1 -->/ { inside = 0 } !inside' results/table1.md README.md > README.md.part
 	@mv README.md.part README.md
-	@$(MAKE) --no-print-directory picture
+	@$(MAKE) --no-print-directory pictures
 
-picture: setup ## Draw the picture of the README
-	@$(BIN)/samarl-render agent=model_predictive case=$(PICTURE_CASE) output=docs/images/case.png
+pictures: report ## Draw the pictures of the README: a case that plays, and the table as a figure
+	@$(BIN)/samarl-render agent=samarl against=orca case=$(PICTURE_CASE) output=docs/images/case.gif
+	@cp results/report/figures/table-1.png docs/images/table1.png
 
 report: setup ## Build pages for the browser from results/, with replays, in results/report/
 	@$(BIN)/samarl-report
