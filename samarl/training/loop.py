@@ -48,6 +48,7 @@ class Training:
     save_every: int = required(1, 10**12)  # environment steps
     waypoint_progress: float = required(0.0, 100.0)  # reward per metre, local level
     begun_share: float = number(0.0, 0.0, 1.0)  # of the episodes, begin on the way round the crowd
+    retried_share: float = number(0.0, 0.0, 1.0)  # of the collisions, tried again
     device: str = "cpu"  # of the networks; the simulation is always on the CPU
     bfloat16: bool = False  # encode with bfloat16
     compile: bool = False  # compile the encoders (needs a C++ compiler)
@@ -108,6 +109,7 @@ class Trainer:
                 mappo.local_discount,
                 training.waypoint_progress,
                 training.begun_share,
+                training.retried_share,
             )
             for i, group in enumerate(groups)
         ]

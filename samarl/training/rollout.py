@@ -18,9 +18,11 @@ from mrsan import Episodes, Scenario, Split, World
 from mrsan.metrics import episodes_of
 from samarl.agents.features import frames_of, state_of
 from samarl.agents.hierarchical import HierarchicalPolicy, Waypoints, decide, to_world
-from samarl.agents.tracker import Tracker
+from samarl.agents.tracker import Tracker, Tracks
 from samarl.encoders import Frames
-from samarl.training.starts import Crowd
+from samarl.training.starts import Crowd, Past
+
+RETRY_STEPS = 16  # a collision is taken back by at most so many
 
 
 class Steps(NamedTuple):
@@ -82,6 +84,7 @@ class Rollout:
         local_discount: float,
         waypoint_progress: float,
         begun_share: float = 0.0,
+        retried_share: float = 0.0,
     ) -> None:
         """Begin the training cases `first`, `first + 1`, ... in `worlds` worlds.
 
@@ -94,6 +97,7 @@ class Rollout:
             local_discount: per step, of the local level.
             waypoint_progress: reward of the local level per metre nearer to its waypoint.
             begun_share: of the episodes whose way is round the crowd; they begin somewhere on it.
+            retried_share: of the collisions, tried again from up to RETRY_STEPS before.
         """
         self._waypoint_progress = np.float32(waypoint_progress)
         # Following waypoints for ever would be worth so much: arriving must not be worth less.
@@ -110,7 +114,12 @@ class Rollout:
         self.began = np.ones(worlds, np.bool_)
         begun = begun_share > 0.0 and self.waypoints.round
         self.crowd = Crowd(scenario, worlds, first) if begun else None
-        self._begun_share = begun_share
+        self._begun_share, self._retried_share = begun_share, retried_share
+        self.past = Past(RETRY_STEPS)
+        for _ in range(RETRY_STEPS if retried_share > 0.0 else 0):
+            self.past.keep(self._remembered())
+        self.age = np.zeros(worlds, np.int32)  # steps since the episode began or was taken back
+        self.fresh = np.ones(worlds, np.bool_)  # the episode has not been taken back
         frames = frames_of(self.tracks, scenario)
         length = a.history - 1 + steps
         self._frames = Frames(*(_room(tensor, length) for tensor in frames))
@@ -141,6 +150,9 @@ class Rollout:
             y = policy.encode(window, begins[:, step : now + 1]).view(e, n, -1)
             ego = self.tracks.ego
             driving = ~world.state.arrived
+            if self._retried_share > 0.0:
+                self.past.keep(self._remembered())
+            self.age += 1
             choice = decide(policy, y, ego, self.waypoints, deterministic=False)
             result = world.step(choice.action.clamp(-1, 1).numpy())
             tracks = self.tracker.update(result.observation)
@@ -168,15 +180,8 @@ class Rollout:
                 ends.append(torch.stack([rows, torch.full_like(rows, step)], 1))
                 final_states.append(state_of(world).of(torch.from_numpy(np.repeat(ended, n))))
                 final_waypoints.append(self.waypoints.features(tracks.ego)[rows])
-                episodes.append(episodes_of(world.state, scenario, ended))
-                self.tracker.reset(ended)
-                self.waypoints.reset(ended)
-                world.reset(worlds=ended)
-                if self.crowd is not None:
-                    self.crowd.step()
-                    begun = ended & (torch.rand(e).numpy() < self._begun_share)
-                    self.crowd.enter(world, begun, policy.architecture.round_radius)
-                tracks = self.tracker.update(world.observe(), ended)
+                episodes.append(episodes_of(world.state, scenario, ended & self.fresh))
+                tracks = self._begin(ended)
             self.tracks, self.began = tracks, ended
         return Batch(
             scenario=scenario,
@@ -191,6 +196,31 @@ class Rollout:
             episodes=episodes,
         )
 
+    def _begin(self, ended: NDArray[np.bool_]) -> Tracks:
+        """Begin the next episodes where one has ended, or take a collision back."""
+        world, e = self.world, self.world.worlds
+        again = np.zeros(e, np.bool_)
+        if self._retried_share > 0.0:
+            hit = (world.state.collision != 0).any(1) & ended
+            again = hit & (self.age > 1) & (torch.rand(e).numpy() < self._retried_share)
+        self.tracker.reset(ended & ~again)
+        self.waypoints.reset(ended)
+        world.reset(worlds=ended & ~again)
+        if self.crowd is not None:
+            self.crowd.step()
+            begun = ended & ~again & (torch.rand(e).numpy() < self._begun_share)
+            self.crowd.enter(world, begun, self.policy.architecture.round_radius)
+        if again.any():
+            back = np.minimum(torch.randint(1, RETRY_STEPS + 1, (e,)).numpy(), self.age)
+            self.past.restore(self._remembered(), again, back)
+        self.age[ended] = 0
+        self.fresh[ended] = ~again[ended]
+        return self.tracker.update(world.observe(), ended & ~again)
+
+    def _remembered(self) -> list[NDArray]:
+        """All that makes up the present state of the worlds, [E, ...] each."""
+        return [*self.world.state, *self.tracker.memory().values()]
+
     def state(self) -> dict[str, Any]:
         """Everything that the next `collect` depends on, but the networks and torch's generator."""
         return {
@@ -199,6 +229,9 @@ class Rollout:
             "tracker": self.tracker.memory(),
             "waypoint": self.waypoints.position,
             "clock": self.waypoints.clock,
+            "past": list(self.past.kept),
+            "age": self.age,
+            "fresh": self.fresh,
             "began": self.began,
             "frames": list(self._frames),
             "begins": self._begins,
@@ -213,6 +246,8 @@ class Rollout:
             getattr(self.crowd.world.state, name)[:] = value
         self.tracker.restore(state["tracker"])
         self.waypoints.position[:], self.waypoints.clock[:] = state["waypoint"], state["clock"]
+        self.past.kept.extend(state["past"])
+        self.age, self.fresh = state["age"].copy(), state["fresh"].copy()
         self.began = state["began"].copy()
         for room, value in zip((*self._frames, self._begins), [*state["frames"], state["begins"]],
                                strict=True):  # fmt: skip

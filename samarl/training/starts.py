@@ -1,11 +1,10 @@
-"""Episodes that begin somewhere on the way round the crowd, so that its end is practised more.
-
-Nine tenths of that way are empty; what is hard is going in to the goal, among people.
-"""
+"""Training episodes that do not begin at the start, so that what is hard is practised more."""
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -17,8 +16,40 @@ _FAR_AWAY = 1000.0  # m, where nobody is met
 _LEAST_GAP = 1.5  # m between robots that are placed
 
 
+class Past:
+    """The last states of E worlds, to go back to from before a collision.
+
+    Collisions are rare and what would have avoided them is rarely tried. The same situation again,
+    with the same people doing the same, tries something else.
+    """
+
+    def __init__(self, steps: int) -> None:
+        """Keep the last `steps` states."""
+        self.steps = steps
+        self.kept: deque[list[NDArray[Any]]] = deque(maxlen=steps)
+
+    def keep(self, arrays: list[NDArray[Any]]) -> None:
+        """Copy what makes up the present state; each array [E, ...]."""
+        self.kept.append([array.copy() for array in arrays])
+
+    def restore(self, arrays: list[NDArray[Any]], worlds: NDArray[np.bool_], age: Any) -> None:
+        """Take some worlds back.
+
+        Args:
+            arrays: those that were kept; written.
+            worlds: [E] which.
+            age: [E] by how many of the kept states, at least 1: the last.
+        """
+        for e in np.flatnonzero(worlds):
+            for array, past in zip(arrays, self.kept[-int(age[e])], strict=True):
+                array[e] = past[e]
+
+
 class Crowd:
-    """E crowds that go on walking for ever, without robots."""
+    """E crowds that go on walking for ever, without robots.
+
+    Nine tenths of the way round a crowd are empty; what is hard is going in to the goal.
+    """
 
     def __init__(self, scenario: Scenario, worlds: int, first: int) -> None:
         """Let people walk as in `scenario`, in the training cases from `first` on."""

@@ -1,4 +1,4 @@
-"""Episodes that begin on the way round the crowd."""
+"""Training episodes that do not begin at the start."""
 
 from dataclasses import replace
 
@@ -6,7 +6,9 @@ import numpy as np
 import torch
 
 from mrsan import Scenario, World
+from samarl.agents.hierarchical import Architecture, HierarchicalPolicy
 from samarl.agents.planners.perimeter import Perimeter
+from samarl.training.rollout import RETRY_STEPS, Rollout
 from samarl.training.starts import Crowd
 
 SCENARIO = Scenario(fov_degrees=90.0)
@@ -49,3 +51,42 @@ def test_the_crowd_walks_on_when_its_time_is_over() -> None:
         crowd.step()
     assert crowd.world.state.clock.tolist() == [3, 3, 4, 4]
     assert not crowd.world.state.done.any()
+
+
+def test_a_collision_is_tried_again_from_shortly_before() -> None:
+    torch.manual_seed(0)
+    scenario = replace(SCENARIO, fov_degrees=360.0, circle_radius=4.0)
+    rollout = Rollout(scenario, tiny_policy(), 32, 1, 0, 0.98, 0.5, retried_share=1.0)
+    state, again = rollout.world.state, 0
+    for _ in range(40):
+        before = [array.copy() for array in rollout._remembered()]
+        kept = [[array.copy() for array in arrays] for arrays in rollout.past.kept]
+        age = rollout.age.copy()
+        rollout.collect()
+        back = rollout.began & ~rollout.fresh
+        for e in np.flatnonzero(back):  # as it was at one of the last steps of this episode
+            assert age[e] >= 1
+            past = [*kept, before][-RETRY_STEPS:]
+            backs = range(1, min(int(age[e]) + 1, RETRY_STEPS) + 1)
+            steps = [k for k in backs if same(past[-k], rollout._remembered(), e)]
+            assert steps, (e, age[e])
+            again += 1
+        begun = rollout.began & rollout.fresh
+        assert (state.clock[begun] == 0).all()
+        assert not state.done.any()
+        assert (state.collision == 0).all()
+    assert again > 10
+
+
+def same(one: list[np.ndarray], other: list[np.ndarray], e: int) -> bool:
+    """Whether two memories agree on world `e`."""
+    return all(np.array_equal(a[e], b[e]) for a, b in zip(one, other, strict=True))
+
+
+def tiny_policy() -> HierarchicalPolicy:
+    """An untrained policy."""
+    architecture = Architecture(
+        actors=1, width=8, heads=1, history=2, features=8, hidden=8, macro_steps=4, levels=2,
+        round_below=180.0, round_radius=8.0, waypoint_ahead=2.0, waypoint_range=2.0, track_steps=4,
+    )  # fmt: skip
+    return HierarchicalPolicy(architecture, 3)

@@ -32,7 +32,8 @@ SMALL = [
     "architecture.width=8", "architecture.heads=1", "architecture.history=3",
     "architecture.features=8", "architecture.hidden=8", "training.steps=1024",
     "training.rollout=16", "training.save_every=128", "training.validate_every=512",
-    "training.validation_cases=4", "training.threads=1", "training.begun_share=0.5", "folder=run",
+    "training.validation_cases=4", "training.threads=1", "training.begun_share=0.5",
+    "training.retried_share=0.5", "folder=run",
 ]  # fmt: skip
 
 
