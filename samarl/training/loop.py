@@ -91,6 +91,9 @@ class Trainer:
         numba.set_num_threads(min(training.threads, numba.config.NUMBA_NUM_THREADS))
         torch.manual_seed(training.seed)
         self.policy = HierarchicalPolicy(architecture, groups[0].scenario.action_size)
+        self.made: dict[str, Any] = {
+            "command": command, "commit": code_version(), "machine": machine()
+        }  # fmt: skip
         if initial is not None:
             self._begin_with(initial)
         self.policy.to(_device(training.device))
@@ -129,7 +132,6 @@ class Trainer:
                 default=str,
             )
         )
-        self.made = {"command": command, "commit": code_version(), "machine": machine()}
         if (folder / STATE).exists():
             self._restore()
 
@@ -226,6 +228,7 @@ class Trainer:
                 f"initial is {str(initial)!r} with {card.architecture}; its sizes must be those of "
                 "this run's architecture"
             ) from error
+        self.made["initial"] = {"sha256": card.sha256, **card.made}
 
     def _validate(self) -> dict[str, float]:
         """Deterministic success on validation cases with all people present; keeps the best.
