@@ -17,6 +17,8 @@ class Group:
     worlds: int = number(MISSING, 1, 10**6)
     begin: float = number(0.0, 0.0, 1.0)  # share of the training after which it is trained on ...
     end: float = number(1.0, 0.0, 1.0)  # ... and until which
+    begun_share: float = number(0.0, 0.0, 1.0)  # of the episodes, begin on the way round the crowd
+    retried_share: float = number(0.0, 0.0, 1.0)  # of the collisions, tried again
     scenario: Scenario = field(default_factory=Scenario)
 
     def check(self, name: str) -> None:
