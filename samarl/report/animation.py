@@ -72,7 +72,9 @@ def _write_gif(path: Path, pictures: Iterator[NDArray[np.uint8]], scenario: Scen
     for picture in pictures:
         image = Image.fromarray(picture)
         if palette is None:
-            palette = image.quantize(_GIF_COLOURS, dither=Image.Dither.NONE)
+            sample = image.copy()
+            sample.paste(CONTACT, (0, 0, image.width // 10, image.height // 10))  # is seen later
+            palette = sample.quantize(_GIF_COLOURS, dither=Image.Dither.NONE)
         images.append(image.quantize(palette=palette, dither=Image.Dither.NONE))
     duration = [round(1000 * scenario.time_step)] * len(images)
     duration[-1] += round(1000 * _HOLD_SECONDS)
