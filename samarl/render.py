@@ -44,11 +44,13 @@ def render(config: DictConfig) -> None:
     check_numbers(Render(case=config.case, split=config.split), "render")
     path = Path(config.output)
     save = _writer(path)
-    agents: dict[str, Any] = {HydraConfig.get().runtime.choices.agent: chosen_agent(config)}
+    agents: list[tuple[str, Any]] = [
+        (HydraConfig.get().runtime.choices.agent, chosen_agent(config))
+    ]
     if config.against is not None:
-        agents[config.against] = load_agent(config.against)
+        agents.append((config.against, load_agent(config.against)))
     recordings = []
-    for name, agent_config in agents.items():
+    for name, agent_config in agents:
         agent = build_agent(agent_config, scenario)
         recording = record_episode(agent, scenario, config.split.case(config.case))
         title = (

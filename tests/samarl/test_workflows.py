@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from PIL import Image
 
 from mrsan import Outcome
 from samarl.evaluation.summary import Row
@@ -134,6 +135,9 @@ def test_render_draws_a_case(tmp_path: Path) -> None:
     assert len(picture) > 10_000
     run("render", "agent=straight", "case=3", "scenario.robots=2", "output=case.gif", cwd=tmp_path)
     assert (tmp_path / "case.gif").read_bytes().startswith(b"GIF89a")
+    run("render", "agent=straight", "against=straight", "case=3", "output=two.png", cwd=tmp_path)
+    with Image.open(tmp_path / "two.png") as two, Image.open(tmp_path / "case.png") as one:
+        assert two.width > 1.7 * one.width  # the same agent twice, of one perhaps another policy
     done = run("render", "output=case.txt", cwd=tmp_path, code=2)
     assert (
         done.stderr
