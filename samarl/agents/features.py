@@ -46,18 +46,31 @@ def state_of(world: World) -> Frames:
     others = np.array([[k for k in range(n) if k != i] for i in range(n)], int).reshape(n, n - 1)
     human_goals = np.repeat(state.human_goal[:, None], n, 1)  # [E, N, M, 2]
     robot_goals, arrived = state.robot_goal[:, others], state.arrived[:, others]
-    here, heading = state.robot_position[:, :, None], state.robot_heading[:, :, None]
-    cos, sin = np.cos(heading), np.sin(heading)
     found: list[Tensor] = []
     for rows, visible, goals, there in (
         (seen.humans, seen.humans_visible, human_goals, np.zeros(human_goals.shape[:3], np.bool_)),
         (seen.robots, seen.robots_visible, robot_goals, arrived),
     ):
-        dx, dy = np.moveaxis(goals - here, -1, 0)
-        more = [(cos * dx + sin * dy) / LENGTH_SCALE, (cos * dy - sin * dx) / LENGTH_SCALE, there]
-        extra = torch.from_numpy(np.stack(more, -1).astype(np.float32))
+        goal = to_body(goals, seen.ego[:, :, None]) / np.float32(LENGTH_SCALE)
+        extra = torch.from_numpy(np.concatenate([goal, there[..., None]], -1, dtype=np.float32))
         found += _others(rows, extra, visible, scenario)
     return Frames(_own(seen.ego, scenario), *found)
+
+
+def to_world(point: NDArray[np.float32], ego: NDArray[np.float32]) -> NDArray[np.float32]:
+    """From the body frames of robots `ego` [..., 11] to the world frame, [..., 2]."""
+    cos, sin = ego[..., 6], ego[..., 7]
+    dx, dy = point[..., 0] - ego[..., 4], point[..., 1] - ego[..., 5]
+    return np.stack([cos * dx - sin * dy, sin * dx + cos * dy], -1)
+
+
+def to_body(point: NDArray[np.float32], ego: NDArray[np.float32]) -> NDArray[np.float32]:
+    """From the world frame to the body frames of robots `ego` [..., 11], [..., 2]."""
+    cos, sin = ego[..., 6], ego[..., 7]
+    x = -(cos * ego[..., 4] - sin * ego[..., 5])
+    y = -(sin * ego[..., 4] + cos * ego[..., 5])
+    dx, dy = point[..., 0] - x, point[..., 1] - y
+    return np.stack([cos * dx + sin * dy, cos * dy - sin * dx], -1)
 
 
 def _own(of_robots: NDArray[np.float32], scenario: Scenario) -> Tensor:

@@ -15,7 +15,12 @@ from torch.distributions import Independent, Normal
 from mrsan import ConfigurationError, Scenario
 from mrsan.scenario import required
 from samarl.agents.central import CentralEncoder, Critic
-from samarl.agents.features import NETWORK_EGO_FEATURES, NETWORK_OTHER_FEATURES
+from samarl.agents.features import (
+    NETWORK_EGO_FEATURES,
+    NETWORK_OTHER_FEATURES,
+    to_body,
+    to_world,
+)
 from samarl.agents.per_robot import PerRobotEncoder, PerRobotGaussian
 from samarl.agents.planners.perimeter import way_round
 from samarl.encoders import ENCODERS, Encoder, Frames
@@ -129,12 +134,12 @@ class HierarchicalPolicy(nn.Module):
         """
         device = self.device
         with self._precision():
-            return self.encoder(_moved(frames, device), begins.to(device)).float()
+            return self.encoder(frames.to(device), begins.to(device)).float()
 
     def encode_state(self, state: Frames) -> Tensor:
         """Features [B, T, F] of the critics from `state_of`, on the device of the networks."""
         with self._precision():
-            return self.critic_encoder(_moved(state, self.device)).float()
+            return self.critic_encoder(state.to(self.device)).float()
 
     def _precision(self) -> torch.autocast:
         return torch.autocast(self.device.type, torch.bfloat16, enabled=self.low_precision)
@@ -156,10 +161,6 @@ class HierarchicalPolicy(nn.Module):
                 f"scenario.robots is {scenario.robots}; it must be {actors} for a policy with "
                 "parameters of their own for so many robots"
             )
-
-
-def _moved(frames: Frames, device: torch.device) -> Frames:
-    return Frames(*(tensor.to(device, non_blocking=True) for tensor in frames))
 
 
 class Waypoints:
@@ -213,11 +214,7 @@ class Waypoints:
 
     def seen_from(self, ego: NDArray[np.float32]) -> NDArray[np.float32]:
         """The waypoints in the body frames, [E, N, 2] in m."""
-        cos, sin = ego[..., 6], ego[..., 7]
-        x = -(cos * ego[..., 4] - sin * ego[..., 5])
-        y = -(sin * ego[..., 4] + cos * ego[..., 5])
-        dx, dy = self.position[..., 0] - x, self.position[..., 1] - y
-        return np.stack([cos * dx + sin * dy, cos * dy - sin * dx], -1)
+        return to_body(self.position, ego)
 
     def features(self, ego: NDArray[np.float32]) -> Tensor:
         """What the local level is told of its waypoint, [E, N, 3]; in a flat agent nothing."""
@@ -225,13 +222,6 @@ class Waypoints:
             return torch.zeros(*ego.shape[:2], WAYPOINT_FEATURES)
         seen = torch.from_numpy(self.seen_from(ego))
         return torch.cat([seen / 2.0, torch.exp(-seen.norm(dim=-1, keepdim=True))], -1)
-
-
-def to_world(point: NDArray[np.float32], ego: NDArray[np.float32]) -> NDArray[np.float32]:
-    """From the body frames to the world frame, [E, N, 2]."""
-    cos, sin = ego[..., 6], ego[..., 7]
-    dx, dy = point[..., 0] - ego[..., 4], point[..., 1] - ego[..., 5]
-    return np.stack([cos * dx - sin * dy, sin * dx + cos * dy], -1)
 
 
 class Decision(NamedTuple):

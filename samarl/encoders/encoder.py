@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import torch
@@ -44,9 +44,18 @@ class Frames(NamedTuple):
         """Some of the robots."""
         return Frames(*(tensor[robots] for tensor in self))
 
+    def to(self, device: torch.device) -> Frames:
+        """The same on another device."""
+        return Frames(*(tensor.to(device, non_blocking=True) for tensor in self))
+
+    @staticmethod
+    def joined(parts: Sequence[Frames], dimension: int) -> Frames:
+        """Several as one, joined along the robots (0) or the frames (1)."""
+        return Frames(*(torch.cat(tensors, dimension) for tensors in zip(*parts, strict=True)))
+
 
 class Encoder(nn.Module, ABC):
-    """From what a robot knew in its last H frames to a feature Y for its actors or critics.
+    """From what a robot knew in its last H frames to a feature Y for its actors.
 
     Shapes: B robots (of all worlds), T frames, H frames of history. A subclass need define
     `forward` alone; what holds for all: any number of humans and robots, finite with nobody
@@ -95,7 +104,7 @@ class Encoder(nn.Module, ABC):
             windows: of the last step.
         """
         past, past_begins = windows
-        frames = Frames(*(torch.cat(both, 1) for both in zip(past, frame, strict=True)))
+        frames = Frames.joined([past, frame], 1)
         all_begins = torch.cat([past_begins, begins.unsqueeze(1)], 1)
         y = self(frames, all_begins)[:, -1]
         return y, (frames.at(slice(1, None)), all_begins[:, 1:])

@@ -21,7 +21,7 @@ from torch import Tensor
 
 from mrsan import ConfigurationError
 from samarl.agents.hierarchical import Architecture, HierarchicalPolicy
-from samarl.evaluation.files import find_folder, write_json
+from samarl.evaluation.files import find_folder, unfinished, write_json
 
 POLICIES: dict[str, tuple[type[HierarchicalPolicy], type[Architecture]]] = {
     "hierarchical": (HierarchicalPolicy, Architecture),
@@ -43,13 +43,10 @@ class PolicyCard:
 def write_tensors(path: Path, tensors: dict[str, Tensor], metadata: dict[str, str]) -> str:
     """Write tensors atomically; returns the digest of the file."""
     content = save({key: value.contiguous().cpu() for key, value in tensors.items()}, metadata)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = path.with_name(path.name + ".part")
-    with open(unfinished, "wb") as file:
+    with unfinished(path) as part, part.open("wb") as file:
         file.write(content)
         file.flush()
         os.fsync(file.fileno())
-    os.replace(unfinished, path)
     return hashlib.sha256(content).hexdigest()
 
 

@@ -16,8 +16,8 @@ from torch.utils._pytree import tree_map_only
 
 from mrsan import Episodes, Scenario, Split, World
 from mrsan.metrics import episodes_of
-from samarl.agents.features import frames_of, state_of
-from samarl.agents.hierarchical import HierarchicalPolicy, Waypoints, decide, to_world
+from samarl.agents.features import frames_of, state_of, to_world
+from samarl.agents.hierarchical import HierarchicalPolicy, Waypoints, decide
 from samarl.agents.tracker import Tracker, Tracks
 from samarl.encoders import Frames
 from samarl.training.starts import Crowd, Past
@@ -187,11 +187,11 @@ class Rollout:
             scenario=scenario,
             frames=Frames(*(tensor.clone() for tensor in frames)),
             begins=begins.clone(),
-            state=_joined([*states, state_of(world)], 1),
+            state=Frames.joined([*states, state_of(world)], 1),
             steps=Steps(*(torch.stack(column, 1) for column in zip(*columns, strict=True))),
             last_waypoint=self.waypoints.features(self.tracks.ego),
             ends=torch.cat([torch.empty(0, 2, dtype=torch.long), *ends]),
-            final_state=_joined([states[0].of(slice(0, 0)), *final_states], 0),
+            final_state=Frames.joined([states[0].of(slice(0, 0)), *final_states], 0),
             final_waypoint=torch.cat([torch.empty(0, n, 3), *final_waypoints]),
             episodes=episodes,
         )
@@ -282,10 +282,6 @@ class Rollout:
         if self.policy.architecture.levels == 1:
             return macro, macro
         return macro, local + self._arrival_bonus * arrived
-
-
-def _joined(frames: list[Frames], dimension: int) -> Frames:
-    return Frames(*(torch.cat(tensors, dimension) for tensors in zip(*frames, strict=True)))
 
 
 def _room(example: Tensor, frames: int) -> Tensor:

@@ -25,7 +25,6 @@ class Past:
 
     def __init__(self, steps: int) -> None:
         """Keep the last `steps` states."""
-        self.steps = steps
         self.kept: deque[list[NDArray[Any]]] = deque(maxlen=steps)
 
     def keep(self, arrays: list[NDArray[Any]]) -> None:

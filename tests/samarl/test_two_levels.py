@@ -213,15 +213,7 @@ def test_critics_see_everybody_with_their_goals() -> None:
 def test_an_update_learns_and_reports_what_it_did() -> None:
     model = policy()
     learner = Learner(model, replace(UPDATE, epochs=8, learning_rate=0.01))
-    rollout = Rollout(
-        replace(SCENARIO, humans=0),
-        model,
-        worlds=16,
-        steps=16,
-        first=0,
-        local_discount=0.98,
-        waypoint_progress=0.5,
-    )
+    rollout = Rollout(replace(SCENARIO, humans=0), model, 16, 16, 0, 0.98, 0.5)
     before = {name: value.clone() for name, value in model.state_dict().items()}
     first = learner.update([rollout.collect()])
     assert all(np.isfinite(value) for value in first.values())
@@ -236,15 +228,7 @@ def test_an_update_learns_and_reports_what_it_did() -> None:
 def test_a_flat_agent_learns_without_waypoints() -> None:
     model = HierarchicalPolicy(replace(ARCHITECTURE, levels=1), 3)
     learner = Learner(model, UPDATE)
-    rollout = Rollout(
-        replace(SCENARIO, humans=0),
-        model,
-        worlds=16,
-        steps=16,
-        first=0,
-        local_discount=0.98,
-        waypoint_progress=0.5,
-    )
+    rollout = Rollout(replace(SCENARIO, humans=0), model, 16, 16, 0, 0.98, 0.5)
     before = {name: value.clone() for name, value in model.state_dict().items()}
     batch = rollout.collect()
     assert not batch.steps.due.any()
