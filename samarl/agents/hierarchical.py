@@ -240,7 +240,7 @@ def decide(
     y: Tensor,
     ego: NDArray[np.float32],
     waypoints: Waypoints,
-    deterministic: bool,
+    noise: Tensor | None = None,
 ) -> Decision:
     """Let the macro level choose waypoints where they are due and the local level act.
 
@@ -249,16 +249,19 @@ def decide(
         y: [E, N, F] features of the actors' encoder.
         ego: [E, N, 11] own states.
         waypoints: updated in place.
-        deterministic: take the means.
+        noise: [E, N, A] of unit variance, with which the local level explores; None: both levels
+            take their means.
     """
     due = waypoints.due(ego)
     robot = torch.arange(y.shape[1], device=y.device).expand(y.shape[:2])
     macro_distribution = policy.macro_actor.distribution(y, robot)
-    macro = macro_distribution.mean if deterministic else macro_distribution.sample()
+    macro = macro_distribution.mean if noise is None else macro_distribution.sample()
     waypoints.set(ego, due, macro.cpu().numpy())
     told = waypoints.features(ego).to(y.device)
     distribution = policy.local_actor.distribution(torch.cat([y, told], -1), robot)
-    action = distribution.mean if deterministic else distribution.sample()
+    action = distribution.mean
+    if noise is not None:
+        action = action + distribution.stddev * noise.to(y.device)
     waypoints.tick()
     return Decision(
         macro.cpu(),

@@ -100,7 +100,7 @@ class Deployed:
         self._began = np.zeros(e, np.bool_)
         y, self._windows = self.policy.encoder.step(frame, began, self._windows)
         y = y.view(e, n, -1)
-        choice = decide(self.policy, y, tracks.ego, self.waypoints, deterministic=True)
+        choice = decide(self.policy, y, tracks.ego, self.waypoints)
         return choice.action.clamp(-1, 1).numpy()
 
     @torch.no_grad()

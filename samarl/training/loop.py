@@ -21,7 +21,7 @@ from torch.utils.tensorboard import SummaryWriter
 from tqdm import tqdm
 
 from mrsan import ConfigurationError, Split, social_score
-from mrsan.scenario import check_numbers, required
+from mrsan.scenario import check_numbers, number, required
 from samarl.agents.hierarchical import Architecture, HierarchicalPolicy
 from samarl.agents.learned import Deployed
 from samarl.algorithms.mappo import MAPPO, Learner
@@ -47,6 +47,7 @@ class Training:
     validation_cases: int = required(1, 10**6)
     save_every: int = required(1, 10**12)  # environment steps
     waypoint_progress: float = required(0.0, 100.0)  # reward per metre, local level
+    noise_correlation: float = number(0.0, 0.0, 0.999)  # of exploration from step to step
     device: str = "cpu"  # of the networks; the simulation is always on the CPU
     bfloat16: bool = False  # encode with bfloat16
     compile: bool = False  # compile the encoders (needs a C++ compiler)
@@ -79,7 +80,8 @@ class Trainer:
             mappo: the knobs of the update.
             groups: what is trained on.
             command: what started it, for the record.
-            initial: a policy of the same architecture whose weights to begin with.
+            initial: a policy of the same architecture whose weights to begin with; how much is
+                explored begins anew.
 
         Raises:
             ConfigurationError: the saved state belongs to another configuration.
@@ -111,6 +113,7 @@ class Trainer:
                 training.waypoint_progress,
                 group.begun_share,
                 group.retried_share,
+                training.noise_correlation,
             )
             for i, group in enumerate(groups)
         ]
@@ -219,8 +222,9 @@ class Trainer:
 
     def _begin_with(self, initial: Path) -> None:
         weights, card = load_policy(initial)
+        anew = {k: v for k, v in self.policy.state_dict().items() if "log_deviation" in k}
         try:
-            self.policy.load_state_dict(weights.state_dict())
+            self.policy.load_state_dict({**weights.state_dict(), **anew})
         except RuntimeError as error:
             raise ConfigurationError(
                 f"initial is {str(initial)!r} with {card.architecture}; its sizes must be those of "

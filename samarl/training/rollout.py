@@ -5,6 +5,7 @@ Shapes: E worlds, N robots, T steps, K macro decisions, H frames of history, B =
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, fields, replace
 from typing import Any, NamedTuple
 
@@ -85,6 +86,7 @@ class Rollout:
         waypoint_progress: float,
         begun_share: float = 0.0,
         retried_share: float = 0.0,
+        noise_correlation: float = 0.0,
     ) -> None:
         """Begin the training cases `first`, `first + 1`, ... in `worlds` worlds.
 
@@ -98,6 +100,7 @@ class Rollout:
             waypoint_progress: reward of the local level per metre nearer to its waypoint.
             begun_share: of the episodes whose way is round the crowd; they begin somewhere on it.
             retried_share: of the collisions, tried again from up to RETRY_STEPS before.
+            noise_correlation: of the local level's exploration from step to step.
         """
         self._waypoint_progress = np.float32(waypoint_progress)
         # Following waypoints for ever would be worth so much: arriving must not be worth less.
@@ -120,6 +123,8 @@ class Rollout:
             self.past.keep(self._remembered())
         self.age = np.zeros(worlds, np.int32)  # steps since the episode began or was taken back
         self.fresh = np.ones(worlds, np.bool_)  # the episode has not been taken back
+        self._noise_correlation = noise_correlation
+        self.noise = torch.randn(worlds, scenario.robots, scenario.action_size)
         frames = frames_of(self.tracks, scenario)
         length = a.history - 1 + steps
         self._frames = Frames(*(_room(tensor, length) for tensor in frames))
@@ -153,7 +158,7 @@ class Rollout:
             if self._retried_share > 0.0:
                 self.past.keep(self._remembered())
             self.age += 1
-            choice = decide(policy, y, ego, self.waypoints, deterministic=False)
+            choice = decide(policy, y, ego, self.waypoints, self._explore())
             result = world.step(choice.action.clamp(-1, 1).numpy())
             tracks = self.tracker.update(result.observation)
             ended = result.terminated | result.truncated
@@ -217,6 +222,17 @@ class Rollout:
         self.fresh[ended] = ~again[ended]
         return self.tracker.update(world.observe(), ended & ~again)
 
+    def _explore(self) -> Tensor:
+        """Noise [E, N, A] of unit variance that keeps its direction for a while.
+
+        Braking for one step and speeding up again in the next avoids nobody; noise that is
+        correlated in time explores behaviour (Hollenstein et al., Colored Noise in PPO, 2024).
+        """
+        kept = self._noise_correlation
+        fresh = torch.randn(self.noise.shape)
+        self.noise = kept * self.noise + math.sqrt(1.0 - kept**2) * fresh
+        return self.noise
+
     def _remembered(self) -> list[NDArray]:
         """All that makes up the present state of the worlds, [E, ...] each."""
         return [*self.world.state, *self.tracker.memory().values()]
@@ -233,6 +249,7 @@ class Rollout:
             "age": self.age,
             "fresh": self.fresh,
             "began": self.began,
+            "noise": self.noise,
             "frames": list(self._frames),
             "begins": self._begins,
         }
@@ -248,7 +265,7 @@ class Rollout:
         self.waypoints.position[:], self.waypoints.clock[:] = state["waypoint"], state["clock"]
         self.past.kept.extend(state["past"])
         self.age, self.fresh = state["age"].copy(), state["fresh"].copy()
-        self.began = state["began"].copy()
+        self.began, self.noise = state["began"].copy(), state["noise"]
         for room, value in zip((*self._frames, self._begins), [*state["frames"], state["begins"]],
                                strict=True):  # fmt: skip
             room[:] = value
