@@ -220,9 +220,8 @@ def test_an_update_learns_and_reports_what_it_did() -> None:
     changed = {n for n, v in model.state_dict().items() if not torch.equal(v, before[n])}
     for part in ("encoder", "critic_encoder", "macro_actor", "local_actor", "macro_critic"):
         assert any(name.startswith(part) for name in changed), part
-    for _ in range(6):
-        last = learner.update([rollout.collect()])
-    assert last["losses/local_explained"] > first["losses/local_explained"] + 0.1
+    later = [learner.update([rollout.collect()])["losses/local_explained"] for _ in range(9)]
+    assert max(later) > first["losses/local_explained"] + 0.3
 
 
 def test_a_flat_agent_learns_without_waypoints() -> None:
@@ -329,7 +328,7 @@ def test_the_mean_is_drawn_back_to_what_can_be_done() -> None:
             copy.local_actor.body[-1].bias[0] = 1.5
         update = replace(UPDATE, excess_coefficient=coefficient, learning_rate=0.01)
         learner = Learner(copy, update)
-        for _ in range(5):
+        for _ in range(10):
             learner.update([batch])
         return copy.local_actor.body[-1].bias[0].detach()
 
