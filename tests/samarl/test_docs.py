@@ -68,9 +68,13 @@ def test_an_encoder_of_ones_own(tmp_path: Path) -> None:
 
 
 def test_an_algorithm_of_ones_own(tmp_path: Path) -> None:
-    text = section("An algorithm")
-    (tmp_path / "my_search.py").write_text(block(text, "python"))
-    assert re.fullmatch(r"radius \d\.\d\d m, lookahead 0\.\d\d rad: \d+%\n", run(text, tmp_path))
+    text = section("An algorithm").replace("2000000", "4096")
+    (tmp_path / "my_conf/agent").mkdir(parents=True)
+    (tmp_path / "my_conf/agent/my_ppo.yaml").write_text(block(text, "yaml"))
+    (tmp_path / "my_ppo.py").write_text(block(text, "python"))
+    said = run(text, tmp_path)
+    assert len(re.findall(r"mean reward -?\d", said)) == 2
+    assert "| my_ppo " in said
 
 
 @pytest.mark.parametrize("page", sorted(DOCS.glob("*.md")), ids=lambda page: page.stem)
