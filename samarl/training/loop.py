@@ -21,7 +21,7 @@ from torch.utils.tensorboard import SummaryWriter
 from tqdm import tqdm
 
 from mrsan import ConfigurationError, Split, social_score
-from mrsan.scenario import check_numbers, number, required
+from mrsan.scenario import check_numbers, required
 from samarl.agents.hierarchical import Architecture, HierarchicalPolicy
 from samarl.agents.learned import Deployed
 from samarl.algorithms.mappo import MAPPO, Learner
@@ -47,7 +47,6 @@ class Training:
     validation_cases: int = required(1, 10**6)
     save_every: int = required(1, 10**12)  # environment steps
     waypoint_progress: float = required(0.0, 100.0)  # reward per metre, local level
-    noise_correlation: float = number(0.0, 0.0, 0.999)  # of exploration from step to step
     device: str = "cpu"  # of the networks; the simulation is always on the CPU
     bfloat16: bool = False  # encode with bfloat16
     compile: bool = False  # compile the encoders (needs a C++ compiler)
@@ -113,7 +112,7 @@ class Trainer:
                 training.waypoint_progress,
                 group.begun_share,
                 group.retried_share,
-                training.noise_correlation,
+                group.noise_correlation,
             )
             for i, group in enumerate(groups)
         ]

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 import torch
 
 from mrsan import Scenario, World
@@ -76,6 +77,20 @@ def test_a_collision_is_tried_again_from_shortly_before() -> None:
         assert not state.done.any()
         assert (state.collision == 0).all()
     assert again > 10
+
+
+def test_exploration_keeps_its_direction_for_a_while() -> None:
+    torch.manual_seed(0)
+    policy = tiny_policy()
+    with torch.no_grad():
+        policy.local_actor.body[-1].weight.zero_()
+    rollout = Rollout(SCENARIO, policy, 64, 40, 0, 0.98, 0.5, noise_correlation=0.75)
+    actor = policy.local_actor
+    noise = (rollout.collect().steps.action - actor.body[-1].bias) / actor.log_deviation.exp()
+    assert noise.mean().item() == pytest.approx(0.0, abs=0.05)
+    assert noise.square().mean().item() == pytest.approx(1.0, abs=0.05)
+    assert (noise[:, 1:] * noise[:, :-1]).mean().item() == pytest.approx(0.75, abs=0.05)
+    assert (noise[:, :, 1:] * noise[:, :, :-1]).mean().item() == pytest.approx(0.0, abs=0.05)
 
 
 def same(one: list[np.ndarray], other: list[np.ndarray], e: int) -> bool:
