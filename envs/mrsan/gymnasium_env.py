@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import gymnasium
@@ -13,7 +12,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from mrsan.metrics import Outcome, episodes_of, social_score
-from mrsan.scenario import ConfigurationError, Scenario
+from mrsan.scenario import ConfigurationError, Scenario, overridden
 from mrsan.world import (
     EGO_FEATURES,
     OTHER_FEATURES,
@@ -82,7 +81,7 @@ def _arrays(observation: Observation) -> dict[str, Array]:
 def _single_robot(scenario: Scenario | None, overrides: dict[str, Any]) -> Scenario:
     if scenario is None:
         overrides = {"robots": 1, **overrides}
-    scenario = replace(scenario or Scenario(), **overrides)
+    scenario = overridden(scenario, overrides)
     if scenario.robots != 1:
         raise ConfigurationError(
             f"scenario.robots is {scenario.robots}; Gymnasium drives 1, use the PettingZoo or "

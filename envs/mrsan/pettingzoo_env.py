@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -11,7 +10,7 @@ from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
 
 from mrsan.gymnasium_env import as_spaces, end_info, refuse_rendering, robot_observation
-from mrsan.scenario import Scenario
+from mrsan.scenario import Scenario, overridden
 from mrsan.world import ActionError, Observation, World
 
 Array = NDArray[Any]
@@ -42,7 +41,7 @@ class PettingZooEnv(ParallelEnv[str, dict[str, Array], Array]):
     ) -> None:
         """Make one world of `scenario` (SAMARL's by default) with `overrides` of its fields."""
         refuse_rendering(render_mode)
-        self.scenario = replace(scenario or Scenario(), **overrides)
+        self.scenario = overridden(scenario, overrides)
         self.world = World(self.scenario)
         self.render_mode = None
         self.possible_agents = [f"robot_{i}" for i in range(self.scenario.robots)]

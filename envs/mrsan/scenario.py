@@ -321,3 +321,22 @@ class Parameters(NamedTuple):
     discomfort_distance: np.float32
     reward_progress: np.float32
     reward_literal: bool
+
+
+def overridden(scenario: Scenario | None, overrides: dict[str, Any]) -> Scenario:
+    """`scenario` (None: SAMARL's) with some of its fields changed.
+
+    Raises:
+        ConfigurationError: it is no scenario, or has no such field, or not with such a value.
+    """
+    if not isinstance(scenario, Scenario | None):
+        raise ConfigurationError(
+            f"scenario is {scenario!r}; it must be a Scenario (other settings go by their names)"
+        )
+    fields = [f.name for f in dataclasses.fields(Scenario)]
+    for name, value in overrides.items():
+        if name not in fields:
+            raise ConfigurationError(
+                f"{name} is {value!r}; it must be a field of Scenario: {', '.join(fields)}"
+            )
+    return dataclasses.replace(scenario or Scenario(), **overrides)

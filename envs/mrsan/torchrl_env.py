@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,7 +10,7 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
-from mrsan.scenario import Scenario
+from mrsan.scenario import Scenario, overridden
 from mrsan.world import EGO_FEATURES, OTHER_FEATURES, Observation, World
 
 
@@ -49,7 +48,7 @@ class TorchRLEnv(EnvBase):
             **overrides: fields of the scenario, such as `humans=5`.
         """
         super().__init__(device=device, batch_size=torch.Size([worlds]))
-        self.scenario = replace(scenario or Scenario(), **overrides)
+        self.scenario = overridden(scenario, overrides)
         self.world = World(self.scenario, worlds)
         self._make_specs()
         self._set_seed(int(np.random.default_rng().integers(2**31)) if seed is None else seed)

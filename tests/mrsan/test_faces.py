@@ -215,3 +215,11 @@ def test_gymnasium_makes_it_by_its_id() -> None:
         "mrsan/SocialNavigation-v0", num_envs=3, humans=5, vectorization_mode="sync"
     )
     np.testing.assert_array_equal(sync.reset(seed=4)[0]["ego"], batch["ego"])
+
+
+@pytest.mark.parametrize("face", [TorchRLEnv, PettingZooEnv])
+def test_what_is_no_scenario_or_no_field_of_one_is_refused(face: type) -> None:
+    with pytest.raises(ConfigurationError, match="scenario is 64; it must be a Scenario"):
+        face(64)
+    with pytest.raises(ConfigurationError, match="human is 5; it must be a field of Scenario: rob"):
+        face(human=5)
