@@ -23,7 +23,8 @@ from samarl.agents.tracker import Tracker, Tracks
 from samarl.encoders import Frames
 from samarl.training.starts import Crowd, Past
 
-RETRY_STEPS = 16  # a collision is taken back by at most so many
+RETRY_STEPS = 16  # a collision is taken back by at most so many ...
+RETRY_NOISE = 2.0  # ... and for as long exploration is so many times as wide
 
 
 class Steps(NamedTuple):
@@ -227,11 +228,13 @@ class Rollout:
 
         Braking for one step and speeding up again in the next avoids nobody; noise that is
         correlated in time explores behaviour (Hollenstein et al., Colored Noise in PPO, 2024).
+        It is wider where a collision is tried again: what is needed there is out of reach.
         """
         kept = self._noise_correlation
         fresh = torch.randn(self.noise.shape)
         self.noise = kept * self.noise + math.sqrt(1.0 - kept**2) * fresh
-        return self.noise
+        again = torch.from_numpy(~self.fresh & (self.age <= RETRY_STEPS))
+        return self.noise * torch.where(again, RETRY_NOISE, 1.0)[:, None, None]
 
     def _remembered(self) -> list[NDArray]:
         """All that makes up the present state of the worlds, [E, ...] each."""
