@@ -20,6 +20,7 @@ class Group:
     begun_share: float = number(0.0, 0.0, 1.0)  # of the episodes, begin on the way round the crowd
     retried_share: float = number(0.0, 0.0, 1.0)  # of the collisions, tried again
     noise_correlation: float = number(0.0, 0.0, 0.999)  # of the local level, from step to step
+    first_steps: int | None = number(None, 1, 10**6)  # of each episode, the rest is not played
     scenario: Scenario = field(default_factory=Scenario)
 
     def check(self, name: str) -> None:

@@ -57,7 +57,7 @@ class Batch:
     ends: Tensor  # [R, 2] world and step of the R episodes that ended
     final_state: Frames  # [R N, 1, ...] in which they ended
     final_waypoint: Tensor  # [R, N, 3]
-    episodes: list[Episodes]  # their records
+    episodes: list[Episodes]  # the records of those that were played from begin to end
 
     @property
     def environment_steps(self) -> int:
@@ -88,6 +88,7 @@ class Rollout:
         begun_share: float = 0.0,
         retried_share: float = 0.0,
         noise_correlation: float = 0.0,
+        first_steps: int | None = None,
     ) -> None:
         """Begin the training cases `first`, `first + 1`, ... in `worlds` worlds.
 
@@ -102,6 +103,7 @@ class Rollout:
             begun_share: of the episodes whose way is round the crowd; they begin somewhere on it.
             retried_share: of the collisions, tried again from up to RETRY_STEPS before.
             noise_correlation: of the local level's exploration from step to step.
+            first_steps: of each episode; what would follow is not played but bootstrapped.
         """
         self._waypoint_progress = np.float32(waypoint_progress)
         # Following waypoints for ever would be worth so much: arriving must not be worth less.
@@ -125,6 +127,7 @@ class Rollout:
         self.age = np.zeros(worlds, np.int32)  # steps since the episode began or was taken back
         self.fresh = np.ones(worlds, np.bool_)  # the episode has not been taken back
         self._noise_correlation = noise_correlation
+        self._first_steps = first_steps
         self.noise = torch.randn(worlds, scenario.robots, scenario.action_size)
         frames = frames_of(self.tracks, scenario)
         length = a.history - 1 + steps
@@ -163,6 +166,9 @@ class Rollout:
             result = world.step(choice.action.clamp(-1, 1).numpy())
             tracks = self.tracker.update(result.observation)
             ended = result.terminated | result.truncated
+            whole = ended & self.fresh
+            if self._first_steps is not None:
+                ended, whole = ended | (self.age >= self._first_steps), whole & False
             arrived, hit = world.state.arrived & driving, world.state.collision != 0
             macro, local = self._rewards(result.reward, ego, tracks.ego, arrived)
             columns.append(
@@ -186,7 +192,7 @@ class Rollout:
                 ends.append(torch.stack([rows, torch.full_like(rows, step)], 1))
                 final_states.append(state_of(world).of(torch.from_numpy(np.repeat(ended, n))))
                 final_waypoints.append(self.waypoints.features(tracks.ego)[rows])
-                episodes.append(episodes_of(world.state, scenario, ended & self.fresh))
+                episodes.append(episodes_of(world.state, scenario, whole))
                 tracks = self._begin(ended)
             self.tracks, self.began = tracks, ended
         return Batch(
