@@ -112,6 +112,7 @@ class Trainer:
                 training.waypoint_progress,
                 group.begun_share,
                 group.retried_share,
+                group.retried_noise,
                 group.noise_correlation,
                 group.first_steps,
             )

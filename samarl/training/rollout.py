@@ -23,8 +23,7 @@ from samarl.agents.tracker import Tracker, Tracks
 from samarl.encoders import Frames
 from samarl.training.starts import Crowd, Past
 
-RETRY_STEPS = 16  # a collision is taken back by at most so many ...
-RETRY_NOISE = 2.0  # ... and for as long exploration is so many times as wide
+RETRY_STEPS = 16  # a collision is taken back by at most so many
 
 
 class Steps(NamedTuple):
@@ -87,6 +86,7 @@ class Rollout:
         waypoint_progress: float,
         begun_share: float = 0.0,
         retried_share: float = 0.0,
+        retried_noise: float = 1.0,
         noise_correlation: float = 0.0,
         first_steps: int | None = None,
     ) -> None:
@@ -102,6 +102,7 @@ class Rollout:
             waypoint_progress: reward of the local level per metre nearer to its waypoint.
             begun_share: of the episodes whose way is round the crowd; they begin somewhere on it.
             retried_share: of the collisions, tried again from up to RETRY_STEPS before.
+            retried_noise: then the local level's exploration is so many times as wide for as long.
             noise_correlation: of the local level's exploration from step to step.
             first_steps: of each episode; what would follow is not played but bootstrapped.
         """
@@ -126,7 +127,7 @@ class Rollout:
             self.past.keep(self._remembered())
         self.age = np.zeros(worlds, np.int32)  # steps since the episode began or was taken back
         self.fresh = np.ones(worlds, np.bool_)  # the episode has not been taken back
-        self._noise_correlation = noise_correlation
+        self._noise_correlation, self._retried_noise = noise_correlation, retried_noise
         self._first_steps = first_steps
         self.noise = torch.randn(worlds, scenario.robots, scenario.action_size)
         frames = frames_of(self.tracks, scenario)
@@ -240,7 +241,7 @@ class Rollout:
         fresh = torch.randn(self.noise.shape)
         self.noise = kept * self.noise + math.sqrt(1.0 - kept**2) * fresh
         again = torch.from_numpy(~self.fresh & (self.age <= RETRY_STEPS))
-        return self.noise * torch.where(again, RETRY_NOISE, 1.0)[:, None, None]
+        return self.noise * torch.where(again, self._retried_noise, 1.0)[:, None, None]
 
     def _remembered(self) -> list[NDArray]:
         """All that makes up the present state of the worlds, [E, ...] each."""
