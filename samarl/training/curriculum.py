@@ -19,9 +19,7 @@ class Group:
     end: float = number(1.0, 0.0, 1.0)  # ... and until which
     begun_share: float = number(0.0, 0.0, 1.0)  # of the episodes, begin on the way round the crowd
     retried_share: float = number(0.0, 0.0, 1.0)  # of the collisions, tried again
-    retried_noise: float = number(1.0, 0.0, 10.0)  # then the local level's is so much wider
     noise_correlation: float = number(0.0, 0.0, 0.999)  # of the local level, from step to step
-    first_steps: int | None = number(None, 1, 10**6)  # of each episode, the rest is not played
     scenario: Scenario = field(default_factory=Scenario)
 
     def check(self, name: str) -> None:

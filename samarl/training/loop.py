@@ -112,9 +112,7 @@ class Trainer:
                 training.waypoint_progress,
                 group.begun_share,
                 group.retried_share,
-                group.retried_noise,
                 group.noise_correlation,
-                group.first_steps,
             )
             for i, group in enumerate(groups)
         ]
@@ -236,13 +234,13 @@ class Trainer:
     def _validate(self) -> dict[str, float]:
         """Deterministic success on validation cases with all people present; keeps the best.
 
-        Only the scenarios that the training ends with, and plays to the end, count.
+        Only the scenarios that the training ends with count.
         """
         cases = Split.validation.case(0) + np.arange(self.training.validation_cases)
         row: dict[str, float] = {}
         successes = []
         for group in self.groups:
-            if group.end < 1.0 or group.first_steps is not None:
+            if group.end < 1.0:
                 continue
             full = replace(group.scenario, humans_min=None)
             agent = Deployed(copy.deepcopy(self.policy).cpu(), full)

@@ -56,7 +56,7 @@ class Batch:
     ends: Tensor  # [R, 2] world and step of the R episodes that ended
     final_state: Frames  # [R N, 1, ...] in which they ended
     final_waypoint: Tensor  # [R, N, 3]
-    episodes: list[Episodes]  # the records of those that were played from begin to end
+    episodes: list[Episodes]  # their records
 
     @property
     def environment_steps(self) -> int:
@@ -86,9 +86,7 @@ class Rollout:
         waypoint_progress: float,
         begun_share: float = 0.0,
         retried_share: float = 0.0,
-        retried_noise: float = 1.0,
         noise_correlation: float = 0.0,
-        first_steps: int | None = None,
     ) -> None:
         """Begin the training cases `first`, `first + 1`, ... in `worlds` worlds.
 
@@ -102,9 +100,7 @@ class Rollout:
             waypoint_progress: reward of the local level per metre nearer to its waypoint.
             begun_share: of the episodes whose way is round the crowd; they begin somewhere on it.
             retried_share: of the collisions, tried again from up to RETRY_STEPS before.
-            retried_noise: then the local level's exploration is so many times as wide for as long.
             noise_correlation: of the local level's exploration from step to step.
-            first_steps: of each episode; what would follow is not played but bootstrapped.
         """
         self._waypoint_progress = np.float32(waypoint_progress)
         # Following waypoints for ever would be worth so much: arriving must not be worth less.
@@ -127,8 +123,7 @@ class Rollout:
             self.past.keep(self._remembered())
         self.age = np.zeros(worlds, np.int32)  # steps since the episode began or was taken back
         self.fresh = np.ones(worlds, np.bool_)  # the episode has not been taken back
-        self._noise_correlation, self._retried_noise = noise_correlation, retried_noise
-        self._first_steps = first_steps
+        self._noise_correlation = noise_correlation
         self.noise = torch.randn(worlds, scenario.robots, scenario.action_size)
         frames = frames_of(self.tracks, scenario)
         length = a.history - 1 + steps
@@ -167,9 +162,6 @@ class Rollout:
             result = world.step(choice.action.clamp(-1, 1).numpy())
             tracks = self.tracker.update(result.observation)
             ended = result.terminated | result.truncated
-            whole = ended & self.fresh
-            if self._first_steps is not None:
-                ended, whole = ended | (self.age >= self._first_steps), whole & False
             arrived, hit = world.state.arrived & driving, world.state.collision != 0
             macro, local = self._rewards(result.reward, ego, tracks.ego, arrived)
             columns.append(
@@ -193,7 +185,7 @@ class Rollout:
                 ends.append(torch.stack([rows, torch.full_like(rows, step)], 1))
                 final_states.append(state_of(world).of(torch.from_numpy(np.repeat(ended, n))))
                 final_waypoints.append(self.waypoints.features(tracks.ego)[rows])
-                episodes.append(episodes_of(world.state, scenario, whole))
+                episodes.append(episodes_of(world.state, scenario, ended & self.fresh))
                 tracks = self._begin(ended)
             self.tracks, self.began = tracks, ended
         return Batch(
@@ -235,13 +227,11 @@ class Rollout:
 
         Braking for one step and speeding up again in the next avoids nobody; noise that is
         correlated in time explores behaviour (Hollenstein et al., Colored Noise in PPO, 2024).
-        It is wider where a collision is tried again: what is needed there is out of reach.
         """
         kept = self._noise_correlation
         fresh = torch.randn(self.noise.shape)
         self.noise = kept * self.noise + math.sqrt(1.0 - kept**2) * fresh
-        again = torch.from_numpy(~self.fresh & (self.age <= RETRY_STEPS))
-        return self.noise * torch.where(again, self._retried_noise, 1.0)[:, None, None]
+        return self.noise
 
     def _remembered(self) -> list[NDArray]:
         """All that makes up the present state of the worlds, [E, ...] each."""

@@ -79,20 +79,6 @@ def test_a_collision_is_tried_again_from_shortly_before() -> None:
     assert again > 10
 
 
-def test_only_the_first_steps_are_played_and_what_follows_is_bootstrapped() -> None:
-    torch.manual_seed(0)
-    rollout = Rollout(
-        replace(SCENARIO, humans=0), tiny_policy(), 8, 40, 0, 0.98, 0.5, first_steps=5
-    )
-    batch = rollout.collect()
-    unhurt = ~batch.steps.terminated.any(1).any(1)
-    assert unhurt.sum() > 4
-    ends = torch.arange(1, 41) % 5 == 0
-    assert torch.equal(batch.steps.done[unhurt], ends[:, None].expand(int(unhurt.sum()), 40, 3))
-    assert sum(len(episodes.success) for episodes in batch.episodes) == 0
-    assert (rollout.world.state.episode[unhurt] == 8).all()
-
-
 def test_exploration_keeps_its_direction_for_a_while() -> None:
     torch.manual_seed(0)
     policy = tiny_policy()

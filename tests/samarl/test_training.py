@@ -29,7 +29,7 @@ ARCHITECTURE = Architecture(
 SMALL = [
     "groups=[{worlds: 8, scenario: {humans: 3, humans_min: 0, robots: 2}, end: 0.5}, {worlds: 8,"
     "scenario: {humans: 3, robots: 3, fov_degrees: 90}, begin: 0.5, begun_share: 0.5,"
-    "retried_share: 0.5, retried_noise: 2.0, noise_correlation: 0.5}]",
+    "retried_share: 0.5, noise_correlation: 0.5}]",
     "architecture.width=8", "architecture.heads=1", "architecture.history=3",
     "architecture.features=8", "architecture.hidden=8", "training.steps=1024",
     "training.rollout=16", "training.save_every=128", "training.validate_every=512",
