@@ -103,16 +103,12 @@ class Trainer:
         self.learner = Learner(self.policy, mappo)
         self.rollouts = [
             Rollout(
-                group.scenario,
+                group,
                 self.policy,
-                group.worlds,
                 training.rollout,
                 (training.seed << 20) + 4096 * i,
                 mappo.local_discount,
                 training.waypoint_progress,
-                group.begun_share,
-                group.retried_share,
-                group.noise_correlation,
             )
             for i, group in enumerate(groups)
         ]
@@ -221,7 +217,7 @@ class Trainer:
 
     def _begin_with(self, initial: Path) -> None:
         weights, card = load_policy(initial)
-        anew = {k: v for k, v in self.policy.state_dict().items() if "log_deviation" in k}
+        anew = {k: v for k, v in self.policy.state_dict().items() if k.endswith("log_deviation")}
         try:
             self.policy.load_state_dict({**weights.state_dict(), **anew})
         except RuntimeError as error:

@@ -21,6 +21,7 @@ from samarl.agents.features import frames_of, state_of, to_world
 from samarl.agents.hierarchical import HierarchicalPolicy, Waypoints, decide
 from samarl.agents.tracker import Tracker, Tracks
 from samarl.encoders import Frames
+from samarl.training.curriculum import Group
 from samarl.training.starts import Crowd, Past
 
 RETRY_STEPS = 16  # a collision is taken back by at most so many
@@ -77,53 +78,45 @@ class Rollout:
 
     def __init__(
         self,
-        scenario: Scenario,
+        group: Group,
         policy: HierarchicalPolicy,
-        worlds: int,
         steps: int,
         first: int,
         local_discount: float,
         waypoint_progress: float,
-        begun_share: float = 0.0,
-        retried_share: float = 0.0,
-        noise_correlation: float = 0.0,
     ) -> None:
-        """Begin the training cases `first`, `first + 1`, ... in `worlds` worlds.
+        """Begin the training cases `first`, `first + 1`, ... in the worlds of `group`.
 
         Args:
-            scenario: the task.
+            group: the task, E, and how its episodes begin and actions are explored.
             policy: the networks.
-            worlds: E.
             steps: T.
             first: the first case number within the training split.
             local_discount: per step, of the local level.
             waypoint_progress: reward of the local level per metre nearer to its waypoint.
-            begun_share: of the episodes whose way is round the crowd; they begin somewhere on it.
-            retried_share: of the collisions, tried again from up to RETRY_STEPS before.
-            noise_correlation: of the local level's exploration from step to step.
         """
+        scenario, worlds = group.scenario, group.worlds
         self._waypoint_progress = np.float32(waypoint_progress)
         # Following waypoints for ever would be worth so much: arriving must not be worth less.
         step = scenario.robot_speed * scenario.time_step
         self._arrival_bonus = np.float32(waypoint_progress * step / (1.0 - local_discount))
         policy.check(scenario)
         a = policy.architecture
-        self.scenario, self.policy, self.steps = scenario, policy, steps
+        self.group, self.scenario = group, scenario
+        self.policy, self.steps = policy, steps
         self.world = World(scenario, worlds)
         self.tracker = Tracker(a.track_steps, scenario.time_step)
         self.waypoints = Waypoints(worlds, scenario, a)
         cases = np.array([Split.training.case(first + e) for e in range(worlds)])
         self.tracks = self.tracker.update(self.world.reset(cases))
         self.began = np.ones(worlds, np.bool_)
-        begun = begun_share > 0.0 and self.waypoints.round
+        begun = group.begun_share > 0.0 and self.waypoints.round
         self.crowd = Crowd(scenario, worlds, first) if begun else None
-        self._begun_share, self._retried_share = begun_share, retried_share
         self.past = Past(RETRY_STEPS)
-        for _ in range(RETRY_STEPS if retried_share > 0.0 else 0):
+        for _ in range(RETRY_STEPS if group.retried_share > 0.0 else 0):
             self.past.keep(self._remembered())
         self.age = np.zeros(worlds, np.int32)  # steps since the episode began or was taken back
         self.fresh = np.ones(worlds, np.bool_)  # the episode has not been taken back
-        self._noise_correlation = noise_correlation
         self.noise = torch.randn(worlds, scenario.robots, scenario.action_size)
         frames = frames_of(self.tracks, scenario)
         length = a.history - 1 + steps
@@ -155,7 +148,7 @@ class Rollout:
             y = policy.encode(window, begins[:, step : now + 1]).view(e, n, -1)
             ego = self.tracks.ego
             driving = ~world.state.arrived
-            if self._retried_share > 0.0:
+            if self.group.retried_share > 0.0:
                 self.past.keep(self._remembered())
             self.age += 1
             choice = decide(policy, y, ego, self.waypoints, self._explore())
@@ -205,15 +198,15 @@ class Rollout:
         """Begin the next episodes where one has ended, or take a collision back."""
         world, e = self.world, self.world.worlds
         again = np.zeros(e, np.bool_)
-        if self._retried_share > 0.0:
+        if self.group.retried_share > 0.0:
             hit = (world.state.collision != 0).any(1) & ended
-            again = hit & (self.age > 1) & (torch.rand(e).numpy() < self._retried_share)
+            again = hit & (self.age > 1) & (torch.rand(e).numpy() < self.group.retried_share)
         self.tracker.reset(ended & ~again)
         self.waypoints.reset(ended)
         world.reset(worlds=ended & ~again)
         if self.crowd is not None:
             self.crowd.step()
-            begun = ended & ~again & (torch.rand(e).numpy() < self._begun_share)
+            begun = ended & ~again & (torch.rand(e).numpy() < self.group.begun_share)
             self.crowd.enter(world, begun, self.policy.architecture.round_radius)
         if again.any():
             back = np.minimum(torch.randint(1, RETRY_STEPS + 1, (e,)).numpy(), self.age)
@@ -228,7 +221,7 @@ class Rollout:
         Braking for one step and speeding up again in the next avoids nobody; noise that is
         correlated in time explores behaviour (Hollenstein et al., Colored Noise in PPO, 2024).
         """
-        kept = self._noise_correlation
+        kept = self.group.noise_correlation
         fresh = torch.randn(self.noise.shape)
         self.noise = kept * self.noise + math.sqrt(1.0 - kept**2) * fresh
         return self.noise

@@ -217,7 +217,7 @@ def test_gymnasium_makes_it_by_its_id() -> None:
     np.testing.assert_array_equal(sync.reset(seed=4)[0]["ego"], batch["ego"])
 
 
-@pytest.mark.parametrize("face", [TorchRLEnv, PettingZooEnv])
+@pytest.mark.parametrize("face", [TorchRLEnv, PettingZooEnv, GymnasiumEnv])
 def test_what_is_no_scenario_or_no_field_of_one_is_refused(face: type) -> None:
     with pytest.raises(ConfigurationError, match="scenario is 64; it must be a Scenario"):
         face(64)

@@ -9,6 +9,7 @@ import torch
 from mrsan import Scenario, World
 from samarl.agents.hierarchical import Architecture, HierarchicalPolicy
 from samarl.agents.planners.perimeter import Perimeter
+from samarl.training.curriculum import Group
 from samarl.training.rollout import RETRY_STEPS, Rollout
 from samarl.training.starts import Crowd
 
@@ -57,7 +58,9 @@ def test_the_crowd_walks_on_when_its_time_is_over() -> None:
 def test_a_collision_is_tried_again_from_shortly_before() -> None:
     torch.manual_seed(0)
     scenario = replace(SCENARIO, fov_degrees=360.0, circle_radius=4.0)
-    rollout = Rollout(scenario, tiny_policy(), 32, 1, 0, 0.98, 0.5, retried_share=1.0)
+    rollout = Rollout(
+        Group(32, retried_share=1.0, scenario=scenario), tiny_policy(), 1, 0, 0.98, 0.5
+    )
     state, again = rollout.world.state, 0
     for _ in range(40):
         before = [array.copy() for array in rollout._remembered()]
@@ -84,7 +87,9 @@ def test_exploration_keeps_its_direction_for_a_while() -> None:
     policy = tiny_policy()
     with torch.no_grad():
         policy.local_actor.body[-1].weight.zero_()
-    rollout = Rollout(SCENARIO, policy, 64, 40, 0, 0.98, 0.5, noise_correlation=0.75)
+    rollout = Rollout(
+        Group(64, noise_correlation=0.75, scenario=SCENARIO), policy, 40, 0, 0.98, 0.5
+    )
     actor = policy.local_actor
     noise = (rollout.collect().steps.action - actor.body[-1].bias) / actor.log_deviation.exp()
     assert noise.mean().item() == pytest.approx(0.0, abs=0.05)

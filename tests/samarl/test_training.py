@@ -19,6 +19,7 @@ from samarl.algorithms.mappo import Learner
 from samarl.evaluation.runner import Evaluation, run_cases
 from samarl.train import main
 from samarl.training.checkpoint import load_policy, save_policy
+from samarl.training.loop import Trainer
 from samarl.training.rollout import Batch
 
 ARCHITECTURE = Architecture(
@@ -152,6 +153,32 @@ def test_a_saved_policy_drives_as_the_one_that_was_saved(tmp_path: Path) -> None
     first = run_cases(build_agent(learned(path), scenario), scenario, cases, 5)
     again = run_cases(build_agent(learned(path), scenario), scenario, cases, 2)
     assert first.outcome.tolist() == again.outcome.tolist()
+
+
+def test_a_run_begins_with_the_weights_of_a_policy_but_explores_anew(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    initial = HierarchicalPolicy(ARCHITECTURE, 3)
+    with torch.no_grad():
+        initial.local_actor.log_deviation.fill_(-5.0)
+    save_policy(tmp_path / "first.safetensors", initial, "hierarchical", {"command": "test"})
+    begun: list[Trainer] = []
+    monkeypatch.setattr(Trainer, "run", lambda trainer: begun.append(trainer))
+    monkeypatch.setattr(sys, "argv", ["samarl-train", *SMALL, "initial=first.safetensors"])
+    main()
+    begins, weights = begun[0].policy.state_dict(), initial.state_dict()
+    anew = {"local_actor.log_deviation", "macro_actor.log_deviation"}
+    assert all(torch.equal(begins[key], weights[key]) for key in weights.keys() - anew)
+    assert begins["local_actor.log_deviation"].min() > -3.0
+    assert begun[0].made["initial"]["command"] == "test"
+
+    wider = ["architecture.width=16", "initial=first.safetensors", "folder=other"]
+    monkeypatch.setattr(sys, "argv", ["samarl-train", *SMALL, *wider])
+    with pytest.raises(SystemExit) as stopped:
+        main()
+    assert stopped.value.code == 2
+    assert "initial is 'first.safetensors' with" in capsys.readouterr().err
 
 
 def test_a_foreign_or_damaged_checkpoint_is_refused_in_words(tmp_path: Path) -> None:

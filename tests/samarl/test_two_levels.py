@@ -13,6 +13,7 @@ from samarl.agents.hierarchical import Architecture, HierarchicalPolicy, Waypoin
 from samarl.agents.learned import Deployed
 from samarl.algorithms.excess import excess
 from samarl.algorithms.mappo import MAPPO, Learner, advantages, macro_records
+from samarl.training.curriculum import Group
 from samarl.training.rollout import Batch, Rollout, Steps
 
 ARCHITECTURE = Architecture(
@@ -35,7 +36,7 @@ def policy() -> HierarchicalPolicy:
 
 def test_training_computes_the_log_probabilities_of_acting() -> None:
     model = policy()
-    rollout = Rollout(SCENARIO, model, 12, 10, 0, 0.98, 0.5)
+    rollout = Rollout(Group(12, scenario=SCENARIO), model, 10, 0, 0.98, 0.5)
     ended = 0
     for _ in range(3):  # the second and third go on in the middle of episodes
         batch = rollout.collect()
@@ -171,7 +172,9 @@ def test_an_arrived_robot_ends_its_own_stream() -> None:
 
 def test_a_timeout_is_bootstrapped_from_the_last_state_and_not_from_the_next_episode() -> None:
     model = policy()
-    rollout = Rollout(replace(SCENARIO, humans=0, time_limit=1.0), model, 6, 8, 0, 0.98, 0.5)
+    rollout = Rollout(
+        Group(6, scenario=replace(SCENARIO, humans=0, time_limit=1.0)), model, 8, 0, 0.98, 0.5
+    )
     batch: Batch = rollout.collect()
     # 1 s is 4 steps: everybody is still on the way.
     assert batch.ends.tolist() == [[e, t] for t in (3, 7) for e in range(6)]
@@ -185,7 +188,7 @@ def test_a_timeout_is_bootstrapped_from_the_last_state_and_not_from_the_next_epi
 
 def test_a_collision_ends_the_stream_of_the_robot_and_cuts_short_those_of_its_team() -> None:
     scenario = replace(SCENARIO, humans=10, circle_radius=4.0)
-    rollout = Rollout(scenario, policy(), 32, 40, 0, 0.98, 0.5)
+    rollout = Rollout(Group(32, scenario=scenario), policy(), 40, 0, 0.98, 0.5)
     steps = rollout.collect().steps
     alone = steps.terminated.sum(-1) == 1
     hit = steps.macro_reward <= -20.0
@@ -213,7 +216,7 @@ def test_critics_see_everybody_with_their_goals() -> None:
 def test_an_update_learns_and_reports_what_it_did() -> None:
     model = policy()
     learner = Learner(model, replace(UPDATE, epochs=8, learning_rate=0.01))
-    rollout = Rollout(replace(SCENARIO, humans=0), model, 16, 16, 0, 0.98, 0.5)
+    rollout = Rollout(Group(16, scenario=replace(SCENARIO, humans=0)), model, 16, 0, 0.98, 0.5)
     before = {name: value.clone() for name, value in model.state_dict().items()}
     first = learner.update([rollout.collect()])
     assert all(np.isfinite(value) for value in first.values())
@@ -227,7 +230,7 @@ def test_an_update_learns_and_reports_what_it_did() -> None:
 def test_a_flat_agent_learns_without_waypoints() -> None:
     model = HierarchicalPolicy(replace(ARCHITECTURE, levels=1), 3)
     learner = Learner(model, UPDATE)
-    rollout = Rollout(replace(SCENARIO, humans=0), model, 16, 16, 0, 0.98, 0.5)
+    rollout = Rollout(Group(16, scenario=replace(SCENARIO, humans=0)), model, 16, 0, 0.98, 0.5)
     before = {name: value.clone() for name, value in model.state_dict().items()}
     batch = rollout.collect()
     assert not batch.steps.due.any()
@@ -246,7 +249,7 @@ def test_with_a_narrow_view_progress_is_measured_on_the_way_round() -> None:
     narrow = replace(wide, fov_degrees=179.0)
     rewards = []
     for scenario in (wide, narrow):
-        rollout = Rollout(scenario, model, 8, 4, 0, 0.98, 0.5)
+        rollout = Rollout(Group(8, scenario=scenario), model, 4, 0, 0.98, 0.5)
         torch.manual_seed(1)
         rewards.append(rollout.collect().steps.macro_reward.mean())
     # They set out towards the goal, through the middle: that is no progress on the way round.
@@ -257,7 +260,7 @@ def test_with_a_narrow_view_progress_is_measured_on_the_way_round() -> None:
 def test_robots_with_parameters_of_their_own_act_and_learn_as_they_trained() -> None:
     model = HierarchicalPolicy(replace(ARCHITECTURE, actors=2), 3)
     learner = Learner(model, UPDATE)
-    rollout = Rollout(SCENARIO, model, 12, 10, 0, 0.98, 0.5)
+    rollout = Rollout(Group(12, scenario=SCENARIO), model, 10, 0, 0.98, 0.5)
     batch = rollout.collect()
     y = model.encode(batch.frames, batch.begins).view(12, 2, 10, -1).transpose(1, 2)
     robot = torch.arange(2).expand(y.shape[:3])
@@ -285,7 +288,7 @@ def test_robots_with_parameters_of_their_own_must_be_so_many() -> None:
 
 def test_low_precision_is_close_and_learns() -> None:
     model = policy()
-    rollout = Rollout(SCENARIO, model, 12, 10, 0, 0.98, 0.5)
+    rollout = Rollout(Group(12, scenario=SCENARIO), model, 10, 0, 0.98, 0.5)
     batch = rollout.collect()
     exact = model.encode(batch.frames, batch.begins)
     model.low_precision = True
@@ -325,7 +328,9 @@ def test_the_mean_is_drawn_back_to_what_can_be_done() -> None:
         bias = model.local_actor.body[-1].bias
         with torch.no_grad():
             bias[0] = 1.5
-        batch = Rollout(replace(SCENARIO, humans=0), model, 8, 6, 0, 0.98, 0.5).collect()
+        batch = Rollout(
+            Group(8, scenario=replace(SCENARIO, humans=0)), model, 6, 0, 0.98, 0.5
+        ).collect()
         update = replace(UPDATE, excess_coefficient=coefficient, learning_rate=0.01)
         learner = Learner(model, update)
         for _ in range(5):
