@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import json
+import os
 import shlex
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -12,16 +13,18 @@ from enum import Enum
 from pathlib import Path
 from typing import Any
 
+import torch
 from hydra import compose, initialize_config_dir
 from hydra.core.config_loader import ConfigLoader
 from hydra.core.global_hydra import GlobalHydra
+from joblib import Parallel, delayed, parallel_config
 from omegaconf import MISSING, DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from tqdm import tqdm
 
-from mrsan import ConfigurationError, Reward, Scenario
+from mrsan import ActionError, ConfigurationError, Reward, Scenario
 from samarl.agents import build_agent
-from samarl.cli import register_schemas, run_command
+from samarl.cli import import_plugins, register_schemas, run_command
 from samarl.evaluation.files import (
     code_version,
     find_folder,
@@ -46,6 +49,7 @@ class Bench:
     agents: list[str] | None = None
     columns: list[dict[str, Any]] = field(default_factory=list)
     plugins: list[str] = field(default_factory=list)
+    jobs: int = -1
     output: str = MISSING
     evaluation: Any = MISSING
 
@@ -65,17 +69,27 @@ def bench(config: DictConfig) -> None:
         raise ConfigurationError("agents and columns are empty; name at least one of each")
     if len({(s.fov_degrees, s.humans, s.robots) for s in scenarios}) < len(scenarios):
         raise ConfigurationError("columns has two with the same fov_degrees, humans and robots")
-    agents = [(name, load_agent(name), scenario) for scenario in scenarios for name in names]
+    if config.jobs < 1 and config.jobs != -1:
+        raise ConfigurationError(
+            f"jobs is {config.jobs}; it must be 1 or more, or -1 for all cores"
+        )
+    commit = code_version()
+    plugins = list(config.plugins)
+    tasks = []
+    for scenario in scenarios:
+        for name in names:
+            agent = load_agent(name)
+            build_agent(agent, scenario)  # what is wrong is said before anything is played
+            tasks.append(delayed(_row)(name, agent, scenario, evaluation, commit, plugins))
     output = Path(config.output)
     output.mkdir(parents=True, exist_ok=True)
-    commit = code_version()
-    rows = []
-    for name, agent_config, scenario in tqdm(agents, desc="table 1", unit="row", disable=None):
-        agent = build_agent(agent_config, scenario)
-        cases = evaluation.numbers()
-        episodes = run_cases(agent, scenario, cases, evaluation.batch, name)
-        command = _command(name, scenario, evaluation)
-        rows.append(summarise(episodes, scenario, name, command, commit, int(cases[0])))
+    os.environ.setdefault("PYTHONWARNINGS", "ignore:resource_tracker")  # when it is interrupted
+    with parallel_config("loky", n_jobs=config.jobs, inner_max_num_threads=1):
+        played = Parallel(return_as="generator")(tasks)
+        try:
+            rows = list(tqdm(played, "table 1", len(tasks), unit="row", disable=None))
+        except ActionError as error:
+            raise error from None  # without the traceback of the other process
     committed = find_folder("results") / "table1.json"
     known: list[Row] = json.loads(committed.read_text()) if committed.exists() else []
     print(table1_as_markdown(rows), "\n")
@@ -85,6 +99,23 @@ def bench(config: DictConfig) -> None:
     write_json(output / "table1.json", rows)
     write_atomically(output / "table1.md", _page(rows, commit))
     print(f"\nwritten to {output}/table1.json and table1.md")
+
+
+def _row(
+    name: str,
+    config: dict[str, Any],
+    scenario: Scenario,
+    evaluation: Evaluation,
+    commit: str,
+    plugins: list[str],
+) -> Row:
+    """Play one agent in one column, in a process of its own."""
+    import_plugins(plugins)
+    torch.set_num_threads(1)
+    cases = evaluation.numbers()
+    episodes = run_cases(build_agent(config, scenario), scenario, cases, evaluation.batch)
+    command = _command(name, scenario, evaluation)
+    return summarise(episodes, scenario, name, command, commit, int(cases[0]))
 
 
 def available_agents() -> list[str]:

@@ -80,7 +80,7 @@ def run_command(task: Callable[[DictConfig], Any], config_name: str, **schemas: 
         # Reported here, not outside: Hydra would print a second line about the failed job.
         try:
             _refuse_unknown_keys(config, "")
-            _import_plugins(config.plugins)
+            import_plugins(config.plugins)
             return task(config)
         except BrokenPipeError:
             raise
@@ -115,7 +115,8 @@ def command_line(program: str) -> str:
     return shlex.join([*words, *hydra_config.overrides.task])
 
 
-def _import_plugins(modules: Sequence[str]) -> None:
+def import_plugins(modules: Sequence[str]) -> None:
+    """Import a user's modules, which make their encoders known."""
     for name in modules:
         try:
             importlib.import_module(name)

@@ -54,7 +54,7 @@ def run_cases(
         scenario: the task.
         cases: [B] case numbers, all different.
         batch: worlds side by side.
-        title: of the progress bar.
+        title: of the progress bar; empty: none.
     """
     worlds = min(batch, len(cases))
     world = World(scenario, worlds)
@@ -63,7 +63,9 @@ def run_cases(
     observation = world.reset(current)
     begun, remaining = worlds, len(cases)
     records: list[Episodes] = []
-    with tqdm(total=len(cases), desc=title, unit="case", leave=False, disable=None) as bar:
+    with tqdm(
+        total=len(cases), desc=title, unit="case", leave=False, disable=None if title else True
+    ) as bar:
         while True:
             if begins.any():
                 agent.reset(begins)
