@@ -13,7 +13,6 @@ from enum import Enum
 from pathlib import Path
 from typing import Any
 
-import torch
 from hydra import compose, initialize_config_dir
 from hydra.core.config_loader import ConfigLoader
 from hydra.core.global_hydra import GlobalHydra
@@ -111,7 +110,6 @@ def _row(
 ) -> Row:
     """Play one agent in one column, in a process of its own."""
     import_plugins(plugins)
-    torch.set_num_threads(1)
     cases = evaluation.numbers()
     episodes = run_cases(build_agent(config, scenario), scenario, cases, evaluation.batch)
     command = _command(name, scenario, evaluation)

@@ -11,8 +11,10 @@ import torch
 from numpy.typing import NDArray
 
 from mrsan import Observation, Scenario
+from mrsan.scenario import number
 from samarl.agents.agent import Agent, Explanation
 from samarl.agents.features import frames_of
+from samarl.agents.guard import guarded
 from samarl.agents.hierarchical import Architecture, HierarchicalPolicy, Waypoints, decide
 from samarl.agents.tracker import Tracker
 from samarl.encoders import Frames
@@ -92,7 +94,7 @@ class Deployed:
         e, n = observation.ego.shape[:2]
         if e != self._worlds:
             self._remember_nothing(e)
-        tracks = self.tracker.update(observation)
+        tracks = self.known = self.tracker.update(observation)
         frame = self._frame = frames_of(tracks, self.scenario)
         if self._windows is None:
             self._windows = self.policy.encoder.windows(frame)
@@ -125,6 +127,9 @@ class Learned(Agent):
 
     checkpoint: str  # a file, or the name of one that is shipped
     waypoints: Plan = Plan.learned
+    guard_steps: int = number(0, 0, 200)  # so far ahead actions are checked, 0: not at all ...
+    human_margin: float = number(0.0, 0.0, 5.0)  # ... with so much added to the radius of humans, m
+    robot_margin: float = number(0.0, 0.0, 5.0)  # ... and of robots, m
 
     def __post_init__(self) -> None:
         """Load the checkpoint."""
@@ -143,8 +148,10 @@ class Learned(Agent):
         self._deployed.reset(worlds)
 
     def act(self, observation: Observation) -> NDArray[np.float32]:
-        """The mean action, [E, N, A]."""
-        return self._deployed.act(observation)
+        """The mean action, [E, N, A], as far as the guard lets it pass."""
+        action = self._deployed.act(observation)
+        numbers = self.guard_steps, self.human_margin, self.robot_margin
+        return guarded(self._deployed.known, action, self.scenario, *numbers)
 
     def explain(self) -> Explanation | None:
         """Its waypoints and its attention."""

@@ -1,0 +1,225 @@
+"""A guard for the last moment: it replaces actions after which a collision can hardly be avoided.
+
+The least restrictive kind (Alshiekh et al., Safe Reinforcement Learning via Shielding, 2018): an
+action passes as long as some way of going on from it keeps clear of everybody's prediction. Else
+the robot takes the way that stays clear the longest; of those that stay clear, one that keeps some
+distance and leads on.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numba import prange
+from numpy.typing import NDArray
+
+from mrsan import Observation, Scenario
+from mrsan.kernels import function, kernel
+from mrsan.kernels.contact import closest_approach
+from mrsan.kernels.kinematics import next_velocity
+from mrsan.scenario import required
+from samarl.agents.agent import Agent, Explanation, build_agent
+from samarl.agents.planners.tracking import gather, track_velocity
+from samarl.agents.tracker import Tracker, Tracks
+
+DIRECTIONS = 16  # of the ways of going on, at full and at half speed
+ENOUGH = np.float32(0.3)  # no way is better for keeping further away than that, m
+
+_ZERO = np.float32(0.0)
+_HALF = np.float32(0.5)
+_ONE = np.float32(1.0)
+_TWO_PI = np.float32(2.0 * math.pi)
+
+
+def guarded(
+    known: Observation | Tracks,
+    action: NDArray[np.float32],
+    scenario: Scenario,
+    steps: int,
+    human_margin: float,
+    robot_margin: float,
+) -> NDArray[np.float32]:
+    """The actions [E, N, A], each of them replaced where it leads into a collision.
+
+    Args:
+        known: what every robot sees, or sees and remembers; all of them go on at constant velocity.
+        action: [E, N, A] in [-1, 1].
+        scenario: the dynamics.
+        steps: looked ahead; 0: every action passes.
+        human_margin: added to the radius of humans, m.
+        robot_margin: added to the radius of robots, m.
+    """
+    if steps == 0:
+        return action
+    checked = np.array(action, np.float32)
+    margins = np.float32(human_margin), np.float32(robot_margin)
+    _guard(len(checked), *known, scenario.parameters(), steps, *margins, checked)
+    return checked
+
+
+@dataclass
+class Guarded(Agent):
+    """Any agent, with a guard that checks its actions."""
+
+    agent: dict[str, Any]  # the guarded one: `_target_` and its fields
+    track_steps: int = required(0, 1000)  # for how long those out of view are remembered
+    steps: int = required(0, 200)  # see `guarded`
+    human_margin: float = required(0.0, 5.0)
+    robot_margin: float = required(0.0, 5.0)
+
+    def __post_init__(self) -> None:
+        """Build the guarded agent."""
+        super().__post_init__()
+        self._agent = build_agent(self.agent, self.scenario)
+        self._tracker = Tracker(self.track_steps, self.scenario.time_step)
+
+    def reset(self, worlds: NDArray[np.bool_]) -> None:
+        """Forget what was remembered of the worlds [E] in which an episode begins."""
+        self._agent.reset(worlds)
+        self._tracker.reset(worlds)
+
+    def version(self) -> str:
+        """A digest of the code of both."""
+        return f"{super().version()}.{self._agent.version()}"
+
+    def act(self, observation: Observation) -> NDArray[np.float32]:
+        """What the guarded agent does, as far as the guard lets it pass."""
+        action, known = self._agent.act(observation), self._tracker.update(observation)
+        numbers = self.steps, self.human_margin, self.robot_margin
+        return guarded(known, action, self.scenario, *numbers)
+
+    def explain(self) -> Explanation | None:
+        """What the guarded agent had in mind."""
+        return self._agent.explain()
+
+
+@kernel
+def _guard(
+    chunks,
+    ego,
+    humans,
+    humans_known,
+    robots,
+    robots_known,
+    p,
+    steps,
+    human_margin,
+    robot_margin,
+    action,
+):
+    total = ego.shape[0]
+    for chunk in prange(chunks):
+        rows = np.empty((1 + humans.shape[2] + robots.shape[2], 5), np.float32)
+        first = np.empty(action.shape[2], np.float32)
+        attempt = np.empty(action.shape[2], np.float32)
+        for e in range(chunk * total // chunks, (chunk + 1) * total // chunks):
+            for i in range(ego.shape[1]):
+                goal_x, goal_y = ego[e, i, 0], ego[e, i, 1]
+                if goal_x * goal_x + goal_y * goal_y < p.robot_radius * p.robot_radius:
+                    continue  # it has arrived
+                count = gather(
+                    ego[e, i],
+                    humans[e, i],
+                    humans_known[e, i],
+                    robots[e, i],
+                    robots_known[e, i],
+                    human_margin,
+                    robot_margin,
+                    rows,
+                )
+                if not _passes(rows, count, goal_x, goal_y, steps, action[e, i], attempt, p):
+                    _escape(rows, count, goal_x, goal_y, steps, action[e, i], first, attempt, p)
+
+
+@function
+def _passes(rows, count, goal_x, goal_y, steps, action, attempt, p):
+    """Whether some way of going on after `action` stays clear."""
+    for way in range(2 * DIRECTIONS + 2):
+        vx, vy = _way(way, goal_x, goal_y, p)
+        for k in range(action.shape[0]):
+            attempt[k] = action[k]
+        clear, _ = _outlook(rows, count, goal_x, goal_y, vx, vy, steps, attempt, p)
+        if clear >= steps:
+            return True
+    return False
+
+
+@function
+def _escape(rows, count, goal_x, goal_y, steps, action, first, attempt, p):
+    """Write the first action of the best way."""
+    speed = math.sqrt(rows[0, 2] * rows[0, 2] + rows[0, 3] * rows[0, 3])
+    longest, best = -_ONE, _ZERO
+    for way in range(2 * DIRECTIONS + 2):
+        vx, vy = _way(way, goal_x, goal_y, p)
+        track_velocity(vx, vy, speed, first, p)
+        for k in range(action.shape[0]):
+            attempt[k] = first[k]
+        clear, merit = _outlook(rows, count, goal_x, goal_y, vx, vy, steps, attempt, p)
+        if clear > longest or (clear == longest and merit > best):
+            longest, best = clear, merit
+            for k in range(action.shape[0]):
+                action[k] = first[k]
+
+
+@function
+def _way(way, goal_x, goal_y, p):
+    """The velocity of a way of going on: to the goal, standing, or in one of the directions."""
+    if way == 0:
+        scale = p.robot_speed / max(math.sqrt(goal_x**2 + goal_y**2), np.float32(1e-6))
+        return goal_x * scale, goal_y * scale
+    if way == 1:
+        return _ZERO, _ZERO
+    angle = _TWO_PI * np.float32(way % DIRECTIONS) / np.float32(DIRECTIONS)
+    speed = p.robot_speed * (_ONE if way < 2 + DIRECTIONS else _HALF)
+    return np.float32(speed * math.cos(angle)), np.float32(speed * math.sin(angle))
+
+
+@function
+def _outlook(rows, count, goal_x, goal_y, wanted_x, wanted_y, steps, action, p):
+    """What comes of taking `action`, which is overwritten, and then driving at a velocity.
+
+    Returns:
+        The steps that stay clear, and how good it is if all do: the smallest gap on the way against
+        the distance left to the goal, m.
+    """
+    x, y, vx, vy, heading = _ZERO, _ZERO, rows[0, 2], rows[0, 3], _ZERO
+    least, left = ENOUGH, _ZERO
+    for k in range(steps):
+        if k > 0:
+            cos, sin = math.cos(heading), math.sin(heading)
+            ahead, aside = cos * wanted_x + sin * wanted_y, cos * wanted_y - sin * wanted_x
+            track_velocity(ahead, aside, math.sqrt(vx * vx + vy * vy), action, p)
+        new_vx, new_vy, heading = next_velocity(vx, vy, heading, action, p)
+        if p.instant_velocity:
+            vx, vy = new_vx, new_vy
+        new_x = x + _HALF * (vx + new_vx) * p.time_step
+        new_y = y + _HALF * (vy + new_vy) * p.time_step
+        gap = _least_gap(rows, count, x, y, new_x, new_y, k, p)
+        if gap < _ZERO:
+            return np.float32(k) + max(_ONE + gap, _ZERO), -left
+        least = min(least, gap)
+        x, y, vx, vy = new_x, new_y, new_vx, new_vy
+        left = math.sqrt((goal_x - x) * (goal_x - x) + (goal_y - y) * (goal_y - y))
+        if left < p.robot_radius:
+            break
+    return np.float32(steps), least - ENOUGH * left
+
+
+@function
+def _least_gap(rows, count, x, y, new_x, new_y, step, p):
+    """The smallest surface distance while driving straight from (x, y) in one step."""
+    begin = np.float32(step) * p.time_step
+    end = begin + p.time_step
+    least = np.float32(np.inf)
+    for j in range(1, count):
+        distance = closest_approach(
+            rows[j, 0] + rows[j, 2] * begin - x,
+            rows[j, 1] + rows[j, 3] * begin - y,
+            rows[j, 0] + rows[j, 2] * end - new_x,
+            rows[j, 1] + rows[j, 3] * end - new_y,
+        )
+        least = min(least, distance - rows[j, 4])
+    return least - p.robot_radius
