@@ -61,7 +61,10 @@ def report(config: DictConfig) -> None:
 
 
 def _methods(names: list[str] | None, results: Path) -> dict[str, dict[str, Any]]:
-    """The configurations of the agents; of one with a checkpoint, one for each that is shipped."""
+    """The configurations of the agents; every policy that is shipped is one.
+
+    A policy that no agent names is driven as the first agent with a checkpoint says.
+    """
     methods: dict[str, dict[str, Any]] = {}
     for name in available_agents() if names is None else names:
         config = load_agent(name)
@@ -69,7 +72,8 @@ def _methods(names: list[str] | None, results: Path) -> dict[str, dict[str, Any]
         if "checkpoint" not in config or not shipped:
             methods[name] = config
         for path in shipped if "checkpoint" in config else ():
-            methods[path.stem] = config | {"checkpoint": str(path)}
+            method = name if config["checkpoint"] == path.stem else path.stem
+            methods.setdefault(method, config | {"checkpoint": str(path)})
     return methods
 
 

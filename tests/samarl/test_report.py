@@ -18,9 +18,11 @@ from playwright.sync_api import Browser, ConsoleMessage, Page, sync_playwright
 from mrsan import Scenario
 from samarl.agents import build_agent
 from samarl.agents.hierarchical import Architecture, HierarchicalPolicy
+from samarl.bench import available_agents, load_agent
 from samarl.evaluation.files import find_folder
 from samarl.evaluation.recording import Recording, record_episode
 from samarl.evaluation.table import column_of
+from samarl.report.__main__ import _methods
 from samarl.report.build import slug
 from samarl.report.figures import draw_curves, draw_table, read_curve, settings_labels
 from samarl.report.replays import as_replay
@@ -181,6 +183,15 @@ def test_a_replay_says_what_the_recording_says() -> None:
             seen = [sum(step <= t for step in switches) % 2 == 1 for switches in of_robot]
             assert seen == recording.humans_seen[t, i].tolist()
     assert replay["waypoints"] is replay["humanAttention"] is None
+
+
+def test_a_policy_is_shown_as_its_own_agent_drives_it() -> None:
+    methods = _methods(None, find_folder("results"))
+    assert set(available_agents()) <= set(methods)
+    for name in available_agents():
+        config = load_agent(name)
+        shown = {**methods[name], "checkpoint": Path(methods[name].get("checkpoint", "")).stem}
+        assert shown == {**config, "checkpoint": config.get("checkpoint", "")}
 
 
 def test_an_agent_without_its_checkpoint_is_left_out(tmp_path: Path) -> None:
