@@ -74,10 +74,10 @@ def bench(config: DictConfig) -> None:
         )
     commit = code_version()
     plugins = list(config.plugins)
+    agents = [(name, load_agent(name)) for name in names]
     tasks = []
     for scenario in scenarios:
-        for name in names:
-            agent = load_agent(name)
+        for name, agent in agents:
             build_agent(agent, scenario)  # what is wrong is said before anything is played
             tasks.append(delayed(_row)(name, agent, scenario, evaluation, commit, plugins))
     output = Path(config.output)

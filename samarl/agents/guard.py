@@ -19,14 +19,14 @@ from numpy.typing import NDArray
 from mrsan import Observation, Scenario
 from mrsan.kernels import function, kernel
 from mrsan.kernels.contact import closest_approach
-from mrsan.kernels.kinematics import next_velocity
 from mrsan.scenario import required
 from samarl.agents.agent import Agent, Explanation, build_agent
-from samarl.agents.planners.tracking import gather, track_velocity
+from samarl.agents.planners.tracking import gather, move, steer, track_velocity
 from samarl.agents.tracker import Tracker, Tracks
 
 DIRECTIONS = 16  # of the ways of going on, at full and at half speed
 ENOUGH = np.float32(0.3)  # no way is better for keeping further away than that, m
+PROGRESS = np.float32(0.3)  # distance that is given for a metre nearer to the goal, m
 
 _ZERO = np.float32(0.0)
 _HALF = np.float32(0.5)
@@ -189,23 +189,17 @@ def _outlook(rows, count, goal_x, goal_y, wanted_x, wanted_y, steps, action, p):
     least, left = ENOUGH, _ZERO
     for k in range(steps):
         if k > 0:
-            cos, sin = math.cos(heading), math.sin(heading)
-            ahead, aside = cos * wanted_x + sin * wanted_y, cos * wanted_y - sin * wanted_x
-            track_velocity(ahead, aside, math.sqrt(vx * vx + vy * vy), action, p)
-        new_vx, new_vy, heading = next_velocity(vx, vy, heading, action, p)
-        if p.instant_velocity:
-            vx, vy = new_vx, new_vy
-        new_x = x + _HALF * (vx + new_vx) * p.time_step
-        new_y = y + _HALF * (vy + new_vy) * p.time_step
+            steer(vx, vy, heading, wanted_x, wanted_y, action, p)
+        new_x, new_y, vx, vy, heading = move(x, y, vx, vy, heading, action, p)
         gap = _least_gap(rows, count, x, y, new_x, new_y, k, p)
         if gap < _ZERO:
             return np.float32(k) + max(_ONE + gap, _ZERO), -left
         least = min(least, gap)
-        x, y, vx, vy = new_x, new_y, new_vx, new_vy
+        x, y = new_x, new_y
         left = math.sqrt((goal_x - x) * (goal_x - x) + (goal_y - y) * (goal_y - y))
         if left < p.robot_radius:
             break
-    return np.float32(steps), least - ENOUGH * left
+    return np.float32(steps), least - PROGRESS * left
 
 
 @function

@@ -11,13 +11,11 @@ from numpy.typing import NDArray
 
 from mrsan import Observation
 from mrsan.kernels import function, kernel
-from mrsan.kernels.kinematics import next_velocity
 from mrsan.scenario import required
 from samarl.agents.agent import Agent
-from samarl.agents.planners.tracking import gather, track_velocity
+from samarl.agents.planners.tracking import gather, move, steer, track_velocity
 
 _ZERO = np.float32(0.0)
-_HALF = np.float32(0.5)
 _ONE = np.float32(1.0)
 _TWO_PI = np.float32(2.0 * math.pi)
 
@@ -167,17 +165,8 @@ def _cost(
         if k > hold:
             scale = p.robot_speed / max(math.sqrt(dx * dx + dy * dy), np.float32(1e-6))
             wanted_x, wanted_y = dx * scale, dy * scale
-        cos, sin = math.cos(heading), math.sin(heading)
-        speed = math.sqrt(vx * vx + vy * vy)
-        track_velocity(
-            cos * wanted_x + sin * wanted_y, cos * wanted_y - sin * wanted_x, speed, action, p
-        )
-        new_vx, new_vy, heading = next_velocity(vx, vy, heading, action, p)
-        if p.instant_velocity:
-            vx, vy = new_vx, new_vy
-        x += _HALF * (vx + new_vx) * p.time_step
-        y += _HALF * (vy + new_vy) * p.time_step
-        vx, vy = new_vx, new_vy
+        steer(vx, vy, heading, wanted_x, wanted_y, action, p)
+        x, y, vx, vy, heading = move(x, y, vx, vy, heading, action, p)
         time = np.float32(k) * p.time_step
         gap = np.float32(np.inf)
         for j in range(1, count):

@@ -5,9 +5,10 @@ import math
 import numpy as np
 
 from mrsan.kernels import function
-from mrsan.kernels.kinematics import ACCELERATION_HEADING, HOLONOMIC
+from mrsan.kernels.kinematics import ACCELERATION_HEADING, HOLONOMIC, next_velocity
 
 _ZERO = np.float32(0.0)
+_HALF = np.float32(0.5)
 _ONE = np.float32(1.0)
 _TWO = np.float32(2.0)
 _SHARP = np.float32(math.pi / 3)  # beyond this turn the robot stops and turns on the spot
@@ -41,6 +42,25 @@ def track_velocity(vx, vy, speed, action, p):
         action[0], action[1], action[2] = min(max(push, -_ONE), _ONE), _ZERO, limited
     else:
         action[0], action[1] = _TWO * wanted / p.robot_speed - _ONE, limited
+
+
+@function
+def steer(vx, vy, heading, wanted_x, wanted_y, action, p):
+    """`track_velocity` for a robot that moves and heads like that in the frame of what it wants."""
+    cos, sin = math.cos(heading), math.sin(heading)
+    ahead, aside = cos * wanted_x + sin * wanted_y, cos * wanted_y - sin * wanted_x
+    track_velocity(ahead, aside, math.sqrt(vx * vx + vy * vy), action, p)
+
+
+@function
+def move(x, y, vx, vy, heading, action, p):
+    """One step of an action, as the world moves robots: the next x, y, vx, vy and heading."""
+    new_vx, new_vy, heading = next_velocity(vx, vy, heading, action, p)
+    if p.instant_velocity:
+        vx, vy = new_vx, new_vy
+    x += _HALF * (vx + new_vx) * p.time_step
+    y += _HALF * (vy + new_vy) * p.time_step
+    return x, y, new_vx, new_vy, heading
 
 
 @function
