@@ -17,6 +17,7 @@ import numpy as np
 import torch
 from safetensors import SafetensorError, safe_open
 from torch import Tensor
+from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 from torch.utils.tensorboard import SummaryWriter
 from tqdm import tqdm
 
@@ -46,6 +47,7 @@ class Training:
     validate_every: int = required(1, 10**12)  # environment steps
     validation_cases: int = required(1, 10**6)
     save_every: int = required(1, 10**12)  # environment steps
+    averaging: float = required(0.0, 0.9999)  # decay, per update, of the mean of the weights
     waypoint_progress: float = required(0.0, 100.0)  # reward per metre, local level
     device: str = "cpu"  # of the networks; the simulation is always on the CPU
     bfloat16: bool = False  # encode with bfloat16
@@ -100,6 +102,9 @@ class Trainer:
         if training.compile:
             self.policy.encoder.compile(dynamic=True)
             self.policy.critic_encoder.compile(dynamic=True)
+        self.averaged = AveragedModel(
+            self.policy, multi_avg_fn=get_ema_multi_avg_fn(training.averaging)
+        )
         self.learner = Learner(self.policy, mappo)
         self.rollouts = [
             Rollout(
@@ -145,6 +150,7 @@ class Trainer:
                 batches = self.collect()
                 collected = time.perf_counter()
                 statistics = self.learner.update(batches)
+                self.averaged.update_parameters(self.policy)
                 before = self.steps_done
                 per_round = sum(batch.environment_steps for batch in batches)
                 self.steps_done += per_round
@@ -239,7 +245,7 @@ class Trainer:
             if group.end < 1.0:
                 continue
             full = replace(group.scenario, humans_min=None)
-            agent = Deployed(copy.deepcopy(self.policy).cpu(), full)
+            agent = Deployed(copy.deepcopy(self.averaged.module).cpu(), full)
             episodes = run_cases(agent, full, cases, len(cases), "validation")
             name = f"{full.fov_degrees:g}_{full.humans}h_{full.robots}r"
             successes.append(float(episodes.success.mean()))
@@ -260,12 +266,13 @@ class Trainer:
             "validation": validation,
             "configuration": self.configuration,
         }
-        save_policy(self.folder / name, self.policy, "hierarchical", made)
+        save_policy(self.folder / name, self.averaged.module, "hierarchical", made)
 
     def _state(self) -> dict[str, Any]:
         optimiser = self.learner.optimiser.state_dict()["state"]
         return {
             "policy": dict(self.policy.state_dict()),
+            "averaged": dict(self.averaged.state_dict()),
             "macro_values": dict(self.learner.macro.values.state_dict()),
             "local_values": dict(self.learner.local.values.state_dict()),
             "optimiser": {str(key): value for key, value in optimiser.items()},
@@ -315,6 +322,7 @@ class Trainer:
         example = {**self._state(), "optimiser": {}}
         state = unpack(example, "", {f"/{key}": value for key, value in tensors.items()})
         self.policy.load_state_dict(state["policy"])
+        self.averaged.load_state_dict(state["averaged"])
         self.learner.macro.values.load_state_dict(state["macro_values"])
         self.learner.local.values.load_state_dict(state["local_values"])
         groups = self.learner.optimiser.state_dict()["param_groups"]

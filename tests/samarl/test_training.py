@@ -131,6 +131,31 @@ def test_a_loss_that_is_not_finite_stops_the_run_and_names_the_last_good_state(
     assert all(torch.isfinite(value).all() for value in policy.state_dict().values())
 
 
+def test_the_saved_policy_is_the_mean_of_the_weights_after_each_update(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    update, weights = Learner.update, []
+
+    def watched(self: Learner, batches: list[Batch]) -> dict[str, float]:
+        statistics = update(self, batches)
+        weights.append({k: v.detach().clone() for k, v in self.policy.state_dict().items()})
+        return statistics
+
+    monkeypatch.setattr(Learner, "update", watched)
+    small = [*SMALL, "training.steps=512", "training.averaging=0.75"]
+    monkeypatch.setattr(sys, "argv", ["samarl-train", *small])
+    main()
+    policy, _ = load_policy(Path("run/last.safetensors"))
+    assert len(weights) == 4
+    for name, value in policy.state_dict().items():
+        mean = weights[0][name]
+        for after in weights[1:]:
+            mean = 0.75 * mean + 0.25 * after[name]
+        torch.testing.assert_close(value, mean)
+    assert not torch.equal(mean, weights[-1][name])
+
+
 def saved(tmp_path: Path) -> Path:
     torch.manual_seed(0)
     path = tmp_path / "policy.safetensors"
