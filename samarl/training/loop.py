@@ -193,6 +193,13 @@ class Trainer:
             writer.close()
         self.save()
 
+    @property
+    def mean(self) -> HierarchicalPolicy:
+        """The policy with the mean of the weights, which is validated and saved."""
+        policy = self.averaged.module
+        assert isinstance(policy, HierarchicalPolicy)
+        return policy
+
     def collect(self) -> list[Batch]:
         """One rollout of every group that is trained on now."""
         share = self.steps_done / self.training.steps
@@ -245,7 +252,7 @@ class Trainer:
             if group.end < 1.0:
                 continue
             full = replace(group.scenario, humans_min=None)
-            agent = Deployed(copy.deepcopy(self.averaged.module).cpu(), full)
+            agent = Deployed(copy.deepcopy(self.mean).cpu(), full)
             episodes = run_cases(agent, full, cases, len(cases), "validation")
             name = f"{full.fov_degrees:g}_{full.humans}h_{full.robots}r"
             successes.append(float(episodes.success.mean()))
@@ -266,7 +273,7 @@ class Trainer:
             "validation": validation,
             "configuration": self.configuration,
         }
-        save_policy(self.folder / name, self.averaged.module, "hierarchical", made)
+        save_policy(self.folder / name, self.mean, "hierarchical", made)
 
     def _state(self) -> dict[str, Any]:
         optimiser = self.learner.optimiser.state_dict()["state"]
