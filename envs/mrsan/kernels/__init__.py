@@ -55,13 +55,21 @@ def _compile(source: Callable[..., Any], variant: str, parallel: bool) -> Any:
     # Numba looks only at the entry point's own file when it decides whether a cached kernel is
     # still good; the stamp below covers every file the kernel may be built from.
     if hasattr(dispatcher, "_cache"):  # not with NUMBA_DISABLE_JIT
-        dispatcher._cache._cache_file._source_stamp = _stamp(Path(source.__code__.co_filename))
+        dispatcher._cache._cache_file._source_stamp = _stamp(source)
     return dispatcher
 
 
-def _stamp(file: Path) -> str:
+def _stamp(source: Callable[..., Any]) -> str:
+    """A digest of the core, the kernel's file and those that its functions are imported from."""
+    files = {source.__code__.co_filename}
+    for found in (queue := [source]):
+        for value in found.__globals__.values():
+            called = getattr(value, "py_func", None)
+            if called is not None and called.__code__.co_filename not in files:
+                files.add(called.__code__.co_filename)
+                queue.append(called)
     digest = hashlib.sha256()
-    for path in [*_CORE_SOURCES, file]:
+    for path in [*_CORE_SOURCES, *(Path(file) for file in sorted(files))]:
         digest.update(path.read_bytes())
     return digest.hexdigest()
 
