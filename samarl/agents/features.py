@@ -19,8 +19,7 @@ from samarl.encoders.encoder import NEAR_NOW, NEAR_SOON, POSITION
 
 LENGTH_SCALE = 5.0  # metres that are 1 to the network
 NETWORK_EGO_FEATURES = 11
-NETWORK_OTHER_FEATURES = 10  # of what a robot knows of another ...
-PLACE_FEATURES = 2  # ... and of where on the map that is
+NETWORK_OTHER_FEATURES = 10  # of what a robot knows of another
 STATE_OTHER_FEATURES = 12  # of the true state of another
 
 assert len(EGO_FEATURES) == 11
@@ -28,36 +27,12 @@ assert len(OTHER_FEATURES) == 5
 assert (slice(0, 2), 5, 8) == (POSITION, NEAR_NOW, NEAR_SOON)  # as laid out in `_others`
 
 
-def frames_of(tracks: Tracks, scenario: Scenario, places: bool) -> Frames:
-    """What the robots know: the input of the actors' encoder.
-
-    Args:
-        tracks: of all robots.
-        scenario: theirs.
-        places: tell where on the map the others are as well.
-    """
-    found: list[Tensor] = []
-    for rows, known in (
-        (tracks.humans, tracks.humans_known), (tracks.robots, tracks.robots_known)
-    ):  # fmt: skip
-        extra = torch.from_numpy(rows[..., 5:6])  # the age
-        if places:
-            extra = torch.cat([extra, _place(rows, tracks.ego)], -1)
-        found += _others(rows, extra, known, scenario)
-    return Frames(_own(tracks.ego, scenario), *found)
-
-
-def _place(of_others: NDArray[np.float32], of_robots: NDArray[np.float32]) -> Tensor:
-    """Distance from the origin of the map and speed away from it, [E, N, M, PLACE_FEATURES].
-
-    People turn round where their goals are: near the circle they walk across.
-    """
-    others, ego = torch.from_numpy(of_others), torch.from_numpy(of_robots).unsqueeze(2)
-    place = others[..., 0:2] - ego[..., 4:6]
-    velocity = others[..., 2:4] + ego[..., 2:4]
-    distance = place.norm(dim=-1, keepdim=True)
-    outward = (place * velocity).sum(-1, keepdim=True) / distance.clamp_min(1e-3)
-    return torch.cat([distance / LENGTH_SCALE, outward], -1)
+def frames_of(tracks: Tracks, scenario: Scenario) -> Frames:
+    """What the robots know: the input of the actors' encoder."""
+    age = [torch.from_numpy(known[..., 5:6]) for known in (tracks.humans, tracks.robots)]
+    humans = _others(tracks.humans, age[0], tracks.humans_known, scenario)
+    robots = _others(tracks.robots, age[1], tracks.robots_known, scenario)
+    return Frames(_own(tracks.ego, scenario), *humans, *robots)
 
 
 def state_of(world: World) -> Frames:

@@ -18,7 +18,6 @@ from samarl.agents.central import CentralEncoder, Critic
 from samarl.agents.features import (
     NETWORK_EGO_FEATURES,
     NETWORK_OTHER_FEATURES,
-    PLACE_FEATURES,
     to_body,
     to_world,
 )
@@ -48,7 +47,6 @@ class Architecture:
     waypoint_range: float = required(0.1, 100.0)  # how far the macro level may move it, m
     track_steps: int = required(0, 1000)  # for how long those out of view are remembered
     encoder: str = "spatio_temporal"  # a name in ENCODERS
-    places: bool = False  # the networks are told where on the map the others are
 
 
 class Gaussian(nn.Module):
@@ -96,8 +94,7 @@ class HierarchicalPolicy(nn.Module):
                 f"architecture.encoder is {a.encoder!r}; it must be among {', '.join(ENCODERS)} "
                 "(one's own becomes known by plugins=[its_module])"
             )
-        others = NETWORK_OTHER_FEATURES + PLACE_FEATURES * a.places
-        sizes = (NETWORK_EGO_FEATURES, others, a.width, a.heads)
+        sizes = (NETWORK_EGO_FEATURES, NETWORK_OTHER_FEATURES, a.width, a.heads)
         means, deviations = [0.3, 0.0, 0.0], [0.37, 0.1, 0.5]  # it sets out moving forward
 
         def encoder() -> Encoder:

@@ -95,7 +95,7 @@ class Deployed:
         if e != self._worlds:
             self._remember_nothing(e)
         tracks = self.known = self.tracker.update(observation)
-        frame = self._frame = frames_of(tracks, self.scenario, self.policy.architecture.places)
+        frame = self._frame = frames_of(tracks, self.scenario)
         if self._windows is None:
             self._windows = self.policy.encoder.windows(frame)
         began = torch.from_numpy(np.repeat(self._began, n))

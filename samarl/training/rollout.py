@@ -118,7 +118,7 @@ class Rollout:
         self.age = np.zeros(worlds, np.int32)  # steps since the episode began or was taken back
         self.fresh = np.ones(worlds, np.bool_)  # the episode has not been taken back
         self.noise = torch.randn(worlds, scenario.robots, scenario.action_size)
-        frames = frames_of(self.tracks, scenario, a.places)
+        frames = frames_of(self.tracks, scenario)
         length = a.history - 1 + steps
         self._frames = Frames(*(_room(tensor, length) for tensor in frames))
         self._begins = torch.ones(worlds * scenario.robots, length, dtype=torch.bool)
@@ -141,7 +141,7 @@ class Rollout:
         episodes: list[Episodes] = []
         for step in range(t):
             now = past + step
-            _store(frames, now, frames_of(self.tracks, scenario, policy.architecture.places))
+            _store(frames, now, frames_of(self.tracks, scenario))
             begins[:, now] = torch.from_numpy(np.repeat(self.began, n))
             states.append(state_of(world))
             window = frames.at(slice(step, now + 1))
