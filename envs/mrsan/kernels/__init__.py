@@ -61,16 +61,16 @@ def _compile(source: Callable[..., Any], variant: str, parallel: bool) -> Any:
 
 def _stamp(source: Callable[..., Any]) -> str:
     """A digest of the core, the kernel's file and those that its functions are imported from."""
-    files = {source.__code__.co_filename}
-    for found in (queue := [source]):
-        for value in found.__globals__.values():
-            called = getattr(value, "py_func", None)
-            if called is not None and called.__code__.co_filename not in files:
-                files.add(called.__code__.co_filename)
-                queue.append(called)
+    files, queue = set(_CORE_SOURCES), [source]
+    while queue:
+        found = queue.pop()
+        file = Path(found.__code__.co_filename)
+        if file not in files:
+            files.add(file)
+            queue += [v.py_func for v in found.__globals__.values() if hasattr(v, "py_func")]
     digest = hashlib.sha256()
-    for path in [*_CORE_SOURCES, *(Path(file) for file in sorted(files))]:
-        digest.update(path.read_bytes())
+    for file in sorted(files):
+        digest.update(file.read_bytes())
     return digest.hexdigest()
 
 
