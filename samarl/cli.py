@@ -81,9 +81,11 @@ def run_command(task: Callable[[DictConfig], Any], config_name: str, **schemas: 
         try:
             _refuse_unknown_keys(config, "")
             import_plugins(config.plugins)
-            return task(config)
+            result = task(config)
+            sys.stdout.flush()
+            return result
         except BrokenPipeError:
-            raise
+            _leave_quietly()
         except (ConfigurationError, ActionError, OmegaConfBaseException, OSError) as error:
             with contextlib.suppress(OSError):  # the folder made for this run, if it is empty
                 os.rmdir(HydraConfig.get().runtime.output_dir)
@@ -91,9 +93,8 @@ def run_command(task: Callable[[DictConfig], Any], config_name: str, **schemas: 
 
     try:
         decorate(checked)()
-    except BrokenPipeError:  # the reader, `head` for example, has seen enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        sys.exit(1)
+    except BrokenPipeError:
+        _leave_quietly()
     except (HydraException, OmegaConfBaseException, YAMLError, OSError) as error:
         _fail(error)
     except ValueError as error:
@@ -137,6 +138,12 @@ def _refuse_unknown_keys(config: DictConfig, path: str) -> None:
         node = config._get_node(key)
         if isinstance(node, DictConfig) and not node._is_none():
             _refuse_unknown_keys(node, f"{path}{key}.")
+
+
+def _leave_quietly() -> NoReturn:
+    """The reader of what is printed, `head` for example, has seen enough."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    sys.exit(1)
 
 
 def _fail(error: Exception) -> NoReturn:

@@ -128,6 +128,20 @@ def test_a_mistake_is_one_line_and_exit_code_2(tmp_path: Path) -> None:
     assert done.stdout == ""
 
 
+def test_a_reader_who_leaves_early_is_no_error(tmp_path: Path) -> None:
+    words = ["agent=straight", "evaluation.cases=2", "hydra.run.dir=here"]
+    with subprocess.Popen(
+        [sys.executable, "-m", "samarl.evaluate", *words],
+        cwd=tmp_path, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+    ) as process:  # fmt: skip
+        assert process.stdout is not None
+        assert process.stderr is not None
+        process.stdout.close()
+        assert process.stderr.read() == ""
+    assert process.returncode == 1
+    assert (tmp_path / "here/row.json").exists()
+
+
 def test_render_draws_a_case(tmp_path: Path) -> None:
     run("render", "agent=straight", "case=3", "scenario.robots=2", "output=case.png", cwd=tmp_path)
     picture = (tmp_path / "case.png").read_bytes()
