@@ -58,6 +58,7 @@ def build_trainer(config: DictConfig, command: str) -> Trainer:
     """
     from samarl.agents.hierarchical import Architecture
     from samarl.algorithms.mappo import MAPPO
+    from samarl.training.checkpoint import find_policy
     from samarl.training.loop import Trainer, Training
 
     def build(schema: type, name: str) -> Any:
@@ -81,7 +82,7 @@ def build_trainer(config: DictConfig, command: str) -> Trainer:
             f"architecture.heads is {architecture.heads}; it must divide architecture.width "
             f"({architecture.width})"
         )
-    initial = None if config.initial is None else Path(config.initial)
+    initial = None if config.initial is None else find_policy(config.initial, "initial")
     return Trainer(Path(config.folder), training, architecture, mappo, groups, command, initial)
 
 

@@ -57,8 +57,12 @@ def save_policy(path: Path, policy: HierarchicalPolicy, name: str, made: dict[st
     write_json(path.with_suffix(".json"), {"format": FORMAT, **asdict(card)})
 
 
-def find_policy(name: str) -> Path:
-    """The file of a policy: a path, or the name of a shipped one.
+def find_policy(name: str, field: str = "checkpoint") -> Path:
+    """The file of a policy.
+
+    Args:
+        name: a path, or the name of a shipped policy.
+        field: that holds it, for the error.
 
     Raises:
         ConfigurationError: it is neither.
@@ -69,7 +73,7 @@ def find_policy(name: str) -> Path:
             return path
     names = ", ".join(sorted(path.stem for path in shipped.glob("*.safetensors"))) or "(none)"
     raise ConfigurationError(
-        f"checkpoint is {name!r}; it must be a .safetensors file or one of the shipped: {names}"
+        f"{field} is {name!r}; it must be a .safetensors file or one of the shipped: {names}"
     )
 
 

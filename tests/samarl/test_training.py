@@ -198,12 +198,15 @@ def test_a_run_begins_with_the_weights_of_a_policy_but_explores_anew(
     assert begins["local_actor.log_deviation"].min() > -3.0
     assert begun[0].made["initial"]["command"] == "test"
 
-    wider = ["architecture.width=16", "initial=first.safetensors", "folder=other"]
-    monkeypatch.setattr(sys, "argv", ["samarl-train", *SMALL, *wider])
-    with pytest.raises(SystemExit) as stopped:
-        main()
-    assert stopped.value.code == 2
-    assert "initial is 'first.safetensors' with" in capsys.readouterr().err
+    for wrong, message in {
+        "initial=first.safetensors architecture.width=16": "initial is 'first.safetensors' with",
+        "initial=none.safetensors": "initial is 'none.safetensors'; it must be a .safetensors file",
+    }.items():
+        monkeypatch.setattr(sys, "argv", ["samarl-train", *SMALL, *wrong.split(), "folder=other"])
+        with pytest.raises(SystemExit) as stopped:
+            main()
+        assert stopped.value.code == 2
+        assert message in capsys.readouterr().err
 
 
 def test_a_foreign_or_damaged_checkpoint_is_refused_in_words(tmp_path: Path) -> None:
