@@ -86,7 +86,10 @@ def load_policy(path: Path) -> tuple[HierarchicalPolicy, PolicyCard]:
     card_path = path.with_suffix(".json")
     for needed in (path, card_path):
         if not needed.is_file():
-            raise ConfigurationError(f"checkpoint is {str(path)!r}; there is no file {needed}")
+            raise ConfigurationError(
+                f"there is no file {needed}; a policy is a .safetensors file and, beside it, a "
+                ".json file of the same name"
+            )
     try:
         content = json.loads(card_path.read_text(encoding="utf-8"))
         version = content.pop("format")

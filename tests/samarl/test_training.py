@@ -238,6 +238,8 @@ def test_a_foreign_or_damaged_checkpoint_is_refused_in_words(tmp_path: Path) -> 
     card.write_text(good)
     path.write_bytes(weights[:-1] + b"x")
     refused("is damaged")
+    card.unlink()
+    refused("there is no file .*json; a policy is a .safetensors file and, beside it, a .json file")
     path.unlink()
     refused("it must be a .safetensors file or one of the shipped")
 
