@@ -49,8 +49,14 @@ def chosen_agent(config: DictConfig) -> DictConfig:
     return agent
 
 
+def first(*values: Any) -> Any:
+    """The first value that is not null, for `${first:...}` in `conf/`."""
+    return next(value for value in values if value is not None)
+
+
 def register_schemas() -> None:
     """Let Hydra check types and names against the dataclasses."""
+    OmegaConf.register_new_resolver("first", first, replace=True)
     store = ConfigStore.instance()
     store.store(name="config_schema", node=Config)
     store.store(group="scenario", name="schema", node=Scenario)

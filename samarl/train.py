@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from hydra.core.hydra_config import HydraConfig
 from omegaconf import MISSING, DictConfig, OmegaConf
 
 from mrsan import ConfigurationError
@@ -23,6 +24,7 @@ class Train:
     """Schema of `conf/train.yaml`."""
 
     folder: str = MISSING
+    resume: str | None = None
     initial: str | None = None
     plugins: list[str] = field(default_factory=list)
     groups: list[Group] = field(default_factory=list)
@@ -39,11 +41,33 @@ def main() -> None:
 def train(config: DictConfig) -> None:
     """Train; the same command again goes on where the last one was interrupted."""
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # is like Ctrl-C: saves
+    if config.resume is not None:
+        config = begun_as(config)
     trainer = build_trainer(config, command_line("samarl-train"))
     if trainer.steps_done:
         print(f"going on at step {trainer.steps_done} of {trainer.training.steps}")
     trainer.run()
     print(f"written to {trainer.folder}: best validation success {100 * trainer.best:.1f} %")
+
+
+def begun_as(config: DictConfig) -> DictConfig:
+    """The configuration of the run in the folder `config.resume`, on this machine's threads.
+
+    Raises:
+        ConfigurationError: the folder holds no run, or other settings were given as well.
+    """
+    from samarl.training.loop import own_settings
+
+    free = ("training.threads", "training.wandb", "plugins")
+    for override in HydraConfig.get().overrides.task:
+        if override.partition("=")[0] not in ("resume", *free):
+            raise ConfigurationError(
+                f"resume is {config.resume!r} beside {override}; a run goes on with its own "
+                f"settings, beside it there may only be {', '.join(free)}"
+            )
+    own = own_settings(Path(config.resume))
+    own["training"] |= {name: config.training[name] for name in ("threads", "wandb")}
+    return OmegaConf.merge(config, own, {"folder": config.resume})  # type: ignore[return-value]
 
 
 def build_trainer(config: DictConfig, command: str) -> Trainer:

@@ -297,6 +297,7 @@ class Trainer:
             "best": self.best,
             "recent": list(self.recent),
             "rows": self.rows,
+            "made": self.made,
             "configuration": self.configuration,
         }
         write_tensors(self.folder / STATE, tensors, {"progress": json.dumps(progress)})
@@ -309,17 +310,11 @@ class Trainer:
         write_atomically(self.folder / "progress.csv", text.getvalue())
 
     def _restore(self) -> None:
-        path = self.folder / STATE
-        try:
-            with safe_open(path, "pt") as file:
-                progress = json.loads(file.metadata()["progress"])
-                tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
-        except (SafetensorError, KeyError, ValueError, TypeError) as error:
-            raise ConfigurationError(f"{path} is damaged ({error})") from error
+        progress, tensors = _read_state(self.folder)
         if progress["configuration"] != self.configuration:
             raise ConfigurationError(
-                f"{path} was written by another configuration; choose another folder, or the one "
-                "it was begun with"
+                f"{self.folder / STATE} was written by another configuration; choose another "
+                f"folder, or go on with its own: resume={self.folder}"
             )
         optimiser: dict[int, dict[str, Tensor]] = {}
         for key, value in tensors.items():
@@ -340,6 +335,31 @@ class Trainer:
         self.steps_done, self.seconds = progress["steps_done"], progress["seconds"]
         self.best, self.rows = progress["best"], progress["rows"]
         self.recent.extend(progress["recent"])
+        self.made = progress["made"]
+
+
+def own_settings(folder: Path) -> dict[str, Any]:
+    """The configuration with which the run in a folder was begun.
+
+    Raises:
+        ConfigurationError: the folder holds no run, or a damaged one.
+    """
+    if not (folder / STATE).is_file():
+        raise ConfigurationError(
+            f"resume is {str(folder)!r}; it must be the folder of a run, which holds {STATE}"
+        )
+    configuration: dict[str, Any] = _read_state(folder)[0]["configuration"]
+    return configuration
+
+
+def _read_state(folder: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
+    path = folder / STATE
+    try:
+        with safe_open(path, "pt") as file:
+            progress = json.loads(file.metadata()["progress"])
+            return progress, {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
+    except (SafetensorError, KeyError, ValueError, TypeError) as error:
+        raise ConfigurationError(f"{path} is damaged ({error})") from error
 
 
 def _device(name: str) -> torch.device:

@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -39,9 +40,13 @@ SMALL = [
 
 
 def start(folder: Path, *more: str) -> subprocess.Popen[str]:
+    return start_with(folder, *SMALL, *more)
+
+
+def start_with(folder: Path, *overrides: str) -> subprocess.Popen[str]:
     environment = os.environ | {"NUMBA_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
     return subprocess.Popen(
-        [sys.executable, "-m", "samarl.train", *SMALL, *more], cwd=folder, env=environment,
+        [sys.executable, "-m", "samarl.train", *overrides], cwd=folder, env=environment,
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=heed_ctrl_c,
     )  # fmt: skip
 
@@ -65,13 +70,19 @@ def test_a_killed_run_goes_on_bit_for_bit(tmp_path: Path) -> None:
         time.sleep(0.02)
     process.send_signal(signal.SIGKILL)
     process.wait()
-    process = start(cut)
-    said, errors = process.communicate(timeout=240)
-    assert process.returncode == 0, errors
-    assert "going on at step" in said
-    for policy in ("last", "best"):
-        name = f"run/{policy}.safetensors"
-        assert (whole / name).read_bytes() == (cut / name).read_bytes()
+    copy = tmp_path / "copy"
+    shutil.copytree(cut, copy)
+    for folder, process in ((cut, start(cut)), (copy, start_with(copy, "resume=run"))):
+        said, errors = process.communicate(timeout=240)
+        assert process.returncode == 0, errors
+        assert "going on at step" in said
+        for policy in ("last", "best"):
+            name = f"run/{policy}.safetensors"
+            assert (whole / name).read_bytes() == (folder / name).read_bytes()
+            cards = [(made / name).with_suffix(".json") for made in (whole, folder)]
+            commands = [json.loads(card.read_text())["made"]["command"] for card in cards]
+            assert commands[0] == commands[1]
+        assert [path.name for path in folder.iterdir()] == ["run"]
     header = (cut / "run/progress.csv").read_text().splitlines()[0].split(",")
     # The curves agree in everything but the time it took.
     curves = [
@@ -90,7 +101,26 @@ def test_a_killed_run_goes_on_bit_for_bit(tmp_path: Path) -> None:
     _, errors = process.communicate(timeout=240)
     assert process.returncode == 2
     assert "another configuration" in errors
+    assert "resume=run" in errors
     assert errors.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        (["resume=nowhere"], "resume is 'nowhere'; it must be the folder of a run, which holds"),
+        (["resume=nowhere", "mappo.epochs=3"], "beside mappo.epochs=3; a run goes on with its own"),
+    ],
+)
+def test_what_cannot_be_gone_on_with_is_said(
+    overrides: list[str], message: str, tmp_path: Path
+) -> None:
+    process = start_with(tmp_path, *overrides)
+    _, errors = process.communicate(timeout=240)
+    assert process.returncode == 2
+    assert message in errors
+    assert errors.count("\n") == 1
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
