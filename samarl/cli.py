@@ -56,7 +56,6 @@ def first(*values: Any) -> Any:
 
 def register_schemas() -> None:
     """Let Hydra check types and names against the dataclasses."""
-    OmegaConf.register_new_resolver("first", first, replace=True)
     store = ConfigStore.instance()
     store.store(name="config_schema", node=Config)
     store.store(group="scenario", name="schema", node=Scenario)
@@ -74,6 +73,7 @@ def run_command(task: Callable[[DictConfig], Any], config_name: str, **schemas: 
     os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra raises instead of printing; it is said below.
     if os.getcwd() not in sys.path:
         sys.path.append(os.getcwd())  # a user's own agents live where the command is run
+    OmegaConf.register_new_resolver("first", first, replace=True)
     register_schemas()
     for name, schema in schemas.items():
         ConfigStore.instance().store(name=name, node=schema)

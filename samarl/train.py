@@ -51,14 +51,14 @@ def train(config: DictConfig) -> None:
 
 
 def begun_as(config: DictConfig) -> DictConfig:
-    """The configuration of the run in the folder `config.resume`, on this machine's threads.
+    """The configuration of the run in the folder `config.resume`, with `FREE` from `config`.
 
     Raises:
         ConfigurationError: the folder holds no run, or other settings were given as well.
     """
-    from samarl.training.loop import own_settings
+    from samarl.training.loop import FREE, own_settings
 
-    free = ("training.threads", "training.wandb", "plugins")
+    free = [*(f"training.{name}" for name in FREE), "plugins"]
     for override in HydraConfig.get().overrides.task:
         if override.partition("=")[0] not in ("resume", *free):
             raise ConfigurationError(
@@ -66,7 +66,7 @@ def begun_as(config: DictConfig) -> DictConfig:
                 f"settings, beside it there may only be {', '.join(free)}"
             )
     own = own_settings(Path(config.resume))
-    own["training"] |= {name: config.training[name] for name in ("threads", "wandb")}
+    own["training"] |= {name: config.training[name] for name in FREE}
     return OmegaConf.merge(config, own, {"folder": config.resume})  # type: ignore[return-value]
 
 

@@ -16,6 +16,7 @@ import numba
 import numpy as np
 import torch
 from safetensors import SafetensorError, safe_open
+from safetensors.torch import load_file
 from torch import Tensor
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 from torch.utils.tensorboard import SummaryWriter
@@ -34,6 +35,7 @@ from samarl.training.rollout import Batch, Rollout
 
 STATE = "state.safetensors"  # everything that is needed to go on
 LAST, BEST = "last.safetensors", "best.safetensors"  # policies
+FREE = ("threads", "wandb")  # of `Training`: a run may go on with others
 
 
 @dataclass
@@ -125,7 +127,7 @@ class Trainer:
         self.configuration = json.loads(
             json.dumps(
                 {
-                    "training": {**asdict(training), "threads": None, "wandb": None},
+                    "training": {**asdict(training), **dict.fromkeys(FREE)},
                     "architecture": asdict(architecture),
                     "mappo": asdict(mappo),
                     "groups": [asdict(group) for group in groups],
@@ -310,12 +312,13 @@ class Trainer:
         write_atomically(self.folder / "progress.csv", text.getvalue())
 
     def _restore(self) -> None:
-        progress, tensors = _read_state(self.folder)
+        progress = _read_progress(self.folder)
         if progress["configuration"] != self.configuration:
             raise ConfigurationError(
                 f"{self.folder / STATE} was written by another configuration; choose another "
                 f"folder, or go on with its own: resume={self.folder}"
             )
+        tensors = load_file(self.folder / STATE)
         optimiser: dict[int, dict[str, Tensor]] = {}
         for key, value in tensors.items():
             if key.startswith("optimiser/"):
@@ -348,16 +351,16 @@ def own_settings(folder: Path) -> dict[str, Any]:
         raise ConfigurationError(
             f"resume is {str(folder)!r}; it must be the folder of a run, which holds {STATE}"
         )
-    configuration: dict[str, Any] = _read_state(folder)[0]["configuration"]
+    configuration: dict[str, Any] = _read_progress(folder)["configuration"]
     return configuration
 
 
-def _read_state(folder: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
+def _read_progress(folder: Path) -> dict[str, Any]:
     path = folder / STATE
     try:
         with safe_open(path, "pt") as file:
-            progress = json.loads(file.metadata()["progress"])
-            return progress, {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
+            progress: dict[str, Any] = json.loads(file.metadata()["progress"])
+            return progress
     except (SafetensorError, KeyError, ValueError, TypeError) as error:
         raise ConfigurationError(f"{path} is damaged ({error})") from error
 
