@@ -22,7 +22,7 @@ from tqdm import tqdm
 from benchmarks.workload import interruptible, positive_number
 from mrsan import Scenario, World
 from samarl.agents import build_agent
-from samarl.bench import available_agents, load_agent
+from samarl.configuration import available_agents, load_agent
 from samarl.evaluation.files import code_version, machine, write_json
 from samarl.evaluation.table import as_text
 

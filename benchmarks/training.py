@@ -23,10 +23,10 @@ from hydra.core.config_store import ConfigStore
 from tqdm import trange
 
 from benchmarks.workload import interruptible, positive_whole_number
-from samarl.cli import register_schemas
+from samarl.commands.train import Train, build_trainer
+from samarl.configuration import register_schemas
 from samarl.evaluation.files import code_version, find_folder, machine, write_json
 from samarl.evaluation.table import as_text
-from samarl.train import Train, build_trainer
 from samarl.training.loop import Trainer
 
 # Parts of a round and the functions that make them up (end of the file's path, name).

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from mrsan import Observation, Scenario
 from mrsan.scenario import number
 from samarl.agents.agent import Agent, Explanation
-from samarl.agents.features import frames_of
-from samarl.agents.guard import guarded
-from samarl.agents.hierarchical import Architecture, HierarchicalPolicy, Waypoints, decide
-from samarl.agents.tracker import Tracker
+from samarl.agents.shield import guarded
 from samarl.encoders import Frames
+from samarl.observations.features import frames_of
+from samarl.observations.tracker import Tracker
+from samarl.policies.hierarchical import Architecture, HierarchicalPolicy, Waypoints, decide
 
 
 class FirstWaypoints(Waypoints):
@@ -133,7 +133,7 @@ class Learned(Agent):
 
     def __post_init__(self) -> None:
         """Load the checkpoint."""
-        from samarl.training.checkpoint import find_policy, load_policy
+        from samarl.policies.checkpoint import find_policy, load_policy
 
         super().__post_init__()
         policy, self.card = load_policy(find_policy(self.checkpoint))

@@ -14,9 +14,9 @@ from torchrl.objectives.multiagent import MAPPOLoss
 from torchrl.objectives.value import MultiAgentGAE
 
 from mrsan.scenario import number, required
-from samarl.agents.central import Critic, joint_features
-from samarl.agents.hierarchical import HierarchicalPolicy
 from samarl.algorithms.excess import excess
+from samarl.policies.central import Critic, joint_features
+from samarl.policies.hierarchical import HierarchicalPolicy
 from samarl.training.rollout import Batch, Steps
 
 

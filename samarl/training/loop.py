@@ -24,12 +24,12 @@ from tqdm import tqdm
 
 from mrsan import ConfigurationError, Split, social_score
 from mrsan.scenario import check_numbers, required
-from samarl.agents.hierarchical import Architecture, HierarchicalPolicy
 from samarl.agents.learned import Deployed
 from samarl.algorithms.mappo import MAPPO, Learner
 from samarl.evaluation.files import code_version, machine, write_atomically
 from samarl.evaluation.runner import run_cases
-from samarl.training.checkpoint import load_policy, pack, save_policy, unpack, write_tensors
+from samarl.policies.checkpoint import load_policy, pack, save_policy, unpack, write_tensors
+from samarl.policies.hierarchical import Architecture, HierarchicalPolicy
 from samarl.training.curriculum import Group
 from samarl.training.rollout import Batch, Rollout
 

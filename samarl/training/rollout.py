@@ -17,10 +17,10 @@ from torch.utils._pytree import tree_map_only
 
 from mrsan import Episodes, Scenario, Split, World
 from mrsan.metrics import episodes_of
-from samarl.agents.features import frames_of, state_of, to_world
-from samarl.agents.hierarchical import HierarchicalPolicy, Waypoints, decide
-from samarl.agents.tracker import Tracker, Tracks
 from samarl.encoders import Frames
+from samarl.observations.features import frames_of, state_of, to_world
+from samarl.observations.tracker import Tracker, Tracks
+from samarl.policies.hierarchical import HierarchicalPolicy, Waypoints, decide
 from samarl.training.curriculum import Group
 from samarl.training.starts import Crowd, Past
 

@@ -9,7 +9,7 @@ import pytest
 from mrsan import ConfigurationError, Kinematics, Observation, Scenario, Split, World
 from mrsan.scenario import required
 from samarl.agents import Agent, build_agent
-from samarl.bench import available_agents, load_agent
+from samarl.configuration import available_agents, load_agent
 from samarl.evaluation.runner import run_cases
 
 NAMES = available_agents()

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from mrsan import Crowd, Reward, Scenario, Split
-from samarl.bench import _command
+from samarl.commands.bench import _command
 from samarl.evaluation.runner import Evaluation
 
 

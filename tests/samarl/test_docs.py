@@ -34,7 +34,7 @@ def run(text: str, folder: Path) -> str:
     said = ""
     for line in block(text, "console").splitlines():
         program, *arguments = shlex.split(line.removeprefix("$ "))
-        command = [sys.executable, "-m", program.replace("samarl-", "samarl.")]
+        command = [sys.executable, "-m", program.replace("samarl-", "samarl.commands.")]
         if program == "python":
             command = [sys.executable]
         done = subprocess.run(
@@ -60,7 +60,7 @@ def test_an_encoder_of_ones_own(tmp_path: Path) -> None:
     assert "| samarl " in run(text, tmp_path)
     checkpoint = "checkpoint=outputs/deep_sets/last.safetensors"
     done = subprocess.run(
-        [sys.executable, "-m", "samarl.evaluate", "agent=samarl", checkpoint],
+        [sys.executable, "-m", "samarl.commands.evaluate", "agent=samarl", checkpoint],
         cwd=tmp_path, capture_output=True, text=True,
     )  # fmt: skip
     assert done.returncode == 2  # nothing of mine is imported unless I say so

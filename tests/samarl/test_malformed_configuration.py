@@ -16,7 +16,7 @@ from hydra._internal.hydra import Hydra
 from hydra.core.global_hydra import GlobalHydra
 
 from mrsan import Reward, Scenario
-from samarl import evaluate
+from samarl.commands import evaluate
 from samarl.evaluation.runner import Evaluation
 
 CHUNKS, CHUNK = 10, 100

@@ -12,12 +12,12 @@ from PIL import Image
 
 from mrsan import ConfigurationError, Scenario, World
 from samarl.agents import build_agent
-from samarl.agents.hierarchical import Architecture, HierarchicalPolicy
 from samarl.agents.learned import Deployed
 from samarl.encoders.spatio_temporal import Pool
 from samarl.evaluation.recording import record_episode
+from samarl.policies.checkpoint import save_policy
+from samarl.policies.hierarchical import Architecture, HierarchicalPolicy
 from samarl.report.animation import save_animation
-from samarl.training.checkpoint import save_policy
 
 SCENARIO = Scenario(humans=4, robots=3, fov_degrees=120.0, time_limit=4.0)
 STRAIGHT = {"_target_": "samarl.agents.planners.straight.Straight"}

@@ -17,16 +17,16 @@ from playwright.sync_api import Browser, ConsoleMessage, Page, sync_playwright
 
 from mrsan import Scenario
 from samarl.agents import build_agent
-from samarl.agents.hierarchical import Architecture, HierarchicalPolicy
-from samarl.bench import available_agents, load_agent
+from samarl.commands.report import _methods
+from samarl.configuration import available_agents, load_agent
 from samarl.evaluation.files import find_folder
 from samarl.evaluation.recording import Recording, record_episode
 from samarl.evaluation.table import column_of
-from samarl.report.__main__ import _methods
+from samarl.policies.checkpoint import save_policy
+from samarl.policies.hierarchical import Architecture, HierarchicalPolicy
 from samarl.report.build import slug
 from samarl.report.figures import draw_curves, draw_table, read_curve, settings_labels
 from samarl.report.replays import as_replay
-from samarl.training.checkpoint import save_policy
 
 VOID = {"meta", "link", "input", "img", "br", "circle", "path", "rect"}
 FLAGS = [
@@ -43,7 +43,10 @@ STRAIGHT = {"_target_": "samarl.agents.planners.straight.Straight"}
 
 def report(*arguments: str, cwd: Path, code: int = 0) -> subprocess.CompletedProcess[str]:
     done = subprocess.run(
-        [sys.executable, "-m", "samarl.report", *arguments], cwd=cwd, capture_output=True, text=True
+        [sys.executable, "-m", "samarl.commands.report", *arguments],
+        cwd=cwd,
+        capture_output=True,
+        text=True,
     )
     assert done.returncode == code, done.stderr
     return done

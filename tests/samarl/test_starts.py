@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from mrsan import Scenario, World
-from samarl.agents.hierarchical import Architecture, HierarchicalPolicy
 from samarl.agents.planners.perimeter import Perimeter
+from samarl.policies.hierarchical import Architecture, HierarchicalPolicy
 from samarl.training.curriculum import Group
 from samarl.training.rollout import RETRY_STEPS, Rollout
 from samarl.training.starts import Crowd

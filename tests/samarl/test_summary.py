@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mrsan import Episodes, Outcome, Scenario
-from samarl.bench import compare
+from samarl.commands.bench import compare
 from samarl.evaluation.summary import Row, summarise, wilson_interval
 from samarl.evaluation.table import rows_as_markdown, table1_as_markdown
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mrsan import Scenario, World
-from samarl.agents.tracker import Tracker
+from samarl.observations.tracker import Tracker
 from tests.staging import stage
 
 

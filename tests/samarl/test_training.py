@@ -15,11 +15,11 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 from mrsan import ConfigurationError, Scenario
 from samarl.agents import build_agent
-from samarl.agents.hierarchical import Architecture, HierarchicalPolicy
 from samarl.algorithms.mappo import Learner
+from samarl.commands.train import main
 from samarl.evaluation.runner import Evaluation, run_cases
-from samarl.train import main
-from samarl.training.checkpoint import load_policy, save_policy
+from samarl.policies.checkpoint import load_policy, save_policy
+from samarl.policies.hierarchical import Architecture, HierarchicalPolicy
 from samarl.training.loop import Trainer
 from samarl.training.rollout import Batch
 
@@ -46,7 +46,7 @@ def start(folder: Path, *more: str) -> subprocess.Popen[str]:
 def start_with(folder: Path, *overrides: str) -> subprocess.Popen[str]:
     environment = os.environ | {"NUMBA_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
     return subprocess.Popen(
-        [sys.executable, "-m", "samarl.train", *overrides], cwd=folder, env=environment,
+        [sys.executable, "-m", "samarl.commands.train", *overrides], cwd=folder, env=environment,
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=heed_ctrl_c,
     )  # fmt: skip
 

@@ -8,11 +8,11 @@ import pytest
 import torch
 
 from mrsan import ConfigurationError, Scenario, World
-from samarl.agents.features import state_of
-from samarl.agents.hierarchical import Architecture, HierarchicalPolicy, Waypoints
 from samarl.agents.learned import Deployed
 from samarl.algorithms.excess import excess
 from samarl.algorithms.mappo import MAPPO, Learner, advantages, macro_records
+from samarl.observations.features import state_of
+from samarl.policies.hierarchical import Architecture, HierarchicalPolicy, Waypoints
 from samarl.training.curriculum import Group
 from samarl.training.rollout import Batch, Rollout, Steps
 

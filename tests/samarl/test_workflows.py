@@ -19,11 +19,11 @@ COMMANDS = ("evaluate", "bench", "render", "report")
 def run(
     command: str, *arguments: str, cwd: Path, code: int = 0
 ) -> subprocess.CompletedProcess[str]:
-    """`python -m samarl.<command> <arguments>`, which must end with `code`."""
+    """`python -m samarl.commands.<command> <arguments>`, which must end with `code`."""
     environment = os.environ | {"NUMBA_NUM_THREADS": "1", "COLUMNS": "200"}
     environment.pop("HYDRA_FULL_ERROR", None)
     done = subprocess.run(
-        [sys.executable, "-m", f"samarl.{command}", *arguments],
+        [sys.executable, "-m", f"samarl.commands.{command}", *arguments],
         cwd=cwd, env=environment, capture_output=True, text=True,
     )  # fmt: skip
     assert done.returncode == code, done.stderr
@@ -131,7 +131,7 @@ def test_a_mistake_is_one_line_and_exit_code_2(tmp_path: Path) -> None:
 def test_a_reader_who_leaves_early_is_no_error(tmp_path: Path) -> None:
     words = ["agent=straight", "evaluation.cases=2", "hydra.run.dir=here"]
     with subprocess.Popen(
-        [sys.executable, "-m", "samarl.evaluate", *words],
+        [sys.executable, "-m", "samarl.commands.evaluate", *words],
         cwd=tmp_path, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
     ) as process:  # fmt: skip
         assert process.stdout is not None
@@ -200,7 +200,7 @@ def test_help_is_quick_to_say(command: str, tmp_path: Path) -> None:
     code = (
         "import sys\nfrom runpy import run_module\n"
         f"sys.argv = ['samarl-{command}', '--help']\n"
-        f"try:\n    run_module('samarl.{command}', run_name='__main__', alter_sys=True)\n"
+        f"try:\n    run_module('samarl.commands.{command}', run_name='__main__', alter_sys=True)\n"
         "finally:\n"
         "    heavy = {'torch', 'torchrl', 'pettingzoo', 'matplotlib'} & set(sys.modules)\n"
         "    print('heavy:', heavy or 'none')\n"

@@ -5,35 +5,23 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import functools
-import importlib
 import os
 import shlex
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any, NoReturn
 
 import hydra
 from hydra.core.config_store import ConfigStore
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import HydraException
-from omegaconf import MISSING, DictConfig, OmegaConf
+from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
-from mrsan import ActionError, ConfigurationError, Scenario
+from mrsan import ActionError, ConfigurationError
+from samarl.configuration import first, import_plugins, register_schemas
 from samarl.evaluation.files import find_folder
-from samarl.evaluation.runner import Evaluation
-
-
-@dataclasses.dataclass
-class Config:
-    """Schema of `conf/config.yaml`: one evaluation."""
-
-    scenario: Any = MISSING
-    agent: Any = MISSING
-    evaluation: Any = MISSING
-    checkpoint: str | None = None
-    plugins: list[str] = dataclasses.field(default_factory=list)
 
 
 def chosen_agent(config: DictConfig) -> DictConfig:
@@ -47,19 +35,6 @@ def chosen_agent(config: DictConfig) -> DictConfig:
             )
         agent.checkpoint = config.checkpoint
     return agent
-
-
-def first(*values: Any) -> Any:
-    """The first value that is not null, for `${first:...}` in `conf/`."""
-    return next(value for value in values if value is not None)
-
-
-def register_schemas() -> None:
-    """Let Hydra check types and names against the dataclasses."""
-    store = ConfigStore.instance()
-    store.store(name="config_schema", node=Config)
-    store.store(group="scenario", name="schema", node=Scenario)
-    store.store(group="evaluation", name="schema", node=Evaluation)
 
 
 def run_command(task: Callable[[DictConfig], Any], config_name: str, **schemas: type) -> None:
@@ -120,17 +95,6 @@ def command_line(program: str) -> str:
         if source.provider == "command-line":
             words += ["--config-dir", source.path]
     return shlex.join([*words, *hydra_config.overrides.task])
-
-
-def import_plugins(modules: Sequence[str]) -> None:
-    """Import a user's modules, which make their encoders known."""
-    for name in modules:
-        try:
-            importlib.import_module(name)
-        except Exception as error:
-            raise ConfigurationError(
-                f"plugins has {name!r}; it must be a module that can be imported ({error})"
-            ) from error
 
 
 def _refuse_unknown_keys(config: DictConfig, path: str) -> None:

@@ -13,8 +13,8 @@ from omegaconf import MISSING, DictConfig, OmegaConf
 from mrsan import ConfigurationError, Scenario, Split
 from mrsan.scenario import check_numbers, number
 from samarl.agents import build_agent
-from samarl.bench import load_agent
-from samarl.cli import chosen_agent, run_command
+from samarl.commands.cli import chosen_agent, run_command
+from samarl.configuration import load_agent
 from samarl.evaluation.recording import Recording, record_episode
 
 

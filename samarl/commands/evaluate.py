@@ -12,7 +12,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from mrsan import Episodes, Outcome, Scenario, social_score
 from samarl.agents import build_agent
-from samarl.cli import chosen_agent, command_line, run_command
+from samarl.commands.cli import chosen_agent, command_line, run_command
 from samarl.evaluation.files import code_version, write_atomically, write_json
 from samarl.evaluation.runner import Evaluation, run_cases
 from samarl.evaluation.summary import Row, summarise

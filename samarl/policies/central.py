@@ -5,9 +5,9 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from samarl.agents.features import NETWORK_EGO_FEATURES, STATE_OTHER_FEATURES
 from samarl.encoders import Frames
 from samarl.encoders.spatio_temporal import Pool, nearness
+from samarl.observations.features import NETWORK_EGO_FEATURES, STATE_OTHER_FEATURES
 
 
 class CentralEncoder(nn.Module):

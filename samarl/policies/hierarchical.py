@@ -14,16 +14,16 @@ from torch.distributions import Independent, Normal
 
 from mrsan import ConfigurationError, Scenario
 from mrsan.scenario import required
-from samarl.agents.central import CentralEncoder, Critic
-from samarl.agents.features import (
+from samarl.agents.planners.perimeter import way_round
+from samarl.encoders import ENCODERS, Encoder, Frames
+from samarl.observations.features import (
     NETWORK_EGO_FEATURES,
     NETWORK_OTHER_FEATURES,
     to_body,
     to_world,
 )
-from samarl.agents.per_robot import PerRobotEncoder, PerRobotGaussian
-from samarl.agents.planners.perimeter import way_round
-from samarl.encoders import ENCODERS, Encoder, Frames
+from samarl.policies.central import CentralEncoder, Critic
+from samarl.policies.per_robot import PerRobotEncoder, PerRobotGaussian
 
 WAYPOINT_REACHED = 0.3  # m
 WAYPOINT_FEATURES = 3

@@ -5,8 +5,8 @@ import pytest
 
 from mrsan import Crowd, Kinematics, Scenario, Split, World
 from samarl.agents import Agent, build_agent
-from samarl.agents.guard import guarded
-from samarl.bench import load_agent
+from samarl.agents.shield import guarded
+from samarl.configuration import load_agent
 from samarl.evaluation.runner import run_cases
 
 NUMBERS = (8, 0.05, 0.1)
@@ -15,7 +15,7 @@ CASES = Split.test.case(0) + np.arange(40)
 
 def guard_over(name: str, scenario: Scenario) -> Agent:
     numbers = {"steps": 8, "human_margin": 0.05, "robot_margin": 0.1, "track_steps": 24}
-    target = "samarl.agents.guard.Guarded"
+    target = "samarl.agents.shield.Guarded"
     return build_agent({"_target_": target, "agent": load_agent(name), **numbers}, scenario)
 
 

@@ -12,7 +12,7 @@ from omegaconf import MISSING, DictConfig, OmegaConf
 
 from mrsan import ConfigurationError
 from mrsan.scenario import check_numbers
-from samarl.cli import command_line, run_command
+from samarl.commands.cli import command_line, run_command
 from samarl.training.curriculum import Group
 
 if TYPE_CHECKING:
@@ -80,9 +80,9 @@ def build_trainer(config: DictConfig, command: str) -> Trainer:
     Raises:
         ConfigurationError: a number is wrong, or the folder holds another run.
     """
-    from samarl.agents.hierarchical import Architecture
     from samarl.algorithms.mappo import MAPPO
-    from samarl.training.checkpoint import find_policy
+    from samarl.policies.checkpoint import find_policy
+    from samarl.policies.hierarchical import Architecture
     from samarl.training.loop import Trainer, Training
 
     def build(schema: type, name: str) -> Any:

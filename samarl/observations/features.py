@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from mrsan import EGO_FEATURES, OTHER_FEATURES, Scenario, World
-from samarl.agents.tracker import Tracks
 from samarl.encoders import Frames
 from samarl.encoders.encoder import NEAR_NOW, NEAR_SOON, POSITION
+from samarl.observations.tracker import Tracks
 
 LENGTH_SCALE = 5.0  # metres that are 1 to the network
 NETWORK_EGO_FEATURES = 11

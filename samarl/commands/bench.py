@@ -2,28 +2,24 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import json
 import os
 import shlex
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path
 from typing import Any
 
-from hydra import compose, initialize_config_dir
-from hydra.core.config_loader import ConfigLoader
-from hydra.core.global_hydra import GlobalHydra
 from joblib import Parallel, delayed, parallel_config
 from omegaconf import MISSING, DictConfig, OmegaConf
-from omegaconf.errors import OmegaConfBaseException
 from tqdm import tqdm
 
 from mrsan import ActionError, ConfigurationError, Reward, Scenario
 from samarl.agents import build_agent
-from samarl.cli import import_plugins, register_schemas, run_command
+from samarl.commands.cli import run_command
+from samarl.configuration import available_agents, import_plugins, load_agent, scenario_of
 from samarl.evaluation.files import (
     code_version,
     find_folder,
@@ -116,35 +112,6 @@ def _row(
     return summarise(episodes, scenario, name, command, commit, int(cases[0]))
 
 
-def available_agents() -> list[str]:
-    """The names of all agents in `conf/agent/`, and in that of `--config-dir`."""
-    with _hydra() as loader:
-        return sorted(loader.get_group_options("agent"))
-
-
-def load_agent(name: str) -> dict[str, Any]:
-    """The configuration of an agent of `conf/agent/`."""
-    if name not in available_agents():
-        choices = ", ".join(available_agents())
-        raise ConfigurationError(f"{name!r} is not an agent; it must be among {choices}")
-    with _hydra():
-        config = OmegaConf.to_container(compose("config", [f"agent={name}"]).agent)
-    assert isinstance(config, dict)
-    return {str(key): value for key, value in config.items()}
-
-
-@contextlib.contextmanager
-def _hydra() -> Iterator[ConfigLoader]:
-    """The configuration of the command that runs, or outside of one that in `conf/`."""
-    known = GlobalHydra.instance()
-    if known.is_initialized():
-        yield known.config_loader()
-        return
-    register_schemas()
-    with initialize_config_dir(str(find_folder("conf").resolve()), version_base="1.3"):
-        yield GlobalHydra.instance().config_loader()
-
-
 def compare(row: Row, committed: Sequence[Row]) -> str:
     """One line: how a row compares with the committed row of the same method and column."""
     name = f"{row['method']} {column_name(column_of(row))}"
@@ -170,17 +137,6 @@ def compare(row: Row, committed: Sequence[Row]) -> str:
         if not smallest - slack <= row[key] <= largest + slack:  # type: ignore[literal-required]
             return f"DIFFERS  {change}: {key} is outside [{smallest:.1f}, {largest:.1f}]"
     return f"close    {change}, within the committed intervals"
-
-
-def scenario_of(column: Any) -> Scenario:
-    """The scenario of one entry of `columns`: its fields, and the defaults for the rest."""
-    try:
-        scenario = OmegaConf.to_object(OmegaConf.merge(OmegaConf.structured(Scenario), column))
-    except OmegaConfBaseException as error:
-        reason = str(error).splitlines()[0]
-        raise ConfigurationError(f"columns has {column}: {reason}") from error
-    assert isinstance(scenario, Scenario)
-    return scenario
 
 
 def _command(name: str, scenario: Scenario, evaluation: Evaluation) -> str:

@@ -20,8 +20,8 @@ from safetensors.torch import load_file, save
 from torch import Tensor
 
 from mrsan import ConfigurationError
-from samarl.agents.hierarchical import Architecture, HierarchicalPolicy
 from samarl.evaluation.files import find_folder, unfinished, write_json
+from samarl.policies.hierarchical import Architecture, HierarchicalPolicy
 
 POLICIES: dict[str, tuple[type[HierarchicalPolicy], type[Architecture]]] = {
     "hierarchical": (HierarchicalPolicy, Architecture),

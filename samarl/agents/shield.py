@@ -22,7 +22,7 @@ from mrsan.kernels.contact import closest_approach
 from mrsan.scenario import required
 from samarl.agents.agent import Agent, Explanation, build_agent
 from samarl.agents.planners.tracking import gather, move, steer, track_velocity
-from samarl.agents.tracker import Tracker, Tracks
+from samarl.observations.tracker import Tracker, Tracks
 
 DIRECTIONS = 16  # of the ways of going on, at full and at half speed
 ENOUGH = np.float32(0.3)  # no way is better for keeping further away than that, m

@@ -12,8 +12,8 @@ from tqdm import tqdm
 
 from mrsan import ConfigurationError, Scenario, Split
 from samarl.agents import Agent, build_agent
-from samarl.bench import available_agents, load_agent, scenario_of
-from samarl.cli import run_command
+from samarl.commands.cli import run_command
+from samarl.configuration import available_agents, load_agent, scenario_of
 from samarl.evaluation.files import find_folder
 from samarl.evaluation.recording import Recording, record_episode
 

@@ -1,0 +1,95 @@
+"""The one Hydra tree `conf/`: its schemas, and what lies in it."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from hydra import compose, initialize_config_dir
+from hydra.core.config_loader import ConfigLoader
+from hydra.core.config_store import ConfigStore
+from hydra.core.global_hydra import GlobalHydra
+from omegaconf import MISSING, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from mrsan import ConfigurationError, Scenario
+from samarl.evaluation.files import find_folder
+from samarl.evaluation.runner import Evaluation
+
+
+@dataclass
+class Config:
+    """Schema of `conf/config.yaml`: one evaluation."""
+
+    scenario: Any = MISSING
+    agent: Any = MISSING
+    evaluation: Any = MISSING
+    checkpoint: str | None = None
+    plugins: list[str] = field(default_factory=list)
+
+
+def first(*values: Any) -> Any:
+    """The first value that is not null, for `${first:...}` in `conf/`."""
+    return next(value for value in values if value is not None)
+
+
+def register_schemas() -> None:
+    """Let Hydra check types and names against the dataclasses."""
+    store = ConfigStore.instance()
+    store.store(name="config_schema", node=Config)
+    store.store(group="scenario", name="schema", node=Scenario)
+    store.store(group="evaluation", name="schema", node=Evaluation)
+
+
+def import_plugins(modules: Sequence[str]) -> None:
+    """Import a user's modules, which make their encoders known."""
+    for name in modules:
+        try:
+            importlib.import_module(name)
+        except Exception as error:
+            raise ConfigurationError(
+                f"plugins has {name!r}; it must be a module that can be imported ({error})"
+            ) from error
+
+
+def available_agents() -> list[str]:
+    """The names of all agents in `conf/agent/`, and in that of `--config-dir`."""
+    with _hydra() as loader:
+        return sorted(loader.get_group_options("agent"))
+
+
+def load_agent(name: str) -> dict[str, Any]:
+    """The configuration of an agent of `conf/agent/`."""
+    if name not in available_agents():
+        choices = ", ".join(available_agents())
+        raise ConfigurationError(f"{name!r} is not an agent; it must be among {choices}")
+    with _hydra():
+        config = OmegaConf.to_container(compose("config", [f"agent={name}"]).agent)
+    assert isinstance(config, dict)
+    return {str(key): value for key, value in config.items()}
+
+
+@contextlib.contextmanager
+def _hydra() -> Iterator[ConfigLoader]:
+    """The configuration of the command that runs, or outside of one that in `conf/`."""
+    known = GlobalHydra.instance()
+    if known.is_initialized():
+        yield known.config_loader()
+        return
+    register_schemas()
+    with initialize_config_dir(str(find_folder("conf").resolve()), version_base="1.3"):
+        yield GlobalHydra.instance().config_loader()
+
+
+def scenario_of(column: Any) -> Scenario:
+    """The scenario of one entry of `columns`: its fields, and the defaults for the rest."""
+    try:
+        scenario = OmegaConf.to_object(OmegaConf.merge(OmegaConf.structured(Scenario), column))
+    except OmegaConfBaseException as error:
+        reason = str(error).splitlines()[0]
+        raise ConfigurationError(f"columns has {column}: {reason}") from error
+    assert isinstance(scenario, Scenario)
+    return scenario
