@@ -9,11 +9,10 @@ os.environ.setdefault("GOMP_SPINCOUNT", "1000")
 import gymnasium
 
 from mrsan.cases import Split
+from mrsan.features import EGO_FEATURES, OTHER_FEATURES
 from mrsan.metrics import Episodes, Outcome, social_score
 from mrsan.scenario import ConfigurationError, Crowd, Kinematics, Reward, Scenario
 from mrsan.world import (
-    EGO_FEATURES,
-    OTHER_FEATURES,
     ActionError,
     Observation,
     State,

@@ -10,8 +10,9 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
+from mrsan.features import EGO_FEATURES, OTHER_FEATURES
 from mrsan.scenario import Scenario, overridden
-from mrsan.world import EGO_FEATURES, OTHER_FEATURES, Observation, World
+from mrsan.world import Observation, World
 
 
 class TorchRLEnv(EnvBase):

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mrsan.features import EGO_FEATURES, OTHER_FEATURES
 from mrsan.kernels.sensing import observe
 from mrsan.kernels.spawn import begin_episodes
 from mrsan.kernels.step import advance
@@ -22,21 +23,6 @@ from mrsan.scenario import Scenario
 Floats = NDArray[np.float32]
 Bools = NDArray[np.bool_]
 Ints = NDArray[np.integer]
-
-EGO_FEATURES = (
-    "goal_x",  # the goal seen from the robot, m
-    "goal_y",
-    "velocity_x",  # own velocity, m/s
-    "velocity_y",
-    "origin_x",  # the origin of the map seen from the robot (its own position), m
-    "origin_y",
-    "heading_cos",  # the heading in the world frame
-    "heading_sin",
-    "radius",  # m
-    "preferred_speed",  # m/s
-    "time",  # share of the time limit used
-)
-OTHER_FEATURES = ("x", "y", "velocity_x", "velocity_y", "radius")  # relative to the robot
 
 
 class ActionError(ValueError):
