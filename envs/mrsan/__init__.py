@@ -11,6 +11,7 @@ import gymnasium
 from mrsan.cases import Split
 from mrsan.features import EGO_FEATURES, OTHER_FEATURES
 from mrsan.metrics import Episodes, Outcome, social_score
+from mrsan.reward import RewardParts
 from mrsan.scenario import ConfigurationError, Crowd, Kinematics, Reward, Scenario
 from mrsan.world import (
     ActionError,
@@ -31,6 +32,7 @@ __all__ = [
     "Observation",
     "Outcome",
     "Reward",
+    "RewardParts",
     "Scenario",
     "Split",
     "State",

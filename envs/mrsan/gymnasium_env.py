@@ -11,15 +11,10 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from mrsan.features import EGO_FEATURES, OTHER_FEATURES
 from mrsan.metrics import Outcome, episodes_of, social_score
 from mrsan.scenario import ConfigurationError, Scenario, overridden
-from mrsan.world import (
-    EGO_FEATURES,
-    OTHER_FEATURES,
-    ActionError,
-    Observation,
-    World,
-)
+from mrsan.world import ActionError, Observation, Step, World
 
 Array = NDArray[Any]
 
@@ -49,6 +44,11 @@ def as_spaces(scenario: Scenario) -> tuple[spaces.Dict, spaces.Box]:
 def robot_observation(observation: Observation, world: int, robot: int) -> dict[str, Array]:
     """What one robot observes, as `as_spaces` describes it."""
     return {key: value[world, robot] for key, value in _arrays(observation).items()}
+
+
+def robot_reward_parts(step: Step, world: int, robot: int) -> NDArray[np.float32]:
+    """What the reward of one robot is the sum of, [5] in the order of `mrsan.RewardParts`."""
+    return np.array([part[world, robot] for part in step.reward_parts], np.float32)
 
 
 def end_info(world: World, index: int, robot: int) -> dict[str, Any]:
@@ -93,7 +93,8 @@ def _single_robot(scenario: Scenario | None, overrides: dict[str, Any]) -> Scena
 class GymnasiumEnv(gymnasium.Env[dict[str, Array], Array]):
     """One robot in one world; `gymnasium.make("mrsan/SocialNavigation-v0", humans=5)`.
 
-    `reset(seed=s)` plays case `s`; without a seed the next episode of it.
+    `reset(seed=s)` plays case `s`; without a seed the next episode of it. The `info` of a step has
+    `arrived` and `reward_parts` [5], in the order of `mrsan.RewardParts`.
     """
 
     metadata = {"render_modes": []}  # noqa: RUF012 (as Gymnasium declares it)
@@ -135,7 +136,10 @@ class GymnasiumEnv(gymnasium.Env[dict[str, Array], Array]):
             )
         step = self.world.step(action[None, None])
         terminated, truncated = bool(step.terminated[0]), bool(step.truncated[0])
-        info: dict[str, Any] = {"arrived": bool(self.world.state.arrived[0, 0])}
+        info: dict[str, Any] = {
+            "arrived": bool(self.world.state.arrived[0, 0]),
+            "reward_parts": robot_reward_parts(step, 0, 0),
+        }
         if terminated or truncated:
             info |= end_info(self.world, 0, 0)
         observation = robot_observation(step.observation, 0, 0)
@@ -225,10 +229,13 @@ class GymnasiumVectorEnv(VectorEnv[dict[str, Array], Array, Array]):
             "arrived": self.world.state.arrived[:, 0].copy(),
             "_arrived": everywhere,
         }
+        parts = np.stack([part[:, 0] for part in step.reward_parts], axis=-1)
+        stepped = everywhere
         if self.autoreset_mode is AutoresetMode.NEXT_STEP and ended_before.any():
             observation = self.world.reset(worlds=ended_before)
             step.terminated[ended_before] = step.truncated[ended_before] = False
             infos["arrived"][ended_before] = False
+            stepped = ~ended_before
             done = done & ~ended_before
         if done.any():
             ending = self._endings(done)
@@ -236,12 +243,19 @@ class GymnasiumVectorEnv(VectorEnv[dict[str, Array], Array, Array]):
                 infos["final_obs"] = np.full(self.num_envs, None, dtype=object)
                 for e in np.flatnonzero(done).tolist():
                     infos["final_obs"][e] = robot_observation(observation, e, 0)
-                final = {"arrived": infos["arrived"] & done, "_arrived": done}
+                final = {
+                    "arrived": infos["arrived"] & done,
+                    "_arrived": done,
+                    "reward_parts": np.where(done[:, None], parts, 0),
+                    "_reward_parts": done,
+                }
+                stepped = ~done
                 infos |= {"_final_obs": done, "final_info": final | ending, "_final_info": done}
                 observation = self.world.reset(worlds=done)
                 infos["arrived"] = infos["arrived"] & ~done
             else:
                 infos |= ending
+        infos |= {"reward_parts": np.where(stepped[:, None], parts, 0), "_reward_parts": stepped}
         reward = step.reward[:, 0].astype(np.float64)
         return self._batch(observation), reward, step.terminated, step.truncated, infos
 

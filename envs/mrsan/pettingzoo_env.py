@@ -9,7 +9,13 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
 
-from mrsan.gymnasium_env import as_spaces, end_info, refuse_rendering, robot_observation
+from mrsan.gymnasium_env import (
+    as_spaces,
+    end_info,
+    refuse_rendering,
+    robot_observation,
+    robot_reward_parts,
+)
 from mrsan.scenario import Scenario, overridden
 from mrsan.world import ActionError, Observation, World
 
@@ -21,7 +27,8 @@ class PettingZooEnv(ParallelEnv[str, dict[str, Array], Array]):
 
     All robots stay until the joint episode ends (a collision, all arrived, the time limit): a
     robot that has arrived parks, its action is ignored and may be left out, and it still shares
-    the team's bonus. `reset(seed=s)` plays case `s`; without a seed the next episode of it.
+    the team's bonus. `reset(seed=s)` plays case `s`; without a seed the next episode of it. The
+    infos of a step have `arrived` and `reward_parts` [5], in the order of `mrsan.RewardParts`.
 
     Example:
         >>> env = PettingZooEnv(humans=5)
@@ -101,7 +108,8 @@ class PettingZooEnv(ParallelEnv[str, dict[str, Array], Array]):
         terminated, truncated = bool(step.terminated[0]), bool(step.truncated[0])
         arrived = self.world.state.arrived[0]
         infos: dict[str, dict[str, Any]] = {
-            agent: {"arrived": bool(arrived[i])} for i, agent in enumerate(agents)
+            agent: {"arrived": bool(arrived[i]), "reward_parts": robot_reward_parts(step, 0, i)}
+            for i, agent in enumerate(agents)
         }
         if terminated or truncated:
             for i, agent in enumerate(agents):

@@ -11,6 +11,7 @@ from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
 from mrsan.features import EGO_FEATURES, OTHER_FEATURES
+from mrsan.reward import RewardParts
 from mrsan.scenario import Scenario, overridden
 from mrsan.world import Observation, World
 
@@ -20,10 +21,12 @@ class TorchRLEnv(EnvBase):
 
     Keys: `("agents", "observation", *)` with `ego` [E, N, 11], `humans` [E, N, M, 5], `robots`
     [E, N, N - 1, 5] and the two visibility masks; `("agents", "driving")` [E, N, 1], False once a
-    robot is parked; `("agents", "action")` [E, N, A]; `("agents", "reward")` [E, N, 1]; `success`
-    [E, 1], all robots have arrived; `done`, `terminated` (a collision, or all arrived) and
-    `truncated` (time limit) [E, 1]. `reset(TensorDict({"case": numbers}, [E]))` plays those cases;
-    without it a world goes on to the next episode of its case. Partial resets use `_reset`.
+    robot is parked; `("agents", "action")` [E, N, A]; `("agents", "reward")` [E, N, 1] and the
+    terms it is the sum of, `("agents", "reward_parts", *)` [E, N, 1] with the names of
+    `mrsan.RewardParts` (observations to TorchRL, so that there is one reward; zero after a reset);
+    `success` [E, 1], all robots have arrived; `done`, `terminated` (a collision, or all arrived)
+    and `truncated` (time limit) [E, 1]. `reset(TensorDict({"case": numbers}, [E]))` plays those
+    cases; without it a world goes on to the next episode of its case. Partial resets use `_reset`.
 
     Example:
         >>> env = TorchRLEnv(Scenario(), worlds=64)
@@ -72,7 +75,10 @@ class TorchRLEnv(EnvBase):
             robots_visible=flags(n, n - 1),
             shape=(e, n),
         )
-        agents = Composite(observation=observation, driving=flags(n, 1), shape=(e, n))
+        parts = Composite({name: floats(1) for name in RewardParts._fields}, shape=(e, n))
+        agents = Composite(
+            observation=observation, driving=flags(n, 1), reward_parts=parts, shape=(e, n)
+        )
         self.observation_spec = Composite(agents=agents, success=flags(1), shape=(e,))
         action = Bounded(
             -1.0, 1.0, (e, n, self.scenario.action_size), dtype=torch.float32, device=self.device
@@ -98,25 +104,33 @@ class TorchRLEnv(EnvBase):
             if (chosen := tensordict.get("case", None)) is not None:
                 cases = chosen.reshape(-1).cpu().numpy()
         observation = self.world.reset(cases=cases, worlds=mask)
-        return self._tensors(observation, self.world.state.terminated, self.world.state.truncated)
+        state = self.world.state
+        nothing = np.zeros((len(RewardParts._fields), *state.arrived.shape), np.float32)
+        return self._tensors(observation, RewardParts(*nothing), state.terminated, state.truncated)
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
         step = self.world.step(tensordict["agents", "action"].detach().cpu().numpy())
-        out = self._tensors(step.observation, step.terminated, step.truncated)
+        out = self._tensors(step.observation, step.reward_parts, step.terminated, step.truncated)
         out["agents", "reward"] = torch.from_numpy(step.reward[..., None]).to(self.device)
         return out
 
     def _tensors(
-        self, observation: Observation, terminated: np.ndarray, truncated: np.ndarray
+        self,
+        observation: Observation,
+        parts: RewardParts,
+        terminated: np.ndarray,
+        truncated: np.ndarray,
     ) -> TensorDict:
         e, n = self.batch_size[0], self.scenario.robots
         arrived = self.world.state.arrived
+        paid = {name: torch.from_numpy(part[..., None]) for name, part in parts._asdict().items()}
         seen = {key: torch.from_numpy(value) for key, value in observation._asdict().items()}
         out = TensorDict(
             {
                 "agents": TensorDict(
                     {
                         "observation": TensorDict(seen, [e, n]),
+                        "reward_parts": TensorDict(paid, [e, n]),
                         "driving": torch.from_numpy(~arrived[..., None]),
                     },
                     [e, n],

@@ -18,6 +18,7 @@ from mrsan.kernels.sensing import observe
 from mrsan.kernels.spawn import begin_episodes
 from mrsan.kernels.step import advance
 from mrsan.metrics import Episodes, episodes_of
+from mrsan.reward import RewardParts
 from mrsan.scenario import Scenario
 
 Floats = NDArray[np.float32]
@@ -90,6 +91,7 @@ class Step(NamedTuple):
 
     observation: Observation
     reward: Floats  # [E, N]
+    reward_parts: RewardParts  # what it is the sum of
     terminated: Bools  # [E]
     truncated: Bools  # [E]
     # With auto-reset, of the worlds that ended in this step, in order (None if there are none):
@@ -192,17 +194,19 @@ class World:
             raise RuntimeError(f"world {number} has not been reset; call reset() before step()")
         action = self._checked(actions)
         reward = np.empty(action.shape[:2], np.float32)
-        advance(self.worlds, state, action, self._parameters, reward)
+        terms = np.empty((len(RewardParts._fields), *reward.shape), np.float32)
+        advance(self.worlds, state, action, self._parameters, reward, terms)
+        parts = RewardParts(*terms)
         observation = self.observe()
         terminated, truncated = state.terminated.copy(), state.truncated.copy()
         done = terminated | truncated
         if not (self.auto_reset and done.any()):
-            return Step(observation, reward, terminated, truncated, None, None)
+            return Step(observation, reward, parts, terminated, truncated, None, None)
         final, finished = observation.of_worlds(done), episodes_of(state, self.scenario, done)
         state.episode[done] += 1
         begin_episodes(self.worlds, done, state, self._parameters)
         observe(self.worlds, done, state, self._parameters, *observation)
-        return Step(observation, reward, terminated, truncated, final, finished)
+        return Step(observation, reward, parts, terminated, truncated, final, finished)
 
     def _checked(self, actions: ArrayLike) -> Floats:
         try:

@@ -67,6 +67,10 @@ def test_all_faces_play_a_case_alike(scenario: Scenario) -> None:
         expected = step.observation
         td = batch.step(td.set(("agents", "action"), torch.from_numpy(actions[t])))["next"]
         np.testing.assert_array_equal(td["agents", "reward"][..., 0].numpy(), step.reward)
+        for name, part in step.reward_parts._asdict().items():
+            found = td["agents", "reward_parts", name]
+            np.testing.assert_array_equal(found[..., 0].numpy(), part)
+        parts = np.stack(step.reward_parts, -1)
         np.testing.assert_array_equal(td["terminated"][:, 0].numpy(), step.terminated)
         np.testing.assert_array_equal(td["truncated"][:, 0].numpy(), step.truncated)
         arrived = world.state.arrived
@@ -81,9 +85,12 @@ def test_all_faces_play_a_case_alike(scenario: Scenario) -> None:
             assert set(terminated.values()) == {bool(step.terminated[e])}
             assert set(truncated.values()) == {bool(step.truncated[e])}
             assert [info["arrived"] for info in infos.values()] == arrived[e].tolist()
+            for i, info in enumerate(infos.values()):
+                np.testing.assert_array_equal(info["reward_parts"], parts[e, i])
         for e, env in enumerate(gyms):
-            single[e], reward, terminated, truncated, _ = env.step(actions[t, e, 0])
+            single[e], reward, terminated, truncated, info = env.step(actions[t, e, 0])
             assert reward == step.reward[e, 0]
+            np.testing.assert_array_equal(info["reward_parts"], parts[e, 0])
             assert (terminated, truncated) == (step.terminated[e], step.truncated[e])
 
 
@@ -116,6 +123,16 @@ def test_torchrl_resets_only_the_worlds_it_is_told_to() -> None:
     chosen = TensorDict({"case": torch.tensor([0, 77, 0, 0])}, [4])
     env.reset(chosen.set("_reset", torch.tensor([[False], [True], [False], [False]])))
     assert env.world.state.case.tolist() == [20, 77, 22, 23]
+
+
+def test_torchrl_has_one_reward_and_its_parts() -> None:
+    env = TorchRLEnv(robots=2, humans=3, worlds=3, seed=0)
+    assert env.reward_keys == [("agents", "reward")]
+    td = env.rollout(20, break_when_any_done=False)
+    parts = td["next", "agents", "reward_parts"]
+    assert torch.equal(sum(parts.values()), td["next", "agents", "reward"])
+    assert parts["progress"].any()
+    assert not any(part[:, 0].any() for part in td["agents", "reward_parts"].values())
 
 
 def test_torchrl_keeps_the_truth_at_the_end_of_a_rollout() -> None:

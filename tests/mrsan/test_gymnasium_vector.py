@@ -40,7 +40,9 @@ def test_step_by_step_like_a_vector_of_single_environments(mode: AutoresetMode) 
         np.testing.assert_array_equal(reward, reward2)
         np.testing.assert_array_equal(terminated, terminated2)
         np.testing.assert_array_equal(truncated, truncated2)
-        np.testing.assert_array_equal(info["arrived"], info2["arrived"])
+        for key in ("arrived", "_arrived", "reward_parts", "_reward_parts"):
+            assert (key in info) == (key in info2)
+            np.testing.assert_array_equal(info.get(key), info2.get(key), err_msg=key)
         done = terminated | truncated
         ends += int(done.sum())
         if done.any() and mode is AutoresetMode.SAME_STEP:

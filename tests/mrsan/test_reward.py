@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from staging import stage
 
-from mrsan import Outcome, Reward, Scenario, World
+from mrsan import Outcome, Reward, RewardParts, Scenario, World
 
 COAST = [0.0, 0.0, 0.0]
 BRAKE = [-1.0, 0.0, 0.0]
@@ -21,6 +21,15 @@ LITERAL = Reward(literal=True)
 
 def rewards(world: World, *actions: list[float]) -> list[float]:
     return [round(float(r), 4) for r in world.step([list(actions)]).reward[0]]
+
+
+def parts(world: World, *actions: list[float]) -> list[dict[str, float]]:
+    """What is paid to each robot for what; only what is not zero."""
+    paid = world.step([list(actions)]).reward_parts
+    return [
+        {name: round(float(part[0, i]), 4) for name, part in paid._asdict().items() if part[0, i]}
+        for i in range(len(actions))
+    ]
 
 
 def test_progress_pays_twice_the_decrease_of_the_distance() -> None:
@@ -125,6 +134,55 @@ def test_a_robot_parks_by_braking() -> None:
     world.step([[[1, 1, 1], COAST]])
     np.testing.assert_allclose(world.state.robot_position[0, 0], [0.375, 0], atol=1e-6)
     assert world.state.robot_heading[0, 0] == 0
+
+
+@pytest.mark.parametrize("literal", [False, True])
+def test_what_a_step_is_paid_for(literal: bool) -> None:
+    reward, beside = Reward(literal=literal), (0, 5, 0, 1, 4, 5)
+    drives = {"progress": 0.5}
+    assert parts(stage([DRIVER], reward=reward), COAST) == [drives]
+    near = stage([DRIVER], [(0.25 + 0.6 + 0.4, 0, 0, 0)], reward=reward)
+    assert parts(near, COAST) == [{"discomfort": -2.5}]  # -1 / 0.4
+    crash = stage([DRIVER, beside], [(0.5, 0, 0, 0)], reward=reward)
+    assert parts(crash, COAST, COAST) == [{"collision": -20}, drives]
+    assert parts(stage([FINISHER, beside], reward=reward), COAST, COAST) == [
+        {"arrival": 10},
+        drives,
+    ]
+    parked = stage([(0, 5, 0, 0, 0, 5), DRIVER], arrived=[0], reward=reward)
+    assert parts(parked, COAST, COAST) == [{}, drives]
+
+
+@pytest.mark.parametrize(
+    ("reward", "last"), [(Reward(), {"arrival": 10, "team": 5}), (LITERAL, {"team": 5})]
+)
+def test_every_robot_gets_the_teams_bonus_when_the_last_arrives(
+    reward: Reward, last: dict[str, float]
+) -> None:
+    """In Eq. 10 it is of all robots, also of those that have been parked for long."""
+    parked = [(0, 5, 0, 0, 0, 5), (0, -5, 0, 0, 0, -5)]
+    world = stage([parked[0], FINISHER, parked[1]], arrived=[0, 2], reward=reward)
+    assert parts(world, COAST, COAST, COAST) == [{"team": 5}, last, {"team": 5}]
+    assert parts(world, COAST, COAST, COAST) == [{}, {}, {}]  # the episode is over
+
+
+@pytest.mark.parametrize("reward", [Reward(), LITERAL, Reward(arrival=3.3, team=0.7, progress=-1)])
+def test_the_parts_add_up_to_the_reward_exactly(reward: Reward) -> None:
+    """Robots that drive to their goals, and one in four at random; every part comes up."""
+    rng, worlds = np.random.default_rng(0), 200
+    scenario = Scenario(robots=2, humans=4, circle_radius=3.0, goal_distance=2.0, reward=reward)
+    world = World(scenario, worlds, auto_reset=True)
+    observation, paid = world.reset(np.arange(worlds)), np.zeros(len(RewardParts._fields), bool)
+    for _ in range(80):
+        bearing = np.arctan2(observation.ego[..., 1], observation.ego[..., 0])
+        action = np.stack([np.full_like(bearing, 0.2), 0 * bearing, np.clip(bearing, -1, 1)], -1)
+        action[::4] = rng.uniform(-1, 1, action[::4].shape)
+        step = world.step(action)
+        observation = step.observation
+        assert all(p.dtype == np.float32 and p.shape == (worlds, 2) for p in step.reward_parts)
+        np.testing.assert_array_equal(sum(step.reward_parts), step.reward)
+        paid |= np.any(step.reward_parts, axis=(1, 2))
+    assert paid.all()
 
 
 def test_every_weight_is_configurable() -> None:

@@ -11,7 +11,7 @@ from mrsan.kernels.kinematics import brake, next_velocity
 from mrsan.kernels.orca import orca_velocity
 from mrsan.kernels.social_force import social_force_velocity
 from mrsan.kernels.spawn import draw_goal
-from mrsan.reward import step_reward
+from mrsan.reward import step_reward_parts
 
 ORCA = 0
 SOCIAL_FORCE = 1
@@ -28,7 +28,7 @@ _FAR = np.float32(np.inf)
 
 
 @kernel
-def advance(chunks, state, action, p, reward):
+def advance(chunks, state, action, p, reward, parts):
     """Move every world that has not ended by one time step, in place.
 
     Args:
@@ -37,6 +37,7 @@ def advance(chunks, state, action, p, reward):
         action: [E, N, A] in [-1, 1].
         p: the scenario's parameters.
         reward: [E, N], written; zero in worlds that had ended.
+        parts: [5, E, N], written: its terms in the order of `RewardParts`.
     """
     total, robots = reward.shape
     people = state.human_radius.shape[1]
@@ -51,12 +52,13 @@ def advance(chunks, state, action, p, reward):
         for e in range(chunk * total // chunks, (chunk + 1) * total // chunks):
             if state.terminated[e] or state.truncated[e]:
                 reward[e, :] = _ZERO
+                parts[:, e, :] = _ZERO
                 continue
             _choose_human_velocities(state, e, p, agents, chosen, neighbors, lines, projected)
             _move_robots(state, e, action, p, moved)
             _move_humans(state, e, chosen, p)
             _find_contacts(state, e, p, moved, gap)
-            _settle(state, e, p, moved, gap, reward)
+            _settle(state, e, p, moved, gap, reward, parts)
 
 
 @function
@@ -207,7 +209,7 @@ def _find_contacts(state, e, p, moved, gap):
 
 
 @function
-def _settle(state, e, p, moved, gap, reward):
+def _settle(state, e, p, moved, gap, reward, parts):
     """Arrival, the end of the episode, and the reward of the step that led here."""
     position, goal = state.robot_position, state.robot_goal
     arrived, collision = state.arrived, state.collision
@@ -230,7 +232,12 @@ def _settle(state, e, p, moved, gap, reward):
         dx, dy = dx + moved[i, 0], dy + moved[i, 1]
         progress = math.sqrt(dx * dx + dy * dy) - distance
         reached = driving and not hit and distance < p.robot_radius
-        reward[e, i] = step_reward(hit, reached, team_arrived, driving, gap[i], progress, p)
+        nearer, arrival, team, crash, discomfort = step_reward_parts(
+            hit, reached, team_arrived, driving, gap[i], progress, p
+        )
+        parts[0, e, i], parts[1, e, i], parts[2, e, i] = nearer, arrival, team
+        parts[3, e, i], parts[4, e, i] = crash, discomfort
+        reward[e, i] = nearer + arrival + team + crash + discomfort
         arrived[e, i] = arrived[e, i] or reached
     state.terminated[e] = collided or all_arrived
     state.truncated[e] = not state.terminated[e] and state.clock[e] >= p.time_limit_steps
