@@ -141,9 +141,7 @@ class World:
         Returns:
             The observation of all worlds.
         """
-        mask = np.ones(self.worlds, np.bool_) if worlds is None else np.asarray(worlds)
-        if mask.shape != (self.worlds,) or mask.dtype != np.bool_:
-            raise ValueError(f"worlds is {worlds!r}; it must be {self.worlds} booleans")
+        mask = self._mask(worlds)
         if cases is not None:
             numbers = np.asarray(cases)
             if numbers.shape != (self.worlds,) or not np.issubdtype(numbers.dtype, np.integer):
@@ -158,6 +156,43 @@ class World:
             self.state.episode[mask] += 1
         begin_episodes(self.worlds, mask, self.state, self._parameters)
         return self.observe()
+
+    def snapshot(self) -> State:
+        """The whole state of all worlds, copied: what `restore` goes back to.
+
+        Random numbers are drawn from the case, episode and step, so nothing else is to be kept.
+        """
+        return State._make(array.copy() for array in self.state)
+
+    def restore(self, snapshot: State, worlds: ArrayLike | None = None) -> None:
+        """Put worlds back into the state they had; the same actions then lead to the same bits.
+
+        `observe()` gives what the robots see there.
+
+        Args:
+            snapshot: the state of E worlds, of this or of another `World` of the same shapes; it
+                is copied and may be restored again.
+            worlds: [E] bool, which worlds. None: all.
+
+        Raises:
+            TypeError: it is not a `State`.
+            ValueError: an array has another shape or type, or worlds are not E booleans.
+        """
+        mask = self._mask(worlds)
+        if not isinstance(snapshot, State):
+            raise TypeError(f"snapshot is a {type(snapshot).__name__}; it must be a State")
+        pairs = list(zip(State._fields, self.state, snapshot, strict=True))
+        for name, mine, kept in pairs:  # nothing is written before everything fits
+            if np.shape(kept) != mine.shape:
+                raise ValueError(
+                    f"snapshot.{name} has shape {np.shape(kept)}; it must have {mine.shape}"
+                )
+            if np.asarray(kept).dtype != mine.dtype:
+                raise ValueError(
+                    f"snapshot.{name} is of {np.asarray(kept).dtype}; it must be of {mine.dtype}"
+                )
+        for _, mine, kept in pairs:
+            mine[mask] = kept[mask]
 
     def observe(self, all_seeing: bool = False) -> Observation:
         """What every robot sees now, in fresh arrays.
@@ -207,6 +242,12 @@ class World:
         begin_episodes(self.worlds, done, state, self._parameters)
         observe(self.worlds, done, state, self._parameters, *observation)
         return Step(observation, reward, parts, terminated, truncated, final, finished)
+
+    def _mask(self, worlds: ArrayLike | None) -> Bools:
+        mask = np.ones(self.worlds, np.bool_) if worlds is None else np.asarray(worlds)
+        if mask.shape != (self.worlds,) or mask.dtype != np.bool_:
+            raise ValueError(f"worlds is {worlds!r}; it must be {self.worlds} booleans")
+        return mask
 
     def _checked(self, actions: ArrayLike) -> Floats:
         try:

@@ -1,0 +1,114 @@
+"""Going back: a restored world is the world it was, to the last bit."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mrsan import Scenario, Step, World
+
+E, STEPS = 24, 60
+SCENARIO = Scenario(
+    robots=2, humans=6, humans_min=2, time_limit=8.0, fov_degrees=120.0, occlusion=True,
+    position_noise=0.1, missed_detection=0.1, robots_visible=True, goal_change_interval=1.0,
+)  # fmt: skip
+ACTIONS = np.random.default_rng(0).uniform(-1, 1, (STEPS, E, 2, 3)).astype(np.float32)
+SOME = np.arange(E) % 3 == 0
+
+
+def bits(values: Any) -> list[bytes]:
+    """The bytes of all arrays of a tuple, of tuples in it as well."""
+    if isinstance(values, tuple):
+        return [part for value in values for part in bits(value)]
+    return [b"" if values is None else np.ascontiguousarray(values).tobytes()]
+
+
+def begun(auto_reset: bool = True) -> World:
+    world = World(SCENARIO, E, auto_reset)
+    world.reset(np.arange(E))
+    for action in ACTIONS[:10]:
+        world.step(action)
+    return world
+
+
+def go_on(world: World) -> list[Step]:
+    return [world.step(action) for action in ACTIONS]
+
+
+@pytest.mark.parametrize("auto_reset", [True, False])
+def test_the_same_actions_lead_to_the_same_bits(auto_reset: bool) -> None:
+    """Eight seconds are 32 steps: every world ends on the way, and most begin again."""
+    world = begun(auto_reset)
+    past, seen = world.snapshot(), bits(world.observe())
+    first, state = go_on(world), bits(world.state)
+    assert any((step.terminated | step.truncated).any() for step in first)
+    assert bits(world.state) != bits(past)
+    for again in (world, begun(auto_reset), World(SCENARIO, E, auto_reset)):
+        again.restore(past)
+        assert bits(again.observe()) == seen
+        assert [bits(step) for step in go_on(again)] == [bits(step) for step in first]
+        assert bits(again.state) == state
+
+
+def test_only_the_chosen_worlds_go_back() -> None:
+    """Each then is where it was, and where it is, as if it were alone."""
+    world = begun()
+    past = world.snapshot()
+    go_on(world)
+    present = world.snapshot()
+    world.restore(past, worlds=SOME)
+    for then, now, mixed in zip(past, present, world.state, strict=True):
+        np.testing.assert_array_equal(
+            mixed, np.where(SOME.reshape(-1, *[1] * (then.ndim - 1)), then, now)
+        )
+    later = go_on(world)
+    alone = begun()
+    for some, start in ((SOME, past), (~SOME, present)):
+        alone.restore(start)
+        for mine, theirs in zip(go_on(alone), later, strict=True):
+            assert bits(mine.observation.of_worlds(some)) == bits(
+                theirs.observation.of_worlds(some)
+            )
+            np.testing.assert_array_equal(mine.reward[some], theirs.reward[some])
+
+
+def test_a_snapshot_is_a_copy_and_so_is_what_is_restored() -> None:
+    world = begun()
+    past = world.snapshot()
+    kept = bits(past)
+    go_on(world)
+    assert bits(past) == kept
+    world.restore(past)
+    go_on(world)
+    assert bits(past) == kept
+
+
+def test_an_ended_world_can_be_taken_back_before_its_end() -> None:
+    world = begun(auto_reset=False)
+    past = world.snapshot()
+    go_on(world)
+    assert world.state.done.all()
+    world.restore(past)
+    assert not world.state.truncated.any()
+    world.step(ACTIONS[0])
+    assert (world.state.clock == past.clock + ~past.done).all()
+
+
+def test_what_does_not_fit_is_refused_and_nothing_is_written() -> None:
+    world = begun()
+    before = bits(world.state)
+    past = World(SCENARIO, E).snapshot()
+    for snapshot, worlds, error, message in (
+        (World(SCENARIO, 2).snapshot(), None, ValueError,
+         r"snapshot.case has shape \(2,\); it must have \(24,\)"),
+        (past._replace(jerk_sum=past.jerk_sum[:, :1]), None, ValueError,
+         r"snapshot.jerk_sum has shape \(24, 1\); it must have \(24, 2\)"),
+        (past._replace(clock=past.clock.astype(float)), None, ValueError,
+         "snapshot.clock is of float64; it must be of int32"),
+        (past, [True] * 3, ValueError, "it must be 24 booleans"),
+        (past._asdict(), None, TypeError, "snapshot is a dict; it must be a State"),
+    ):  # fmt: skip
+        with pytest.raises(error, match=message) as caught:
+            world.restore(snapshot, worlds)  # type: ignore[arg-type]
+        assert len(str(caught.value).splitlines()) == 1
+        assert bits(world.state) == before
