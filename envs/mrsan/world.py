@@ -39,7 +39,7 @@ class State(NamedTuple):
     clock: NDArray[np.int32]  # [E] steps taken
     terminated: Bools  # [E] somebody collided, or all have arrived
     truncated: Bools  # [E] the time limit was reached
-    human_count: NDArray[np.int32]  # [E] humans present; the rest of the slots are unused
+    human_present: Bools  # [E, M] a slot is one person for the whole episode, there or not
     human_position: Floats  # [E, M, 2]
     human_velocity: Floats  # [E, M, 2]
     human_goal: Floats  # [E, M, 2]
@@ -181,18 +181,16 @@ class World:
         mask = self._mask(worlds)
         if not isinstance(snapshot, State):
             raise TypeError(f"snapshot is a {type(snapshot).__name__}; it must be a State")
-        pairs = list(zip(State._fields, self.state, snapshot, strict=True))
-        for name, mine, kept in pairs:  # nothing is written before everything fits
-            if np.shape(kept) != mine.shape:
+        for name, mine in self.state._asdict().items():  # before anything is written
+            kept = np.asarray(getattr(snapshot, name))
+            if kept.shape != mine.shape:
                 raise ValueError(
-                    f"snapshot.{name} has shape {np.shape(kept)}; it must have {mine.shape}"
+                    f"snapshot.{name} has shape {kept.shape}; it must have {mine.shape}"
                 )
-            if np.asarray(kept).dtype != mine.dtype:
-                raise ValueError(
-                    f"snapshot.{name} is of {np.asarray(kept).dtype}; it must be of {mine.dtype}"
-                )
-        for _, mine, kept in pairs:
-            mine[mask] = kept[mask]
+            if kept.dtype != mine.dtype:
+                raise ValueError(f"snapshot.{name} is of {kept.dtype}; it must be of {mine.dtype}")
+        for name, mine in self.state._asdict().items():
+            mine[mask] = getattr(snapshot, name)[mask]
 
     def observe(self, all_seeing: bool = False) -> Observation:
         """What every robot sees now, in fresh arrays.
@@ -288,7 +286,7 @@ def _empty_state(e: int, n: int, m: int) -> State:
         clock=np.zeros(e, np.int32),
         terminated=np.zeros(e, np.bool_),
         truncated=np.zeros(e, np.bool_),
-        human_count=np.zeros(e, np.int32),
+        human_present=np.zeros((e, m), np.bool_),
         human_position=np.zeros((e, m, 2), f),
         human_velocity=np.zeros((e, m, 2), f),
         human_goal=np.zeros((e, m, 2), f),

@@ -27,8 +27,9 @@ class Recording:
     robot_position: Floats  # [T + 1, N, 2]
     robot_heading: Floats  # [T + 1, N]
     robot_goal: Floats  # [N, 2]
-    human_position: Floats  # [T + 1, M, 2], those present
+    human_position: Floats  # [T + 1, M, 2], those who were ever present
     human_radius: Floats  # [M]
+    human_present: Bools  # [T + 1, M]
     driving: Bools  # [T + 1, N] not yet arrived
     humans_seen: Bools  # [T + 1, N, M]
     robots_seen: Bools  # [T + 1, N, N]
@@ -44,16 +45,16 @@ def record_episode(agent: Agent, scenario: Scenario, case: int) -> Recording:
     observation = world.reset([case])
     agent.reset(np.ones(1, np.bool_))
     state = world.state
-    present = int(state.human_count[0])
-    frames, thoughts = [_frame(state, observation, present)], []
+    frames, thoughts = [_frame(state, observation)], []
     while not state.done[0]:
         action = agent.act(observation)
         thoughts.append(agent.explain() or Explanation(None, None, None))
         observation = world.step(action).observation
-        frames.append(_frame(state, observation, present))
-    position, heading, humans, driving, humans_seen, robots_seen = (
+        frames.append(_frame(state, observation))
+    position, heading, humans, present, driving, humans_seen, robots_seen = (
         np.stack(part) for part in zip(*frames, strict=True)
     )
+    met = present.any(0)
     waypoint, human_attention, robot_attention = (
         None if part[0] is None else np.concatenate(part) for part in zip(*thoughts, strict=True)
     )
@@ -63,25 +64,27 @@ def record_episode(agent: Agent, scenario: Scenario, case: int) -> Recording:
         robot_position=position,
         robot_heading=heading,
         robot_goal=state.robot_goal[0].copy(),
-        human_position=humans,
-        human_radius=state.human_radius[0, :present].copy(),
+        human_position=humans[:, met],
+        human_radius=state.human_radius[0, met],
+        human_present=present[:, met],
         driving=driving,
-        humans_seen=humans_seen,
+        humans_seen=humans_seen[..., met],
         robots_seen=_of_all(robots_seen),
         waypoint=waypoint,
-        human_attention=None if human_attention is None else human_attention[..., :present],
+        human_attention=None if human_attention is None else human_attention[..., met],
         robot_attention=None if robot_attention is None else _of_all(robot_attention),
         episodes=episodes_of(state, scenario, np.ones(1, np.bool_)),
     )
 
 
-def _frame(state: State, observation: Observation, present: int) -> tuple[NDArray, ...]:
+def _frame(state: State, observation: Observation) -> tuple[NDArray, ...]:
     return (
         state.robot_position[0].copy(),
         state.robot_heading[0].copy(),
-        state.human_position[0, :present].copy(),
+        state.human_position[0].copy(),
+        state.human_present[0].copy(),
         ~state.arrived[0],
-        observation.humans_visible[0, :, :present],
+        observation.humans_visible[0],
         observation.robots_visible[0],
     )
 

@@ -131,7 +131,7 @@ def _draw_stage(axes: Axes, recording: Recording, title: str) -> None:
     everything = np.concatenate(
         [
             recording.robot_position.reshape(-1, 2),
-            recording.human_position.reshape(-1, 2),
+            recording.human_position[recording.human_present],
             recording.robot_goal,
         ]
     )
@@ -152,7 +152,8 @@ def _draw_state(axes: Axes, recording: Recording, t: int) -> list[Artist]:
         drawn.append(axes.add_patch(Circle((centre[0], centre[1]), radius, **look)))
 
     zone = scenario.reward.discomfort_distance
-    for j, human in enumerate(recording.human_position[t]):
+    for j in np.flatnonzero(recording.human_present[t]):
+        human = recording.human_position[t, j]
         radius = float(recording.human_radius[j])
         disc(human, radius + zone, color=MUTED, alpha=0.1, linewidth=0)
         disc(human, radius, facecolor=MUTED if seen[j] else "white", edgecolor=MUTED, zorder=2)

@@ -15,7 +15,8 @@ def as_replay(recording: Recording) -> dict[str, Any]:
     """What the viewer needs of an episode, ready for JSON.
 
     Positions are in cm and headings in degrees, the first and then the changes from step to step.
-    What is seen is the steps at which it comes into view, goes out of view, and so on.
+    What is seen is the steps at which it comes into view, goes out of view, and so on; who is
+    there, the steps at which each human comes, goes, and so on.
     """
     scenario, episodes = recording.scenario, recording.episodes
     return {
@@ -29,6 +30,7 @@ def as_replay(recording: Recording) -> dict[str, Any]:
         "robots": _points(recording.robot_position),
         "headings": _changes(np.degrees(np.unwrap(recording.robot_heading, axis=0))),
         "humans": _points(recording.human_position),
+        "humansPresent": _switches(recording.human_present[:, None])[0],
         "humansSeen": _switches(recording.humans_seen),
         "robotsSeen": _switches(recording.robots_seen),
         "waypoints": None if recording.waypoint is None else _points(recording.waypoint),

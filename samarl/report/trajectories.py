@@ -62,14 +62,18 @@ def draw_trajectories(axes: Axes, recording: Recording, title: str) -> None:
 
 
 def _draw_human(axes: Axes, recording: Recording, j: int, every: int) -> None:
-    path = recording.human_position[:, j]
+    path, present = recording.human_position[:, j], recording.human_present[:, j]
     last = len(path) - 1
-    segments = np.stack([path[:-1], path[1:]], axis=1)
+    walked = present[:-1] & present[1:]
+    segments = np.stack([path[:-1], path[1:]], axis=1)[walked]
     shades = LineCollection(list(segments), cmap=_HUMAN_SHADES, linewidths=1.2, zorder=1)
-    shades.set_array(np.arange(last))
+    shades.set_array(np.arange(last)[walked])
+    shades.set_clim(0, last)
     axes.add_collection(shades)
     radius = float(recording.human_radius[j])
     for t in sorted({*range(0, last, every), last}):
+        if not present[t]:
+            continue
         shade = _HUMAN_SHADES(t / max(last, 1))
         axes.add_patch(
             Circle(tuple(path[t]), radius, facecolor=shade if t == last else "none",

@@ -93,5 +93,5 @@ class Crowd:
         state.robot_velocity[chosen] = scenario.robot_speed * ahead[chosen]
         steps = (done * way).mean(1) * radius / (scenario.robot_speed * scenario.time_step)
         state.clock[chosen] = steps[chosen]
-        for name in ("count", "position", "velocity", "goal", "radius", "speed"):
+        for name in ("present", "position", "velocity", "goal", "radius", "speed"):
             getattr(state, f"human_{name}")[chosen] = getattr(crowd, f"human_{name}")[chosen]

@@ -184,24 +184,28 @@ def orca(
 
 
 def human_velocities(s: dict[str, Any], goal: np.ndarray, scenario: Scenario) -> np.ndarray:
-    """What the humans of snapshot `s` choose, given the goals they have in this step."""
-    m = int(s["human_count"])
+    """What the humans of snapshot `s` choose, given the goals they have in this step, [M, 2].
+
+    Who is not present keeps the velocity that is written down.
+    """
+    here = np.flatnonzero(s["human_present"])
     radius = s["human_radius"] + scenario.human_safety_space
-    agents = np.column_stack([s["human_position"], s["human_velocity"], radius])[:m]
+    agents = np.column_stack([s["human_position"], s["human_velocity"], radius])[here]
     if scenario.robots_visible:
         n = len(s["robot_heading"])
         reach = np.full(n, scenario.robot_radius + scenario.human_safety_space)
         agents = np.vstack(
             [agents, np.column_stack([s["robot_position"], s["robot_velocity"], reach])]
         )
-    chosen = np.zeros((m, 2))
-    for j in range(m if scenario.crowd is not Crowd.still else 0):
-        to_goal = goal[j] - agents[j, :2]
+    chosen = s["human_velocity"].copy()
+    chosen[here] = 0.0
+    for row, j in enumerate(here if scenario.crowd is not Crowd.still else []):
+        to_goal = goal[j] - agents[row, :2]
         preferred = s["human_speed"][j] * to_goal / np.hypot(*to_goal)
         if scenario.crowd is Crowd.orca:
             chosen[j] = orca(
                 agents,
-                j,
+                row,
                 preferred,
                 s["human_speed"][j],
                 scenario.neighbor_distance,
@@ -210,7 +214,7 @@ def human_velocities(s: dict[str, Any], goal: np.ndarray, scenario: Scenario) ->
                 scenario.time_step,
             )
         else:
-            chosen[j] = social_force(agents, j, preferred, s["human_speed"][j], scenario)
+            chosen[j] = social_force(agents, row, preferred, s["human_speed"][j], scenario)
     return chosen
 
 
@@ -288,9 +292,9 @@ def step(s: dict[str, Any], goal: np.ndarray, actions: np.ndarray, scenario: Sce
         scenario: the task.
     """
     margin = Margin()
-    dt, n, m = scenario.time_step, len(s["robot_heading"]), int(s["human_count"])
-    velocity = human_velocities(s, goal, scenario)
-    humans = s["human_position"][:m] + velocity * dt
+    dt, n, here = scenario.time_step, len(s["robot_heading"]), np.flatnonzero(s["human_present"])
+    velocity, humans = human_velocities(s, goal, scenario), s["human_position"].copy()
+    humans[here] += velocity[here] * dt
     robots, robot_velocity, headings = (
         s["robot_position"].copy(),
         s["robot_velocity"].copy(),
@@ -320,7 +324,7 @@ def step(s: dict[str, Any], goal: np.ndarray, actions: np.ndarray, scenario: Sce
     for i in range(n):
         if s["arrived"][i]:
             continue
-        for j in range(m):
+        for j in here:
             radii = s["human_radius"][j] + scenario.robot_radius
             before = s["human_position"][j] - s["robot_position"][i]
             after = humans[j] - robots[i]
@@ -393,7 +397,9 @@ def _reward(
 def observe(s: dict[str, Any], scenario: Scenario) -> tuple[dict[str, np.ndarray], Margin]:
     """What every robot of snapshot `s` knows, by field of `mrsan.Observation`."""
     margin = Margin()
-    n, slots, m = len(s["robot_heading"]), len(s["human_radius"]), int(s["human_count"])
+    n, slots = len(s["robot_heading"]), len(s["human_radius"])
+    present = np.flatnonzero(s["human_present"])
+    m = len(present)
     out = {
         "ego": np.zeros((n, 11)),
         "humans": np.zeros((n, slots, 5)),
@@ -402,7 +408,7 @@ def observe(s: dict[str, Any], scenario: Scenario) -> tuple[dict[str, np.ndarray
         "robots_visible": np.zeros((n, n - 1), bool),
     }
     discs = [
-        (s["human_position"][j], s["human_velocity"][j], s["human_radius"][j]) for j in range(m)
+        (s["human_position"][j], s["human_velocity"][j], s["human_radius"][j]) for j in present
     ]
     discs += [
         (s["robot_position"][k], s["robot_velocity"][k], scenario.robot_radius) for k in range(n)
@@ -426,7 +432,7 @@ def observe(s: dict[str, Any], scenario: Scenario) -> tuple[dict[str, np.ndarray
             if not _sees(here, heading, position, others, scenario, margin):
                 continue
             row = [*_rotate(position - here, -heading), *_rotate(velocity - own, -heading), radius]
-            kind, slot = ("humans", j) if j < m else ("robots", j - m - (j - m > i))
+            kind, slot = ("humans", present[j]) if j < m else ("robots", j - m - (j - m > i))
             out[kind][i, slot] = row
             out[f"{kind}_visible"][i, slot] = True
     return out, margin

@@ -72,13 +72,13 @@ def test_goals_speeds_and_headings_of_others_are_private() -> None:
 def test_slots_of_absent_humans_are_empty() -> None:
     world = World(Scenario(robots=1, humans=6, sensing_range=20.0), WORLDS)
     world.reset(np.arange(WORLDS))
-    world.state.human_count[:] = 2
+    here = np.array([False, True, False, True, True, False])
+    world.state.human_present[:] = here
     observation = world.observe()
-    assert observation.humans_visible[:, 0, :2].all()
-    assert not observation.humans_visible[:, 0, 2:].any()
-    assert not observation.humans[:, 0, 2:].any()
+    assert (observation.humans_visible[:, 0] == here).all()
+    assert not observation.humans[:, 0, ~here].any()
     expected = bits_of_robot(observation, 0)
-    world.state.human_position[:, 2:] = 0.5
+    world.state.human_position[:, ~here] = 0.5
     assert bits_of_robot(world.observe(), 0) == expected
 
 

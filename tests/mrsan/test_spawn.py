@@ -32,7 +32,7 @@ def test_starts_keep_their_clearances(robots: int, humans: int) -> None:
         human_speed_max=1.5,
     )  # fmt: skip
     s = world.state
-    assert (s.human_count == humans).all()
+    assert s.human_present.all()
     r = np.full(robots, 0.3)
     for e in range(30):
         start, goal, people, h = (
@@ -85,7 +85,9 @@ def test_radius_and_speed_of_people_are_uniform() -> None:
 
 
 def test_the_number_of_people_is_uniform_from_humans_min() -> None:
-    count = begun(6000, humans=5, humans_min=2).state.human_count
+    present = begun(6000, humans=5, humans_min=2).state.human_present
+    count = present.sum(1)
+    assert (present == (np.arange(5) < count[:, None])).all()  # the first slots
     assert set(count.tolist()) == {2, 3, 4, 5}
     spread = FIVE_SIGMA * np.sqrt(6000 * 0.25 * 0.75)
     assert (np.abs(np.bincount(count)[2:] - 1500) < spread).all()

@@ -1,23 +1,27 @@
 """What a recording says of an episode, and the pictures made of it."""
 
 import sys
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import imageio_ffmpeg
 import numpy as np
 import pytest
 import torch
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle
 from PIL import Image
 
-from mrsan import ConfigurationError, Scenario, World
-from samarl.agents import build_agent
+from mrsan import ConfigurationError, Observation, Scenario, World
+from samarl.agents import Agent, build_agent
 from samarl.agents.learned import Deployed
 from samarl.encoders.spatio_temporal import Pool
 from samarl.evaluation.recording import record_episode
 from samarl.policies.checkpoint import save_policy
 from samarl.policies.hierarchical import Architecture, HierarchicalPolicy
-from samarl.report.animation import save_animation
+from samarl.report.animation import _draw_state, save_animation
+from samarl.report.replays import as_replay
+from samarl.report.trajectories import save_trajectories
 
 SCENARIO = Scenario(humans=4, robots=3, fov_degrees=120.0, time_limit=4.0)
 STRAIGHT = {"_target_": "samarl.agents.planners.straight.Straight"}
@@ -46,6 +50,49 @@ def test_what_is_seen_lies_in_the_field_of_view() -> None:
         assert seen.any()
         assert not seen.all()
     assert recording.waypoint is recording.human_attention is recording.robot_attention is None
+
+
+@dataclass
+class Doorman(Agent):
+    """Stands, and lets person 1 leave after three steps; person 0 comes only then."""
+
+    world: World | None = None
+
+    def act(self, observation: Observation) -> np.ndarray:
+        assert self.world is not None
+        state = self.world.state
+        state.human_present[0, 1] = state.clock[0] < 3
+        state.human_present[0, 0] = state.clock[0] >= 3
+        return np.zeros((1, SCENARIO.robots, 3), np.float32)
+
+
+def test_people_come_and_go(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Person 2 is never there, so it does not come up; who is absent is not drawn."""
+    world, agent = World(SCENARIO), Doorman(SCENARIO)
+    agent.world = world
+    begin = world.reset
+
+    def reset(cases: list[int]) -> Observation:
+        begin(cases)
+        world.state.human_present[0] = [False, True, False, True]
+        return world.observe()
+
+    monkeypatch.setattr(world, "reset", reset)
+    monkeypatch.setattr("samarl.evaluation.recording.World", lambda scenario: world)
+    recording = record_episode(agent, SCENARIO, 3)
+    steps = np.arange(len(recording.human_position))
+    assert recording.human_present.T.tolist() == [
+        (steps >= 4).tolist(), (steps < 4).tolist(), [True] * len(steps)
+    ]  # fmt: skip
+    assert recording.human_position.shape[1:] == (3, 2)
+    assert not recording.humans_seen[~recording.human_present[:, None].repeat(3, 1)].any()
+    assert as_replay(recording)["humansPresent"] == [[4], [0, 4], [0]]
+    save_trajectories([(recording, "paths")], tmp_path / "paths.png")
+    figure = Figure()
+    axes = figure.add_subplot()
+    drawn = _draw_state(axes, recording, 0)
+    radii = [artist.radius for artist in drawn if isinstance(artist, Circle)]
+    assert len(radii) == 2 * 2 + SCENARIO.robots  # two people with their personal space
 
 
 @pytest.mark.parametrize("actors", [1, 3])

@@ -32,7 +32,7 @@ def observe(chunks, worlds, state, p, ego, humans, humans_visible, robots, robot
         position, velocity = state.robot_position, state.robot_velocity
         heading, goal, clock = state.robot_heading, state.robot_goal, state.clock
         human_position, human_velocity = state.human_position, state.human_velocity
-        human_radius, human_count, keys = state.human_radius, state.human_count, state.key
+        human_radius, human_present, keys = state.human_radius, state.human_present, state.key
         robot_radius, robot_speed = p.robot_radius, p.robot_speed
         limit, cos_half_fov, occlusion = p.sensing_range, p.cos_half_fov, p.occlusion
         missed, position_noise, velocity_noise = (
@@ -65,7 +65,7 @@ def observe(chunks, worlds, state, p, ego, humans, humans_visible, robots, robot
                         dx, dy = human_position[e, j, 0] - x, human_position[e, j, 1] - y
                         ux, uy = human_velocity[e, j, 0] - vx, human_velocity[e, j, 1] - vy
                         radius = human_radius[e, j]
-                        seen = j < human_count[e]
+                        seen = human_present[e, j]
                     else:
                         k = j - m
                         dx, dy = position[e, k, 0] - x, position[e, k, 1] - y
@@ -81,7 +81,14 @@ def observe(chunks, worlds, state, p, ego, humans, humans_visible, robots, robot
                     if seen and occlusion:
                         seen = not (
                             _is_hidden(
-                                human_position[e], human_radius[e], human_count[e], j, x, y, dx, dy
+                                human_position[e],
+                                human_radius[e],
+                                human_present[e],
+                                j,
+                                x,
+                                y,
+                                dx,
+                                dy,
                             )
                             or _is_hidden_by_robot(position[e], robot_radius, i, j - m, dx, dy)
                         )
@@ -109,10 +116,12 @@ def observe(chunks, worlds, state, p, ego, humans, humans_visible, robots, robot
 
 
 @function
-def _is_hidden(position, radius, count, j, x, y, dx, dy):
+def _is_hidden(position, radius, present, j, x, y, dx, dy):
     """Whether a human other than `j` stands on the line of sight from (x, y) to (dx, dy)."""
-    for k in range(count):
-        if k != j and _blocks(position[k, 0] - x, position[k, 1] - y, radius[k], dx, dy):
+    for k in range(present.shape[0]):
+        if k == j or not present[k]:
+            continue
+        if _blocks(position[k, 0] - x, position[k, 1] - y, radius[k], dx, dy):
             return True
     return False
 

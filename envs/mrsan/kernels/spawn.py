@@ -40,9 +40,11 @@ def _begin(state, e, p):
         _place_robot(state, e, i, key, p)
     low, high = p.humans_min, state.human_radius.shape[1]
     share = rng.uniform(key, rng.HUMAN_COUNT, 0, 0, 0)
-    state.human_count[e] = min(low + int(share * np.float32(high - low + 1)), high)
-    for j in range(state.human_count[e]):
-        _place_human(state, e, j, key, p)
+    count = min(low + int(share * np.float32(high - low + 1)), high)
+    for j in range(high):
+        state.human_present[e, j] = j < count
+        if j < count:
+            _place_human(state, e, j, key, p)
 
 
 @function

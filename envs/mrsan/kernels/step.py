@@ -43,6 +43,7 @@ def advance(chunks, state, action, p, reward, parts):
     people = state.human_radius.shape[1]
     for chunk in prange(chunks):
         agents = np.empty((people + robots, 5), np.float32)
+        slots = np.empty(people, np.int32)
         chosen = np.empty((people, 2), np.float32)
         neighbors = np.empty((p.max_neighbors, 2), np.float32)
         lines = np.empty((p.max_neighbors, 4), np.float32)
@@ -54,28 +55,40 @@ def advance(chunks, state, action, p, reward, parts):
                 reward[e, :] = _ZERO
                 parts[:, e, :] = _ZERO
                 continue
-            _choose_human_velocities(state, e, p, agents, chosen, neighbors, lines, projected)
+            here = slots[: _find_present(state.human_present[e], slots)]
+            _choose_human_velocities(state, e, p, here, agents, chosen, neighbors, lines, projected)
             _move_robots(state, e, action, p, moved)
-            _move_humans(state, e, chosen, p)
-            _find_contacts(state, e, p, moved, gap)
+            _move_humans(state, e, p, here, chosen)
+            _find_contacts(state, e, p, here, moved, gap)
             _settle(state, e, p, moved, gap, reward, parts)
 
 
 @function
-def _choose_human_velocities(state, e, p, agents, chosen, neighbors, lines, projected):
-    """What each human wants to do next, all decided on the same state."""
+def _find_present(present, slots):
+    """Fill `slots` with the numbers of the humans who are present; return how many."""
+    count = 0
+    for j in range(present.shape[0]):
+        if present[j]:
+            slots[count] = j
+            count += 1
+    return count
+
+
+@function
+def _choose_human_velocities(state, e, p, here, agents, chosen, neighbors, lines, projected):
+    """What each human who is present wants to do next, all decided on the same state."""
     position, velocity, goal = state.human_position, state.human_velocity, state.human_goal
     radius, preferred_speed = state.human_radius, state.human_speed
     robot_position, robot_velocity = state.robot_position, state.robot_velocity
-    count = state.human_count[e]
+    rows = here.shape[0]
     if p.crowd == STILL:
-        chosen[:count, :] = _ZERO
+        chosen[:rows, :] = _ZERO
         return
-    rows = count
-    for j in range(count):
-        agents[j, 0], agents[j, 1] = position[e, j, 0], position[e, j, 1]
-        agents[j, 2], agents[j, 3] = velocity[e, j, 0], velocity[e, j, 1]
-        agents[j, 4] = radius[e, j] + p.human_safety_space
+    for row in range(rows):
+        j = here[row]
+        agents[row, 0], agents[row, 1] = position[e, j, 0], position[e, j, 1]
+        agents[row, 2], agents[row, 3] = velocity[e, j, 0], velocity[e, j, 1]
+        agents[row, 4] = radius[e, j] + p.human_safety_space
     if p.robots_visible:
         for i in range(robot_position.shape[1]):
             agents[rows, 0], agents[rows, 1] = robot_position[e, i, 0], robot_position[e, i, 1]
@@ -84,7 +97,8 @@ def _choose_human_velocities(state, e, p, agents, chosen, neighbors, lines, proj
             rows += 1
     key, step = state.key[e], state.clock[e]
     change_time = step > 0 and step % p.goal_change_steps == 0
-    for j in range(count):
+    for row in range(here.shape[0]):
+        j = here[row]
         x, y, speed = position[e, j, 0], position[e, j, 1], preferred_speed[e, j]
         dx, dy = goal[e, j, 0] - x, goal[e, j, 1] - y
         renew = dx * dx + dy * dy < radius[e, j] * radius[e, j]
@@ -97,10 +111,10 @@ def _choose_human_velocities(state, e, p, agents, chosen, neighbors, lines, proj
             dx, dy = goal[e, j, 0] - x, goal[e, j, 1] - y
         scale = speed / math.sqrt(dx * dx + dy * dy)
         if p.crowd == ORCA:
-            chosen[j, 0], chosen[j, 1] = orca_velocity(
+            chosen[row, 0], chosen[row, 1] = orca_velocity(
                 agents,
                 rows,
-                j,
+                row,
                 dx * scale,
                 dy * scale,
                 speed,
@@ -113,10 +127,10 @@ def _choose_human_velocities(state, e, p, agents, chosen, neighbors, lines, proj
                 projected,
             )
         else:
-            chosen[j, 0], chosen[j, 1] = social_force_velocity(
+            chosen[row, 0], chosen[row, 1] = social_force_velocity(
                 agents,
                 rows,
-                j,
+                row,
                 dx * scale,
                 dy * scale,
                 speed,
@@ -165,28 +179,28 @@ def _move_robots(state, e, action, p, moved):
 
 
 @function
-def _move_humans(state, e, chosen, p):
+def _move_humans(state, e, p, here, chosen):
     position, velocity = state.human_position, state.human_velocity
-    for j in range(state.human_count[e]):
+    for row in range(here.shape[0]):
         for k in range(2):
-            velocity[e, j, k] = chosen[j, k]
-            position[e, j, k] += chosen[j, k] * p.time_step
+            velocity[e, here[row], k] = chosen[row, k]
+            position[e, here[row], k] += chosen[row, k] * p.time_step
 
 
 @function
-def _find_contacts(state, e, p, moved, gap):
+def _find_contacts(state, e, p, here, moved, gap):
     """Collisions during the step, and `gap`: surface distance to the nearest human after it."""
     position, arrived, collision = state.robot_position, state.arrived, state.collision
     human_position, human_velocity = state.human_position, state.human_velocity
     human_radius, closest_human = state.human_radius, state.closest_human
-    count, dt, robot_radius = state.human_count[e], p.time_step, p.robot_radius
-    robots = moved.shape[0]
+    dt, robot_radius, robots = p.time_step, p.robot_radius, moved.shape[0]
     for i in range(robots):
         gap[i] = _FAR
         if arrived[e, i]:  # parked: it hits nobody, and who walks into it does not count
             continue
         x, y, closest = position[e, i, 0], position[e, i, 1], closest_human[e, i]
-        for j in range(count):
+        for row in range(here.shape[0]):
+            j = here[row]
             dx, dy = human_position[e, j, 0] - x, human_position[e, j, 1] - y
             radii = human_radius[e, j] + robot_radius
             before_x = dx - human_velocity[e, j, 0] * dt + moved[i, 0]

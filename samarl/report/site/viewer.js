@@ -47,6 +47,8 @@ function load(key) {
 const distance = (a, b) => Math.hypot(a[0] - b[0], a[1] - b[1]);
 const isSeen = (switches, t) => switches.filter((step) => step <= t).length % 2 === 1;
 
+const isPresent = (episode, human, t) => isSeen(episode.humansPresent[human], t);
+
 function between(series, t) {
   const k = Math.min(Math.floor(t), series.length - 1);
   const next = series[Math.min(k + 1, series.length - 1)];
@@ -66,6 +68,7 @@ function othersOf(episode, robot, k) {
     seen[robot].forEach((switches, number) => {
       if (kind === "robot" && number === robot) return;
       const percent = attention ? attention[at][robot][number] : null;
+      if (kind === "human" && !isPresent(episode, number, k)) return;
       list.push({ kind, number, seen: isSeen(switches, k), percent });
     });
   }
@@ -92,8 +95,10 @@ const colourOf = (robot) => colours.robots[robot % colours.robots.length];
 // The square that holds everything of all shown episodes: its middle and half of its side.
 function bounds() {
   const low = [Infinity, Infinity], high = [-Infinity, -Infinity];
-  for (const { robots, humans, goals } of state.shown) {
-    for (const point of [...robots.flat(), ...humans.flat(), ...goals]) {
+  for (const episode of state.shown) {
+    const { robots, humans, goals } = episode;
+    const there = humans.flatMap((path, j) => path.filter((_, t) => isPresent(episode, j, t)));
+    for (const point of [...robots.flat(), ...there, ...goals]) {
       for (const axis of [0, 1]) {
         low[axis] = Math.min(low[axis], point[axis]);
         high[axis] = Math.max(high[axis], point[axis]);
@@ -194,6 +199,7 @@ function drawSide({ canvas, episode }) {
   });
 
   humans.forEach((human, j) => {
+    if (!isPresent(episode, j, k)) return;
     const reach = episode.radii[j] + episode.zone;
     const near = robots.some((robot, i) =>
       driving(i) && distance(robot, human) < reach + episode.radius);

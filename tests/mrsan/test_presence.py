@@ -1,0 +1,88 @@
+"""People may come and go within an episode; who is not present is nowhere."""
+
+import numpy as np
+import pytest
+from staging import stage
+
+from mrsan import Crowd, Scenario, State, World
+
+COAST = [0.0, 0.0, 0.0]
+DRIVER = (0, 0, 0, 1, 9, 0)
+E = 40
+
+
+def test_who_is_absent_is_not_hit_and_is_not_near() -> None:
+    world = stage([DRIVER], [(0.5, 0, 0, 0)])
+    world.state.human_present[0, 0] = False
+    step = world.step([[COAST]])
+    assert not step.observation.humans_visible.any()
+    assert step.reward_parts.progress[0, 0] == pytest.approx(0.5)  # no discomfort in its place
+    assert not world.state.done[0]
+    assert world.state.closest_human[0, 0] == np.inf
+    world.state.human_present[0, 0] = True
+    assert world.observe().humans_visible[0, 0, 0]
+    assert world.step([[COAST]]).reward[0, 0] == -20
+
+
+def test_who_is_absent_hides_nobody() -> None:
+    world = stage([DRIVER], [(2, 0, 0, 0), (4, 0, 0, 0)], occlusion=True)
+    assert world.observe().humans_visible[0, 0].tolist() == [True, False]
+    world.state.human_present[0, 0] = False
+    assert world.observe().humans_visible[0, 0].tolist() == [False, True]
+
+
+@pytest.mark.parametrize("crowd", [Crowd.orca, Crowd.social_force])
+def test_who_leaves_is_avoided_by_nobody(crowd: Crowd) -> None:
+    """Two people walk towards each other; each walks straight on once the other has gone."""
+    humans = [(0.0, 5.0, 0.0, 1.0), (0.0625, 7.5, 0.0, -1.0)]
+    world = stage([DRIVER], humans, crowd=crowd, neighbor_distance=10.0)
+    past = world.snapshot()
+    world.step([[COAST]])
+    assert (np.abs(world.state.human_velocity[0] - [[0, 1], [0, -1]]).max(1) > 1e-3).all()
+    for gone in (0, 1):
+        world.restore(past)
+        world.state.human_present[0, gone] = False
+        world.step([[COAST]])
+        straight = [0, -1] if gone == 0 else [0, 1]
+        np.testing.assert_allclose(world.state.human_velocity[0, 1 - gone], straight, atol=1e-5)
+        np.testing.assert_array_equal(world.state.human_position[0, gone], humans[gone][:2])
+
+
+def without(state: State, here: np.ndarray, scenario: Scenario) -> World:
+    """The same worlds with only the slots `here`."""
+    world = World(scenario, E)
+    world.restore(
+        State(*(array[:, here] if name.startswith("human_") else array
+                for name, array in state._asdict().items()))
+    )  # fmt: skip
+    return world
+
+
+@pytest.mark.parametrize("crowd", [Crowd.orca, Crowd.social_force])
+def test_a_world_with_absent_people_is_the_world_without_them(crowd: Crowd) -> None:
+    """To the last bit, for whoever leaves in the middle of an episode."""
+    fields = {"robots": 2, "crowd": crowd, "occlusion": True, "fov_degrees": 150.0,
+              "robots_visible": True, "goal_change_probability": 0.0}  # fmt: skip
+    world = World(Scenario(humans=8, **fields), E)
+    world.reset(np.arange(E))
+    rng = np.random.default_rng(1)
+    for _ in range(10):
+        world.step(rng.uniform(-1, 1, (E, 2, 3)))
+    here = np.array([False, True, True, False, True, False, False, True])
+    world.state.human_present[:] = here
+    left = without(world.state, here, Scenario(humans=4, **fields))
+    gone = world.state.human_position[:, ~here].copy()
+    for _ in range(6):  # nobody comes to a goal so soon: a new one is drawn by the number of a slot
+        actions = rng.uniform(-1, 1, (E, 2, 3)).astype(np.float32)
+        mine, theirs = world.step(actions), left.step(actions)
+        np.testing.assert_array_equal(mine.observation.ego, theirs.observation.ego)
+        np.testing.assert_array_equal(
+            mine.observation.humans[:, :, here], theirs.observation.humans
+        )
+        assert not mine.observation.humans_visible[..., ~here].any()
+        np.testing.assert_array_equal(mine.reward, theirs.reward)
+        np.testing.assert_array_equal(mine.terminated, theirs.terminated)
+        np.testing.assert_array_equal(
+            world.state.human_position[:, here], left.state.human_position
+        )
+    np.testing.assert_array_equal(world.state.human_position[:, ~here], gone)
