@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import os
 import shlex
 from collections.abc import Sequence
@@ -28,7 +27,7 @@ from samarl.evaluation.files import (
     write_json,
 )
 from samarl.evaluation.runner import Evaluation, run_cases
-from samarl.evaluation.summary import Row, summarise
+from samarl.evaluation.summary import Row, read_rows, summarise
 from samarl.evaluation.table import (
     column_name,
     column_of,
@@ -86,7 +85,7 @@ def bench(config: DictConfig) -> None:
         except ActionError as error:
             raise error from None  # without the traceback of the other process
     committed = find_folder("results") / "table1.json"
-    known: list[Row] = json.loads(committed.read_text()) if committed.exists() else []
+    known = (read_rows(committed) if committed.exists() else None) or []
     print(table1_as_markdown(rows), "\n")
     print(rows_as_markdown(rows), "\n")
     for row in rows:
@@ -124,7 +123,7 @@ def compare(row: Row, committed: Sequence[Row]) -> str:
         f"social score {old['social_score']:.1f} -> {row['social_score']:.1f}"
     )
     measured = ("episodes", "success_rate", "social_score", "collision_rate", "timeout_rate")
-    if all(row[key] == old[key] for key in measured):  # type: ignore[literal-required]
+    if all(row[key] == old.get(key) for key in measured):
         return f"same     {change}"
     if row["command"] != old["command"]:
         return f"other    {change}; the committed row is of {old['command']}"
@@ -133,8 +132,8 @@ def compare(row: Row, committed: Sequence[Row]) -> str:
         ("success_rate", "success_low", "success_high", 0.0),
         ("social_score", "social_low", "social_high", one_episode),
     ):
-        smallest, largest = old[low], old[high]  # type: ignore[literal-required]
-        if not smallest - slack <= row[key] <= largest + slack:  # type: ignore[literal-required]
+        smallest, largest = old[low], old[high]
+        if not smallest - slack <= row[key] <= largest + slack:
             return f"DIFFERS  {change}: {key} is outside [{smallest:.1f}, {largest:.1f}]"
     return f"close    {change}, within the committed intervals"
 

@@ -18,6 +18,10 @@ from samarl.evaluation.runner import Evaluation, run_cases
 from samarl.evaluation.summary import Row, summarise
 from samarl.evaluation.table import rows_as_markdown
 
+_PER_ROBOT = [
+    name for name in Episodes._fields if name not in ("case", "episode", "duration", "outcome")
+]
+
 
 def main() -> None:
     """Entry point."""
@@ -75,7 +79,7 @@ def episodes_as_jsonl(episodes: Episodes) -> str:
             "outcome": [Outcome(value).name for value in episodes.outcome[b]],
             "social_score": scores[b].round(2).tolist(),
         }
-        for key in ("path_length", "straight_line", "time", "closest_human", "close_share", "jerk"):
+        for key in _PER_ROBOT:
             values = getattr(episodes, key)[b].tolist()
             record[key] = [round(value, 4) if value < float("inf") else None for value in values]
         lines.append(json.dumps(record))

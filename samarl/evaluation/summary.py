@@ -1,66 +1,34 @@
-"""From episode records to a row of the table."""
+"""From episode records to a row of the table, and rows from files."""
 
 from __future__ import annotations
 
-import math
-from typing import TypedDict
+import json
+from pathlib import Path
+from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
+from mrsan import ConfigurationError, Episodes, Scenario
+from samarl.evaluation.metrics import METRICS, metric_fields
 
-from mrsan import Episodes, Outcome, Scenario, social_score
+# One method in one column of the table: who and where, the metrics, and where it comes from.
+Row = dict[str, Any]
 
-_Z95 = 1.959963984540054  # 97.5 % quantile of the normal distribution
-
-
-class Row(TypedDict):
-    """One method in one column of the table; rates in percent, lengths in m, times in s."""
-
-    method: str
-    fov_degrees: float
-    humans: int
-    robots: int
-    episodes: int
-    success_rate: float
-    success_low: float
-    success_high: float
-    social_score: float
-    social_low: float  # 95 % interval of the mean
-    social_high: float
-    collision_rate: float
-    human_collision_rate: float
-    robot_collision_rate: float
-    timeout_rate: float
-    path_length: float | None  # of robots that arrived; null: none did
-    time_to_goal: float | None
-    closest_human: float | None  # median over robots and episodes; null: no humans
-    close_share: float  # of robot steps within personal space
-    jerk: float
-    command: str
-    commit: str
-    seed: int
+IDENTITY = ("method", "fov_degrees", "humans", "robots", "episodes")
+PROVENANCE = ("command", "commit", "seed")
+# What a row needs to be shown; other metrics may be missing where a row is older than they are.
+HEADLINE = (
+    "success_rate", "success_low", "success_high", "social_score", "social_low", "social_high",
+)  # fmt: skip
 
 
-def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
-    """The 95 % confidence interval of a rate (Wilson, 1927), as shares.
-
-    Example:
-        >>> low, high = wilson_interval(450, 500)
-        >>> round(low, 3), round(high, 3)
-        (0.871, 0.923)
-    """
-    share, z2 = successes / trials, _Z95**2
-    centre = (share + z2 / (2 * trials)) / (1 + z2 / trials)
-    half = math.sqrt(share * (1 - share) / trials + z2 / (4 * trials**2)) / (1 + z2 / trials)
-    half *= _Z95
-    # At the ends the bound is exact; rounding must not push it past the rate itself.
-    return min(max(centre - half, 0.0), share), max(min(centre + half, 1.0), share)
+def row_fields() -> list[str]:
+    """The fields of a row, in order."""
+    return [*IDENTITY, *metric_fields(), *PROVENANCE]
 
 
 def summarise(
     episodes: Episodes, scenario: Scenario, method: str, command: str, commit: str, seed: int
 ) -> Row:
-    """The row of one method in one scenario.
+    """The row of one method in one scenario: rates in percent, lengths in m, times in s.
 
     Args:
         episodes: what happened.
@@ -70,44 +38,41 @@ def summarise(
         commit: of the code that produced it.
         seed: the first case number.
     """
-    trials, success = len(episodes.case), episodes.success
-    low, high = wilson_interval(int(success.sum()), trials)
-    arrived = episodes.outcome == Outcome.arrived
-    seen = np.isfinite(episodes.closest_human)
-    scores = social_score(episodes).mean(axis=1)
-    social, social_half = float(scores.mean()), _Z95 * float(scores.std()) / math.sqrt(trials)
-    return Row(
-        method=method,
-        fov_degrees=scenario.fov_degrees,
-        humans=scenario.humans,
-        robots=scenario.robots,
-        episodes=trials,
-        success_rate=_percent(success),
-        success_low=round(100 * low, 2),
-        success_high=round(100 * high, 2),
-        social_score=round(social, 2),
-        social_low=round(max(social - social_half, 0.0), 2),
-        social_high=round(min(social + social_half, 100.0), 2),
-        collision_rate=_percent(episodes.hit_human | episodes.hit_robot),
-        human_collision_rate=_percent(episodes.hit_human),
-        robot_collision_rate=_percent(episodes.hit_robot),
-        timeout_rate=_percent(episodes.timeout),
-        path_length=_mean(episodes.path_length[arrived]),
-        time_to_goal=_mean(episodes.time[arrived]),
-        closest_human=(
-            round(float(np.median(episodes.closest_human[seen])), 3) if seen.any() else None
-        ),
-        close_share=_percent(episodes.close_share),
-        jerk=round(float(episodes.jerk.mean()), 2),
-        command=command,
-        commit=commit,
-        seed=seed,
-    )
+    row: Row = {
+        "method": method,
+        "fov_degrees": scenario.fov_degrees,
+        "humans": scenario.humans,
+        "robots": scenario.robots,
+        "episodes": len(episodes.case),
+    }
+    for known in METRICS.values():
+        row |= known.of(episodes)
+    return row | {"command": command, "commit": commit, "seed": seed}
 
 
-def _percent(share: NDArray[np.bool_] | NDArray[np.float64]) -> float:
-    return round(100 * float(share.mean()), 2)
+def read_rows(path: Path) -> list[Row] | None:
+    """The rows of a JSON file; None if it holds something else.
+
+    Metrics that a row has and this version does not know are kept and not shown.
+
+    Raises:
+        ConfigurationError: it is not JSON, or rows lack a field they need.
+    """
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise ConfigurationError(f"{path} is not JSON ({error})") from error
+    if not isinstance(content, list) or not any(map(_is_meant_as_row, content)):
+        return None
+    for number, row in enumerate(content):
+        for name in (*IDENTITY, *HEADLINE, *PROVENANCE):
+            if not isinstance(row, dict) or name not in row:
+                raise ConfigurationError(
+                    f"{path} has no {name} in row {number}; every row must have "
+                    f"{', '.join((*IDENTITY, *HEADLINE, *PROVENANCE))}"
+                )
+    return content
 
 
-def _mean(values: NDArray[np.float64]) -> float | None:
-    return round(float(values.mean()), 2) if values.size else None
+def _is_meant_as_row(item: Any) -> bool:
+    return isinstance(item, dict) and bool({"method", "success_rate"} & item.keys())

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from samarl.evaluation.metrics import METRICS
 from samarl.evaluation.summary import Row
 
 Column = tuple[float, int, int]  # field of view in degrees, humans, robots
@@ -68,10 +69,8 @@ def rows_as_cells(
         rows: the rows.
         with_settings: say what else was set on the command line, where that tells rows apart.
     """
-    header: tuple[str, ...] = (
-        "method", "FOV", "humans", "robots", "success % [95 %]", "social score", "hit human %",
-        "hit robot %", "timeout %", "path m", "time s", "paper's success %",
-    )  # fmt: skip
+    measured = [known.heading for known in METRICS.values() if known.heading]
+    header = ("method", "FOV", "humans", "robots", *measured, "paper's success %")
     lines = [_cells(row) for row in rows]
     names = {(row["method"], column_of(row)) for row in rows}
     if with_settings and len(names) < len(rows):
@@ -88,13 +87,7 @@ def _cells(row: Row) -> list[str]:
         f"{row['fov_degrees']:g}°",
         str(row["humans"]),
         str(row["robots"]),
-        f"{row['success_rate']:.1f} [{row['success_low']:.1f}, {row['success_high']:.1f}]",
-        f"{row['social_score']:.1f}",
-        f"{row['human_collision_rate']:.1f}",
-        f"{row['robot_collision_rate']:.1f}",
-        f"{row['timeout_rate']:.1f}",
-        "-" if row["path_length"] is None else f"{row['path_length']:.1f}",
-        "-" if row["time_to_goal"] is None else f"{row['time_to_goal']:.1f}",
+        *(known.cell(row) for known in METRICS.values() if known.heading),
         "" if paper is None else str(paper),
     ]
 

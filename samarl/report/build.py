@@ -17,7 +17,7 @@ from tqdm import tqdm
 from mrsan import ConfigurationError
 from samarl.evaluation.files import code_version, write_atomically
 from samarl.evaluation.recording import Recording
-from samarl.evaluation.summary import Row
+from samarl.evaluation.summary import Row, read_rows
 from samarl.evaluation.table import column_name, grid_of, rows_as_cells
 from samarl.report.figures import (
     Curve,
@@ -124,20 +124,17 @@ def build_site(
 
 
 def read_tables(folder: Path) -> list[Table]:
-    """Every JSON file of a folder that is a list of rows."""
+    """Every JSON file of a folder that is a list of rows.
+
+    Raises:
+        ConfigurationError: a file is not JSON, or its rows lack a field they need.
+    """
     tables = []
     for path in sorted(folder.glob("*.json")):
-        try:
-            content = json.loads(path.read_text(encoding="utf-8"))
-        except ValueError as error:
-            raise ConfigurationError(f"{path} is not JSON ({error})") from error
-        if isinstance(content, list) and content and all(map(_is_row, content)):
-            tables.append(Table(readable(path.stem), content))
+        rows = read_rows(path)
+        if rows is not None:
+            tables.append(Table(readable(path.stem), rows))
     return tables
-
-
-def _is_row(item: Any) -> bool:
-    return isinstance(item, dict) and Row.__annotations__.keys() <= item.keys()
 
 
 def read_runs(folder: Path) -> dict[str, list[Curve]]:

@@ -1,5 +1,6 @@
 """What the documentation prints runs as it is printed."""
 
+import json
 import re
 import shlex
 import subprocess
@@ -7,6 +8,8 @@ import sys
 from pathlib import Path
 
 import pytest
+
+from samarl.evaluation.metrics import metric_fields
 
 DOCS = Path(__file__).parents[2] / "docs"
 SMALL = {
@@ -83,11 +86,16 @@ def test_links_lead_somewhere(page: Path) -> None:
         assert (page.parent / target).exists(), target
 
 
-def test_every_field_of_a_row_is_defined() -> None:
-    from samarl.evaluation.summary import Row
-
+def test_every_metric_is_defined() -> None:
     text = (DOCS / "metrics.md").read_text()
-    known = {"method", "fov_degrees", "humans", "robots", "episodes", "command", "commit", "seed"}
-    assert [
-        field for field in Row.__annotations__ if field not in known and f"`{field}`" not in text
-    ] == []
+    assert [name for name in metric_fields() if f"`{name}`" not in text] == []
+
+
+def test_a_metric_of_ones_own(tmp_path: Path) -> None:
+    text = section("A metric")
+    (tmp_path / "my_metric.py").write_text(block(text, "python"))
+    header, _, row = re.findall(r"^\|.*\|$", run(text, tmp_path), re.MULTILINE)
+    column = [cell.strip() for cell in header.split("|")].index("longest s")
+    assert re.fullmatch(r"\d+\.\d", row.split("|")[column].strip())
+    written = json.loads(next((tmp_path / "outputs").rglob("row.json")).read_text())["row"]
+    assert written["longest_time"] > 0

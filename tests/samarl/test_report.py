@@ -20,11 +20,12 @@ from samarl.agents import build_agent
 from samarl.commands.report import _methods
 from samarl.configuration import available_agents, load_agent
 from samarl.evaluation.files import find_folder
+from samarl.evaluation.metrics import METRICS, Metric
 from samarl.evaluation.recording import Recording, record_episode
 from samarl.evaluation.table import column_of
 from samarl.policies.checkpoint import save_policy
 from samarl.policies.hierarchical import Architecture, HierarchicalPolicy
-from samarl.report.build import slug
+from samarl.report.build import build_site, slug
 from samarl.report.figures import draw_curves, draw_table, read_curve, settings_labels
 from samarl.report.replays import as_replay
 
@@ -169,6 +170,31 @@ def test_settings_tell_rows_apart() -> None:
     assert settings_labels(rows) == ["default", "occlusion=true"]  # type: ignore[arg-type]
 
 
+def index_of(results: Path, output: Path) -> str:
+    build_site(output, results, [], "test")
+    return (output / "index.html").read_text()
+
+
+def test_rows_of_another_version_are_shown(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Older than a metric, or with one that is not known here."""
+    rows = json.loads((find_folder("results") / "table1.json").read_text())[:3]
+    (tmp_path / "results").mkdir()
+    table = tmp_path / "results/table1.json"
+    table.write_text(json.dumps(rows))
+    shown = index_of(tmp_path / "results", tmp_path / "site")
+    for method in (row["method"] for row in rows):
+        assert f'<th scope="row">{method}</th>' in shown
+    table.write_text(json.dumps([row | {"unheard_of": 1.0} for row in rows]))
+    assert index_of(tmp_path / "results", tmp_path / "site") == shown
+    table.write_text(json.dumps(rows))
+    new = Metric(("new_one",), "new one", "{:.1f}", 2, lambda episodes: 1.0)
+    monkeypatch.setitem(METRICS, "new_one", new)
+    after = index_of(tmp_path / "results", tmp_path / "site")
+    column = '<th scope="col">new one</th>'
+    assert column in after
+    assert after.replace(column, "").replace("<td></td>", "") == shown.replace("<td></td>", "")
+
+
 def recorded() -> Recording:
     scenario = Scenario(fov_degrees=90.0)
     return record_episode(build_agent(STRAIGHT, scenario), scenario, 2**41)
@@ -214,15 +240,19 @@ def test_an_agent_without_its_checkpoint_is_left_out(tmp_path: Path) -> None:
         ("output=full", "output is 'full'; it must be a new folder or that of an earlier report"),
         ("results=none", "results is 'none'; it must be a folder"),
         ("results=broken", "broken/table.json is not JSON"),
+        ("results=partial", "partial/table.json has no success_low in row 1; every row must have"),
         ("cases=[-1]", "cases has -1; each must lie in [0, 1e+09]"),
         ("agents=[nobody]", "'nobody' is not an agent; it must be among"),
     ],
 )
 def test_a_mistake_is_one_line(tmp_path: Path, argument: str, message: str) -> None:
-    for name in ("full", "broken"):
+    for name in ("full", "broken", "partial"):
         (tmp_path / name).mkdir()
     (tmp_path / "full/mine.txt").write_text("mine")
     (tmp_path / "broken/table.json").write_text("[")
+    rows = json.loads((find_folder("results") / "table1.json").read_text())[:2]
+    del rows[1]["success_low"]
+    (tmp_path / "partial/table.json").write_text(json.dumps(rows))
     done = report("agents=[]", "output=site", argument, cwd=tmp_path, code=2)
     assert done.stderr.startswith(f"error: {message}")
     assert len(done.stderr.splitlines()) == 1

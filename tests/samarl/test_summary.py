@@ -1,14 +1,26 @@
 """Intervals, rows, tables and the comparison with committed results, by hand."""
 
+import json
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from mrsan import Episodes, Outcome, Scenario
+from mrsan import ConfigurationError, Episodes, Outcome, Scenario
 from samarl.commands.bench import compare
-from samarl.evaluation.summary import Row, summarise, wilson_interval
-from samarl.evaluation.table import rows_as_markdown, table1_as_markdown
+from samarl.evaluation.files import find_folder
+from samarl.evaluation.metrics import METRICS, Metric, metric, metric_fields, wilson_interval
+from samarl.evaluation.summary import (
+    HEADLINE,
+    IDENTITY,
+    PROVENANCE,
+    Row,
+    read_rows,
+    row_fields,
+    summarise,
+)
+from samarl.evaluation.table import rows_as_cells, rows_as_markdown, table1_as_markdown
 
 
 @pytest.mark.parametrize(
@@ -68,7 +80,7 @@ def test_a_row_by_hand() -> None:
         "command": "command", "commit": "abc", "seed": 7,
     }  # fmt: skip
     assert row == expected
-    assert list(row) == list(Row.__annotations__)
+    assert list(row) == row_fields()
 
 
 def test_a_row_of_failures_has_no_lengths() -> None:
@@ -140,3 +152,80 @@ def test_tables_line_up_and_show_the_papers_figures() -> None:
 def test_other_cases_are_not_held_against_the_committed_row() -> None:
     line = compare(row(success_rate=80.0, command="command evaluation.cases=50"), [row()])
     assert line.startswith("other    mine 360° 10h 2r: success 25.0 -> 80.0 %")
+
+
+COMMITTED = find_folder("results") / "table1.json"
+
+
+@pytest.mark.parametrize("name", METRICS)
+def test_every_metric_gives_its_fields(name: str) -> None:
+    """Numbers, rounded; with robots that all fail and no humans, a number or nothing."""
+    known, episodes = METRICS[name], four_episodes()
+    found = known.of(episodes)
+    assert tuple(found) == known.fields
+    for value in found.values():
+        assert isinstance(value, float)
+        assert value == round(value, known.decimals)
+    failed = episodes._replace(
+        outcome=np.full((4, 2), Outcome.timeout, np.int8),
+        closest_human=np.full((4, 2), np.inf),
+    )
+    assert all(value is None or np.isfinite(value) for value in known.of(failed).values())
+    one = row()
+    assert known.cell(one)[0].isdigit()
+    assert known.cell({**one, **dict.fromkeys(known.fields)}) == "-"
+    assert known.cell({}) == ""
+    header, lines = rows_as_cells([one])
+    assert (known.heading in header) == bool(known.heading)
+    if known.heading:
+        assert lines[0][header.index(known.heading)] == known.cell(one)
+
+
+def test_committed_rows_have_every_metric() -> None:
+    rows = read_rows(COMMITTED)
+    assert rows is not None
+    assert all(list(row) == row_fields() for row in rows)
+
+
+@pytest.fixture
+def longest(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A metric more, for the time of a test."""
+    monkeypatch.setitem(METRICS, "longest", Metric(
+        ("longest",), "longest s", "{:.1f}", 2, lambda episodes: episodes.duration.max()
+    ))  # fmt: skip
+
+
+@pytest.mark.usefixtures("longest")
+def test_a_new_metric_is_in_the_row_and_in_the_table() -> None:
+    assert row()["longest"] == 50.0
+    old = {name: value for name, value in row().items() if name != "longest"}
+    header, lines = rows_as_cells([row(), old])
+    assert [line[header.index("longest s")] for line in lines] == ["50.0", ""]
+    assert compare(row(), [old]).startswith("same ")
+
+
+def test_names_of_metrics_are_their_own() -> None:
+    with pytest.raises(ValueError, match="metric field 'success_low' is there already"):
+        metric("mine", "success_low", heading="mine")(lambda episodes: (0.0, 0.0))
+    assert "mine" not in metric_fields()
+    wrong = Metric(("a", "b"), "", "", 2, lambda episodes: 1.0)
+    with pytest.raises(ValueError, match="metric a gives 1 values; it must give 2: a, b"):
+        wrong.of(four_episodes())
+
+
+@pytest.mark.parametrize("name", [*IDENTITY, *HEADLINE, *PROVENANCE])
+def test_a_row_that_lacks_what_it_needs_is_refused(tmp_path: Path, name: str) -> None:
+    rows = json.loads(COMMITTED.read_text())
+    del rows[3][name]
+    path = tmp_path / "table.json"
+    path.write_text(json.dumps(rows))
+    with pytest.raises(ConfigurationError, match=f"has no {name} in row 3; every row") as caught:
+        read_rows(path)
+    assert len(str(caught.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize("content", ["{}", "[]", "[1, 2]", '[{"worlds": 1}]', '"text"'])
+def test_what_is_not_meant_as_rows_is_none(tmp_path: Path, content: str) -> None:
+    path = tmp_path / "other.json"
+    path.write_text(content)
+    assert read_rows(path) is None

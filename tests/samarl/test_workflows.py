@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 
 from mrsan import Outcome
-from samarl.evaluation.summary import Row
+from samarl.evaluation.summary import row_fields
 
 COMMANDS = ("evaluate", "bench", "render", "report")
 
@@ -35,7 +35,7 @@ def test_one_evaluation_writes_its_row_and_its_episodes(tmp_path: Path) -> None:
                "hydra.run.dir=here", cwd=tmp_path)  # fmt: skip
     saved = json.loads((tmp_path / "here/row.json").read_text())
     row = saved["row"]
-    assert list(row) == list(Row.__annotations__)
+    assert list(row) == row_fields()
     assert (row["method"], row["episodes"], row["robots"], row["seed"]) == ("straight", 6, 2, 2**41)
     assert saved["config"]["scenario"]["robots"] == 2
     records = [json.loads(line) for line in (tmp_path / "here/episodes.jsonl").open()]
@@ -91,7 +91,7 @@ def test_the_bench_writes_table_1_in_the_documented_form(tmp_path: Path) -> None
     done = run("bench", "evaluation.cases=2", "agents=[orca,perimeter]", "output=mine",
                cwd=tmp_path)  # fmt: skip
     rows = json.loads((tmp_path / "mine/table1.json").read_text())
-    assert [list(row) for row in rows] == [list(Row.__annotations__)] * len(rows)
+    assert [list(row) for row in rows] == [row_fields()] * len(rows)
     columns = [(90.0, 10, 3), (90.0, 10, 5), (360.0, 10, 5), (360.0, 10, 3)]
     expected = [(method, *column) for column in columns for method in ("orca", "perimeter")]
     found = [(r["method"], r["fov_degrees"], r["humans"], r["robots"]) for r in rows]

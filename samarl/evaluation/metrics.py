@@ -1,0 +1,180 @@
+"""What is measured of the episodes of a row: one registered function a metric.
+
+Each becomes fields of the row, and with a heading a column of every table and of the report.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mrsan import Episodes, Outcome, social_score
+
+Value = float | None  # None: there is nothing to measure it of
+Measure = Callable[[Episodes], Any]  # a value, or a tuple of one for each field
+
+_Z95 = 1.959963984540054  # 97.5 % quantile of the normal distribution
+
+
+@dataclass(frozen=True)
+class Metric:
+    """A metric of a row."""
+
+    fields: tuple[str, ...]  # of the row; the first is the metric itself
+    heading: str  # of its column; empty: it stands in the files only
+    form: str  # how its values are printed, as of `str.format`
+    decimals: int  # to which they are rounded in the files
+    measure: Measure
+
+    def of(self, episodes: Episodes) -> dict[str, Value]:
+        """Its fields of a row, rounded."""
+        found = self.measure(episodes)
+        values = found if isinstance(found, tuple) else (found,)
+        if len(values) != len(self.fields):
+            raise ValueError(
+                f"metric {self.fields[0]} gives {len(values)} values; it must give "
+                f"{len(self.fields)}: {', '.join(self.fields)}"
+            )
+        return {
+            name: None if value is None else round(float(value), self.decimals)
+            for name, value in zip(self.fields, values, strict=True)
+        }
+
+    def cell(self, row: dict[str, Any]) -> str:
+        """How a table shows it: `-` where there is nothing to measure, empty in older rows."""
+        values = [row.get(name) for name in self.fields]
+        if self.fields[0] not in row:
+            return ""
+        return "-" if values[0] is None else self.form.format(*values)
+
+
+METRICS: dict[str, Metric] = {}  # by the first field, in the order of a row
+
+
+def metric(
+    *fields: str, heading: str, form: str = "{:.1f}", decimals: int = 2
+) -> Callable[[Measure], Measure]:
+    """Make a function of the episode records known as a metric.
+
+    Args:
+        *fields: the names of what it gives in a row.
+        heading: of its column in the tables; empty: only in the files.
+        form: how a cell shows the values, as of `str.format`.
+        decimals: to which the files round them.
+
+    Raises:
+        ValueError: another metric has a field of this name.
+    """
+
+    def register(measure: Measure) -> Measure:
+        for name in fields:
+            if name in metric_fields():
+                raise ValueError(f"metric field {name!r} is there already; name it otherwise")
+        METRICS[fields[0]] = Metric(fields, heading, form, decimals, measure)
+        return measure
+
+    return register
+
+
+def metric_fields() -> list[str]:
+    """The fields of all metrics, in the order of a row."""
+    return [name for known in METRICS.values() for name in known.fields]
+
+
+def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
+    """The 95 % confidence interval of a rate (Wilson, 1927), as shares.
+
+    Example:
+        >>> low, high = wilson_interval(450, 500)
+        >>> round(low, 3), round(high, 3)
+        (0.871, 0.923)
+    """
+    share, z2 = successes / trials, _Z95**2
+    centre = (share + z2 / (2 * trials)) / (1 + z2 / trials)
+    half = math.sqrt(share * (1 - share) / trials + z2 / (4 * trials**2)) / (1 + z2 / trials)
+    half *= _Z95
+    # At the ends the bound is exact; rounding must not push it past the rate itself.
+    return min(max(centre - half, 0.0), share), max(min(centre + half, 1.0), share)
+
+
+@metric(
+    "success_rate", "success_low", "success_high",
+    heading="success % [95 %]", form="{:.1f} [{:.1f}, {:.1f}]",
+)  # fmt: skip
+def _success(episodes: Episodes) -> tuple[float, float, float]:
+    """Every robot arrived and nobody collided, %, with its Wilson interval."""
+    success = episodes.success
+    low, high = wilson_interval(int(success.sum()), len(success))
+    return _percent(success), 100 * low, 100 * high
+
+
+@metric("social_score", "social_low", "social_high", heading="social score")
+def _social(episodes: Episodes) -> tuple[float, float, float]:
+    """Mean of F, with the normal interval of the mean over episodes."""
+    scores = social_score(episodes).mean(axis=1)
+    mean, half = float(scores.mean()), _Z95 * float(scores.std()) / math.sqrt(len(scores))
+    return mean, max(mean - half, 0.0), min(mean + half, 100.0)
+
+
+@metric("collision_rate", heading="")
+def _collision(episodes: Episodes) -> float:
+    return _percent(episodes.hit_human | episodes.hit_robot)
+
+
+@metric("human_collision_rate", heading="hit human %")
+def _human_collision(episodes: Episodes) -> float:
+    return _percent(episodes.hit_human)
+
+
+@metric("robot_collision_rate", heading="hit robot %")
+def _robot_collision(episodes: Episodes) -> float:
+    return _percent(episodes.hit_robot)
+
+
+@metric("timeout_rate", heading="timeout %")
+def _timeout(episodes: Episodes) -> float:
+    return _percent(episodes.timeout)
+
+
+@metric("path_length", heading="path m")
+def _path_length(episodes: Episodes) -> Value:
+    """Mean over the robots that arrived, m."""
+    return _mean(episodes.path_length[episodes.outcome == Outcome.arrived])
+
+
+@metric("time_to_goal", heading="time s")
+def _time_to_goal(episodes: Episodes) -> Value:
+    """Mean over the robots that arrived, s."""
+    return _mean(episodes.time[episodes.outcome == Outcome.arrived])
+
+
+@metric("closest_human", heading="", decimals=3)
+def _closest_human(episodes: Episodes) -> Value:
+    """Median over robots and episodes in which there was a human, m."""
+    met = episodes.closest_human[np.isfinite(episodes.closest_human)]
+    return float(np.median(met)) if met.size else None
+
+
+@metric("close_share", heading="")
+def _close_share(episodes: Episodes) -> float:
+    """Share of a robot's steps within personal space, %."""
+    return _percent(episodes.close_share)
+
+
+@metric("jerk", heading="")
+def _jerk(episodes: Episodes) -> float:
+    """Mean norm, m/s^3."""
+    return float(episodes.jerk.mean())
+
+
+def _percent(share: NDArray[np.bool_] | NDArray[np.float64]) -> float:
+    return 100 * float(share.mean())
+
+
+def _mean(values: NDArray[np.float64]) -> Value:
+    return float(values.mean()) if values.size else None
