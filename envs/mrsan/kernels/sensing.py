@@ -5,6 +5,24 @@ import math
 import numpy as np
 from numba import prange
 
+from mrsan.features import (
+    GOAL_X,
+    GOAL_Y,
+    HEADING_COS,
+    HEADING_SIN,
+    ORIGIN_X,
+    ORIGIN_Y,
+    OTHER_RADIUS,
+    OTHER_VELOCITY_X,
+    OTHER_VELOCITY_Y,
+    OTHER_X,
+    OTHER_Y,
+    PREFERRED_SPEED,
+    RADIUS,
+    TIME,
+    VELOCITY_X,
+    VELOCITY_Y,
+)
 from mrsan.kernels import function, kernel, rng
 
 _ZERO = np.float32(0.0)
@@ -20,8 +38,8 @@ def observe(chunks, worlds, state, p, ego, humans, humans_visible, robots, robot
         worlds: [E] bool, the worlds to observe.
         state: the worlds.
         p: the scenario's parameters.
-        ego: [E, N, 11], see `mrsan.world.EGO_FEATURES`.
-        humans: [E, N, M, 5], see `mrsan.world.OTHER_FEATURES`; zero where not visible.
+        ego: [E, N, 11], see `mrsan.features.EGO_FEATURES`.
+        humans: [E, N, M, 5], see `mrsan.features.OTHER_FEATURES`; zero where not visible.
         humans_visible: [E, N, M] bool.
         robots: [E, N, N - 1, 5], the other robots in the order of their numbers.
         robots_visible: [E, N, N - 1] bool.
@@ -51,12 +69,15 @@ def observe(chunks, worlds, state, p, ego, humans, humans_visible, robots, robot
                 x, y = position[e, i, 0], position[e, i, 1]
                 vx, vy = velocity[e, i, 0], velocity[e, i, 1]
                 gx, gy = goal[e, i, 0] - x, goal[e, i, 1] - y
-                ego[e, i, 0], ego[e, i, 1] = cos * gx + sin * gy, cos * gy - sin * gx
-                ego[e, i, 2], ego[e, i, 3] = cos * vx + sin * vy, cos * vy - sin * vx
-                ego[e, i, 4], ego[e, i, 5] = -(cos * x + sin * y), -(cos * y - sin * x)
-                ego[e, i, 6], ego[e, i, 7] = cos, sin
-                ego[e, i, 8], ego[e, i, 9] = robot_radius, robot_speed
-                ego[e, i, 10] = np.float32(step) / steps
+                ego[e, i, GOAL_X] = cos * gx + sin * gy
+                ego[e, i, GOAL_Y] = cos * gy - sin * gx
+                ego[e, i, VELOCITY_X] = cos * vx + sin * vy
+                ego[e, i, VELOCITY_Y] = cos * vy - sin * vx
+                ego[e, i, ORIGIN_X] = -(cos * x + sin * y)
+                ego[e, i, ORIGIN_Y] = -(cos * y - sin * x)
+                ego[e, i, HEADING_COS], ego[e, i, HEADING_SIN] = cos, sin
+                ego[e, i, RADIUS], ego[e, i, PREFERRED_SPEED] = robot_radius, robot_speed
+                ego[e, i, TIME] = np.float32(step) / steps
                 for j in range(m + n):
                     if j == m + i:
                         continue
@@ -105,14 +126,16 @@ def observe(chunks, worlds, state, p, ego, humans, humans_visible, robots, robot
                         ahead = left = along = across = radius = _ZERO
                     if j < m:
                         humans_visible[e, i, slot] = seen
-                        humans[e, i, slot, 0], humans[e, i, slot, 1] = ahead, left
-                        humans[e, i, slot, 2], humans[e, i, slot, 3] = along, across
-                        humans[e, i, slot, 4] = radius
+                        humans[e, i, slot, OTHER_X], humans[e, i, slot, OTHER_Y] = ahead, left
+                        humans[e, i, slot, OTHER_VELOCITY_X] = along
+                        humans[e, i, slot, OTHER_VELOCITY_Y] = across
+                        humans[e, i, slot, OTHER_RADIUS] = radius
                     else:
                         robots_visible[e, i, slot] = seen
-                        robots[e, i, slot, 0], robots[e, i, slot, 1] = ahead, left
-                        robots[e, i, slot, 2], robots[e, i, slot, 3] = along, across
-                        robots[e, i, slot, 4] = radius
+                        robots[e, i, slot, OTHER_X], robots[e, i, slot, OTHER_Y] = ahead, left
+                        robots[e, i, slot, OTHER_VELOCITY_X] = along
+                        robots[e, i, slot, OTHER_VELOCITY_Y] = across
+                        robots[e, i, slot, OTHER_RADIUS] = radius
 
 
 @function
