@@ -1,4 +1,4 @@
-"""Multi-robot socially-aware navigation: a batched simulator with three standard faces."""
+"""Multi-robot socially-aware navigation: a batched simulator with three standard wrappers."""
 
 import os
 

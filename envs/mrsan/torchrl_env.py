@@ -47,7 +47,7 @@ class TorchRLEnv(EnvBase):
         Args:
             scenario: the task; SAMARL's by default.
             worlds: E.
-            device: where the tensors of the faces live; the simulation runs on the CPU.
+            device: where the tensors of the wrapper live; the simulation runs on the CPU.
             seed: world `e` plays case `seed + e`. None: drawn at random.
             **overrides: fields of the scenario, such as `humans=5`.
         """

@@ -1,4 +1,4 @@
-"""The three faces pass their libraries' checks and give the same numbers."""
+"""The three wrappers pass their libraries' checks and give the same numbers."""
 
 import warnings
 
@@ -43,7 +43,7 @@ def test_torchrls_own_check(scenario: Scenario, worlds: int) -> None:
 
 
 @pytest.mark.parametrize("scenario", SCENARIOS.values(), ids=SCENARIOS.keys())
-def test_all_faces_play_a_case_alike(scenario: Scenario) -> None:
+def test_all_wrappers_play_a_case_alike(scenario: Scenario) -> None:
     rng = np.random.default_rng(0)
     shape = (30, len(CASES), scenario.robots, scenario.action_size)
     actions = rng.uniform(-1, 1, shape).astype(np.float32)
@@ -234,9 +234,9 @@ def test_gymnasium_makes_it_by_its_id() -> None:
     np.testing.assert_array_equal(sync.reset(seed=4)[0]["ego"], batch["ego"])
 
 
-@pytest.mark.parametrize("face", [TorchRLEnv, PettingZooEnv, GymnasiumEnv])
-def test_what_is_no_scenario_or_no_field_of_one_is_refused(face: type) -> None:
+@pytest.mark.parametrize("wrapper", [TorchRLEnv, PettingZooEnv, GymnasiumEnv])
+def test_what_is_no_scenario_or_no_field_of_one_is_refused(wrapper: type) -> None:
     with pytest.raises(ConfigurationError, match="scenario is 64; it must be a Scenario"):
-        face(64)
+        wrapper(64)
     with pytest.raises(ConfigurationError, match="human is 5; it must be a field of Scenario: rob"):
-        face(human=5)
+        wrapper(human=5)
