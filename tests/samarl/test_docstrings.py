@@ -9,7 +9,7 @@ EXAMPLES = {
     "mrsan.world": 4,
     "mrsan.pettingzoo_env": 4,
     "mrsan.torchrl_env": 2,
-    "samarl.evaluation.summary": 2,
+    "samarl.evaluation.metrics": 2,
 }
 
 
