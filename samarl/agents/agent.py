@@ -10,7 +10,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple, get_type_hints
+from typing import Any, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,14 +19,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from mrsan import ConfigurationError, Observation, Scenario
 from mrsan.scenario import check_numbers
-
-
-class Explanation(NamedTuple):
-    """What an agent had in mind when it last acted; None: it has no such thing."""
-
-    waypoint: NDArray[np.float32] | None  # [E, N, 2] where each robot is driving to, world frame, m
-    humans: NDArray[np.float32] | None  # [E, N, M] shares of its attention
-    robots: NDArray[np.float32] | None  # [E, N, N - 1]
+from samarl.policies.explanation import Explanation
 
 
 @dataclass

@@ -11,26 +11,33 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import MISSING, DictConfig, OmegaConf
 
 from mrsan import ConfigurationError
-from mrsan.scenario import check_numbers
 from samarl.commands.cli import command_line, run_command
-from samarl.training.curriculum import Group
+from samarl.training.curriculum import CurriculumStage, check_stages
 
 if TYPE_CHECKING:
-    from samarl.training.loop import Trainer
+    from samarl.training.trainer import Trainer
+
+
+@dataclass
+class Curriculum:
+    """Schema of `conf/curriculum/`."""
+
+    stages: list[CurriculumStage] = field(default_factory=list)
 
 
 @dataclass
 class Train:
     """Schema of `conf/train.yaml`."""
 
-    folder: str = MISSING
+    run_dir: str = MISSING
     resume: str | None = None
-    initial: str | None = None
+    init_from: str | None = None
     plugins: list[str] = field(default_factory=list)
-    groups: list[Group] = field(default_factory=list)
-    training: Any = MISSING
-    architecture: Any = MISSING
-    mappo: Any = MISSING
+    encoder: Any = MISSING
+    policy: Any = MISSING
+    algorithm: Any = MISSING
+    curriculum: Curriculum = field(default_factory=Curriculum)
+    trainer: Any = MISSING
 
 
 def main() -> None:
@@ -45,9 +52,11 @@ def train(config: DictConfig) -> None:
         config = begun_as(config)
     trainer = build_trainer(config, command_line("samarl-train"))
     if trainer.steps_done:
-        print(f"going on at step {trainer.steps_done} of {trainer.training.steps}")
+        print(f"going on at step {trainer.steps_done} of {trainer.config.steps}")
     trainer.run()
-    print(f"written to {trainer.folder}: best validation success {100 * trainer.best:.1f} %")
+    print(
+        f"written to {trainer.run_dir.folder}: best validation success {100 * trainer.best:.1f} %"
+    )
 
 
 def begun_as(config: DictConfig) -> DictConfig:
@@ -56,18 +65,20 @@ def begun_as(config: DictConfig) -> DictConfig:
     Raises:
         ConfigurationError: the folder holds no run, or other settings were given as well.
     """
-    from samarl.training.loop import FREE, own_settings
+    from samarl.training.run_dir import read_progress
+    from samarl.training.trainer import FREE
 
-    free = [*(f"training.{name}" for name in FREE), "plugins"]
+    free = [*(f"trainer.{name}" for name in FREE), "plugins"]
     for override in HydraConfig.get().overrides.task:
         if override.partition("=")[0] not in ("resume", *free):
             raise ConfigurationError(
                 f"resume is {config.resume!r} beside {override}; a run goes on with its own "
                 f"settings, beside it there may only be {', '.join(free)}"
             )
-    own = own_settings(Path(config.resume))
-    own["training"] |= {name: config.training[name] for name in FREE}
-    return OmegaConf.merge(config, own, {"folder": config.resume})  # type: ignore[return-value]
+    own = read_progress(Path(config.resume))["configuration"]
+    own["trainer"] |= {name: config.trainer[name] for name in FREE}
+    plain = OmegaConf.create({**OmegaConf.to_container(config), **own})  # type: ignore[dict-item]
+    return OmegaConf.merge(plain, {"run_dir": config.resume})  # type: ignore[return-value]
 
 
 def build_trainer(config: DictConfig, command: str) -> Trainer:
@@ -80,34 +91,23 @@ def build_trainer(config: DictConfig, command: str) -> Trainer:
     Raises:
         ConfigurationError: a number is wrong, or the folder holds another run.
     """
-    from samarl.algorithms.mappo import MAPPO
     from samarl.policies.checkpoint import find_policy
-    from samarl.policies.hierarchical import Architecture
-    from samarl.training.loop import Trainer, Training
+    from samarl.training.trainer import Trainer, TrainerConfig
 
-    def build(schema: type, name: str) -> Any:
-        merged = OmegaConf.merge(OmegaConf.structured(schema), config[name])
-        return OmegaConf.to_object(merged)
-
-    groups: list[Group] = OmegaConf.to_object(config.groups)  # type: ignore[assignment]
-    for index, group in enumerate(groups):
-        group.check(f"groups[{index}]")
-    for share in (0.0, *(group.end for group in groups)):
-        if share < 1.0 and not any(group.begin <= share < group.end for group in groups):
-            raise ConfigurationError(
-                f"groups has none for the time from {share:g} of the training on; it must have one"
-            )
-    training = build(Training, "training")
-    architecture, mappo = build(Architecture, "architecture"), build(MAPPO, "mappo")
-    check_numbers(architecture, "architecture")
-    check_numbers(mappo, "mappo")
-    if architecture.width % architecture.heads:
-        raise ConfigurationError(
-            f"architecture.heads is {architecture.heads}; it must divide architecture.width "
-            f"({architecture.width})"
-        )
-    initial = None if config.initial is None else find_policy(config.initial, "initial")
-    return Trainer(Path(config.folder), training, architecture, mappo, groups, command, initial)
+    stages: list[CurriculumStage] = OmegaConf.to_object(
+        OmegaConf.merge(OmegaConf.structured(Curriculum), config.curriculum)
+    ).stages  # type: ignore[union-attr]
+    check_stages(stages)
+    trainer = OmegaConf.to_object(
+        OmegaConf.merge(OmegaConf.structured(TrainerConfig), config.trainer)
+    )
+    policy, algorithm = (
+        OmegaConf.to_container(config[name], resolve=True) for name in ("policy", "algorithm")
+    )
+    init_from = None if config.init_from is None else find_policy(config.init_from, "init_from")
+    return Trainer(
+        Path(config.run_dir), trainer, policy, algorithm, stages, command, init_from,  # type: ignore[arg-type]
+    )  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
-"""From what a robot knows to the features its actors and critics read."""
+"""From what a robot knows to the features its networks read."""
 
-from samarl.encoders.encoder import ENCODERS, Encoder, Frames, encoder_named
-from samarl.encoders.spatio_temporal import SpatioTemporalEncoder
+from samarl.encoders import gru, spatio_temporal  # noqa: F401 (makes them known)
+from samarl.encoders.encoder import ENCODERS, Encoder
 
-__all__ = ["ENCODERS", "Encoder", "Frames", "SpatioTemporalEncoder", "encoder_named"]
+__all__ = ["ENCODERS", "Encoder"]

@@ -3,116 +3,114 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 from torch import Tensor, nn
+from torch.utils._pytree import tree_map
 
-ENCODERS: dict[str, type[Encoder]] = {}
+from samarl.observations.frames import Frames
+from samarl.registry import Registry
 
+ENCODERS: Registry[Encoder] = Registry("encoder")
 
-def encoder_named(name: str) -> Callable[[type[Encoder]], type[Encoder]]:
-    """Make a class known as `architecture.encoder=name`."""
-
-    def register(encoder: type[Encoder]) -> type[Encoder]:
-        ENCODERS[name] = encoder
-        return encoder
-
-    return register
-
-
-POSITION = slice(0, 2)  # where in F_h and F_r: seen from the robot, in units of 5 m
-NEAR_NOW = 5  # exp(-2 gap), gap the distance between surfaces in m
-NEAR_SOON = 8  # the same of the closest approach ahead, times exp(-0.5 t), t s away
-
-
-class Frames(NamedTuple):
-    """What B robots knew in T frames, scaled for the network."""
-
-    ego: Tensor  # [B, T, F_e]
-    humans: Tensor  # [B, T, M, F_h]
-    humans_known: Tensor  # [B, T, M] bool
-    robots: Tensor  # [B, T, N - 1, F_r]
-    robots_known: Tensor  # [B, T, N - 1] bool
-
-    def at(self, frames: slice) -> Frames:
-        """Some of the frames."""
-        return Frames(*(tensor[:, frames] for tensor in self))
-
-    def of(self, robots: Tensor | slice) -> Frames:
-        """Some of the robots."""
-        return Frames(*(tensor[robots] for tensor in self))
-
-    def to(self, device: torch.device) -> Frames:
-        """The same on another device."""
-        return Frames(*(tensor.to(device, non_blocking=True) for tensor in self))
-
-    @staticmethod
-    def joined(parts: Sequence[Frames], dimension: int) -> Frames:
-        """Several as one, joined along the robots (0) or the frames (1)."""
-        return Frames(*(torch.cat(tensors, dimension) for tensors in zip(*parts, strict=True)))
+State = dict[str, Tensor]  # of an encoder, each [B, ...]
 
 
 class Encoder(nn.Module, ABC):
-    """From what a robot knew in its last H frames to a feature Y for its actors.
+    """From what a robot knew until now, and what it wants to know it for, to a feature Y.
 
-    Shapes: B robots (of all worlds), T frames, H frames of history. A subclass need define
-    `forward` alone; what holds for all: any number of humans and robots, finite with nobody
-    known, and no difference whatever stands in the slots of those who are not known.
+    An encoder works in two parts. `observe` looks at the agents around the robot, over time: the
+    scene. `read` answers a query, the robot's own state with where it is heading, from that scene.
+    So both levels of a policy ask the same scene, each with its own target.
+
+    Shapes: B robots (of all worlds), T frames, h frames of history before them (`history`), P
+    samples, each one frame of one robot. What holds for all encoders: any number of humans and
+    robots, finite with nobody known, and no difference whatever stands in the slots of those who
+    are not known.
     """
 
-    def __init__(
-        self, ego_features: int, other_features: int, width: int, heads: int, history: int, out: int
-    ) -> None:
+    history = 0  # so many frames before the first are needed to observe it
+    features: int  # length of Y
+
+    def __init__(self, config: Any, ego_features: int, other_features: int) -> None:
         """Make the encoder.
 
         Args:
-            ego_features: F_e.
-            other_features: F_h and F_r.
-            width: D.
-            heads: of every attention.
-            history: H, frames; 1 has no memory.
-            out: length of Y.
+            config: its numbers, an instance of the dataclass it is registered with.
+            ego_features: F_e, length of the robot's own state and of a query.
+            other_features: F_o, length of what is known of another agent.
         """
         super().__init__()
-        self.history = history
 
     @abstractmethod
-    def forward(self, frames: Frames, begins: Tensor) -> Tensor:
-        """Y [B, T - H + 1, out] of every frame that has H - 1 frames before it.
+    def observe(
+        self, frames: Frames, is_init: Tensor, state: State, samples: Tensor | None = None
+    ) -> Any:
+        """The scene, a (nested) tuple or dict of tensors [P, ...].
 
         Args:
-            frames: T >= H frames of each robot; those before the first of an episode are ignored.
-            begins: [B, T] bool, whether an episode begins with this frame.
+            frames: [B, h + T, ...]; those before the first of an episode are ignored.
+            is_init: [B, h + T] bool, whether an episode begins with this frame.
+            state: before the first frame that is not history.
+            samples: [P] which of the B T frames, as b T + t; None: all, in this order.
         """
 
-    def windows(self, frame: Frames) -> Any:
-        """What `step` remembers, before the first frame; `frame` is an example of one."""
-        past = self.history - 1
-        frames = Frames(
-            *(tensor.new_zeros(len(tensor), past, *tensor.shape[2:]) for tensor in frame)
-        )
-        return frames, frame.ego.new_ones(len(frame.ego), past, dtype=torch.bool)
+    @abstractmethod
+    def read(self, scene: Any, query: Tensor) -> Tensor:
+        """Y [P, features] of a scene for queries [P, F_e]."""
 
-    def step(self, frame: Frames, begins: Tensor, windows: Any) -> tuple[Tensor, Any]:
-        """Y [B, out] of one more frame, and what to remember.
+    def initial_state(self, frame: Frames) -> State:
+        """What is remembered before the first frame; `frame` is an example of one, [B, 1, ...]."""
+        return {}
+
+    def step(self, frame: Frames, is_init: Tensor, state: State, rows: Tensor | None = None) -> Any:
+        """The scene [R, ...] of one more frame.
 
         Args:
-            frame: what each robot knows now, T = 1.
-            begins: [B] bool, whether an episode begins with this frame.
-            windows: of the last step.
+            frame: [R, 1, ...] what R of the B robots know now.
+            is_init: [R] bool.
+            state: of all B robots, updated in place.
+            rows: [R] which robots; None: all of them.
         """
-        past, past_begins = windows
-        frames = Frames.joined([past, frame], 1)
-        all_begins = torch.cat([past_begins, begins.unsqueeze(1)], 1)
-        y = self(frames, all_begins)[:, -1]
-        return y, (frames.at(slice(1, None)), all_begins[:, 1:])
+        return self.observe(frame, is_init.unsqueeze(1), state)
 
-    def attention(self, frame: Frames) -> tuple[Tensor, Tensor] | None:
-        """How each robot's attention is shared out in one frame (T = 1), for replays.
+    def resume(self, frames: Frames, is_init: Tensor, state: State, rows: Tensor) -> None:
+        """Bring `state` of some robots to what it is after their last frames.
+
+        It is called where the weights have changed, or where robots are taken back in time. What
+        only depends on the weights and on the last `history` frames is computed anew here; what
+        goes back further must be in `memory`.
+
+        Args:
+            frames: [R, h, ...] the last frames.
+            is_init: [R, h] bool.
+            state: of all B robots, updated in place.
+            rows: [R] which robots.
+        """
+
+    def memory(self, state: State) -> State:
+        """The part of the state that `resume` cannot compute."""
+        return state
+
+    def attention(self, scene: Any, query: Tensor) -> tuple[Tensor, Tensor] | None:
+        """How each robot's attention is shared out, for replays.
 
         Returns:
-            Shares of the other robots [B, N - 1] and of the humans [B, M]; None: it has none.
+            Shares of the other robots [P, N - 1] and of the humans [P, M]; None: it has none.
         """
         return None
+
+
+def samples_of(scene: Any, index: Tensor) -> Any:
+    """Some samples of a scene."""
+    return tree_map(lambda tensor: tensor[index], scene)
+
+
+def frame_numbers(frames: Frames, history: int, samples: Tensor | None) -> Tensor:
+    """The number b (h + T) + h + t of each sample's frame, [P]."""
+    b, t = frames.ego.shape[:2]
+    steps = t - history
+    if samples is None:
+        samples = torch.arange(b * steps, device=frames.ego.device)
+    return samples // steps * t + history + samples % steps

@@ -1,53 +1,75 @@
-"""SAMARL's hybrid spatio-temporal transformer (SAMARL, Sec. IV-A, Eq. 5-8).
+"""SAMARL's hybrid spatio-temporal transformer (Sec. IV-B, Eq. 5 to 8).
 
-Shapes: B robots (of all worlds), T frames, M agents of one kind, D features, H frames of history.
-Humans and robots go through separate blocks. What is not known is masked everywhere, and every
-attention also offers a learned "nobody" key, so the result is finite with nobody in view.
+Humans and robots have blocks of their own, as they interact differently. A spatial transformer
+relates the agents of one frame, a temporal one each agent's own history; the robot itself asks
+both, and cross-modal attention fuses what it gets. Who is not known is masked everywhere, and every
+question of the robot also has a learned "nobody" to turn to, so the result is finite with nobody
+in view.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from samarl.encoders.encoder import (
-    NEAR_NOW,
-    NEAR_SOON,
-    POSITION,
-    Encoder,
-    Frames,
-    encoder_named,
-)
+from mrsan import ConfigurationError
+from mrsan.scenario import required
+from samarl.encoders.encoder import ENCODERS, Encoder, State, frame_numbers
+from samarl.encoders.windowed_attention import windowed_attention
+from samarl.observations.features import NEAR_NOW, NEAR_SOON, POSITION
+from samarl.observations.frames import Frames
 
 _MASKED = -1e9
 
 
-def _attend(query: Tensor, key_value: Tensor, mask: Tensor, heads: int) -> Tensor:
-    """Multi-head attention (Eq. 5) of `query` [R, Q, D] over `key_value` [R, K, 2 D].
+@dataclass
+class SpatioTemporalConfig:
+    """Sizes of the transformer."""
 
-    `mask` is added to the scores and broadcasts to [R, heads, Q, K].
-    """
-    r, q, d = query.shape
-    key, value = key_value.view(r, key_value.shape[1], 2, heads, d // heads).permute(2, 0, 3, 1, 4)
-    query = query.view(r, q, heads, d // heads).transpose(1, 2)
-    mask = mask.expand(r, heads, q, key.shape[2])
-    out = functional.scaled_dot_product_attention(query, key, value, attn_mask=mask)
-    return out.transpose(1, 2).reshape(r, q, d)
+    width: int = required(8, 1024)  # of every token, D
+    heads: int = required(1, 64)
+    history: int = required(1, 64)  # frames, H; 1: no temporal transformer
+    features: int = required(8, 4096)  # length of Y
 
 
 def nearness(others: Tensor, known: Tensor, heads: int) -> Tensor:
-    """What is added to the scores [R, heads, M] of a robot's attention over others [R, M, F].
+    """What is added to the scores [P, M, heads] of a robot's attention over others [P, M, F].
 
     Nearer agents matter more: to the even heads those that are near now, to the odd ones those
     whose closest approach ahead is near and soon, each less by 1 per metre. Attention that begins
     with equal shares learns to tell agents apart too late.
     """
     now, soon = (others[..., k].clamp_min(1e-20).log() / 2 for k in (NEAR_NOW, NEAR_SOON))
-    score = torch.stack([(now, soon)[head % 2] for head in range(heads)], 1)
-    return torch.where(known.unsqueeze(1), score, _MASKED)
+    score = torch.stack([(now, soon)[head % 2] for head in range(heads)], -1)
+    return torch.where(known.unsqueeze(-1), score, _MASKED)
+
+
+class HeadSums(nn.Module):
+    """Sums over the features of each head, and the way back, as products with a constant matrix.
+
+    Every operand stays contiguous in the features, which is several times as fast on a CPU as
+    broadcasting over them.
+    """
+
+    matrix: Tensor  # [D, heads], 1 where a feature belongs to a head
+
+    def __init__(self, width: int, heads: int) -> None:
+        super().__init__()
+        matrix = torch.eye(heads).repeat_interleave(width // heads, 0)
+        self.register_buffer("matrix", matrix, persistent=False)
+        self.scale = (width // heads) ** -0.5
+
+    def scores(self, query: Tensor, key: Tensor) -> Tensor:
+        """Scaled products of queries and keys [..., D] per head, [..., heads]."""
+        return (query * key) @ (self.scale * self.matrix)
+
+    def weigh(self, share: Tensor, value: Tensor) -> Tensor:
+        """Values [..., D] times the share [..., heads] of their head."""
+        return (share @ self.matrix.T) * value
 
 
 class Pool(nn.Module):
@@ -55,33 +77,31 @@ class Pool(nn.Module):
 
     def __init__(self, width: int, heads: int) -> None:
         super().__init__()
-        self.heads = heads
+        self.sums = HeadSums(width, heads)
         self.query = nn.Linear(width, width)
         self.key_value = nn.Linear(width, 2 * width)
         self.nobody = nn.Parameter(torch.zeros(2 * width))
         self.out = nn.Linear(width, width)
 
     def forward(self, own: Tensor, tokens: Tensor, score: Tensor) -> Tensor:
-        """Summary [R, D] of `tokens` [R, M, D] for the robot's own embedding [R, D].
+        """Summary [P, D] of `tokens` [P, M, D] for the robot's own embedding [P, D].
 
-        `score` [R, heads, M] is added to the attention's own, see `nearness`.
+        `score` [P, M, heads] is added to the attention's own, see `nearness`.
         """
-        return self.out(_attend(*self._asked(own, tokens, score), self.heads).squeeze(1))
+        share, value = self._attend(own, tokens, score)
+        return self.out(self.sums.weigh(share, value).sum(1))
 
     def shares(self, own: Tensor, tokens: Tensor, score: Tensor) -> Tensor:
-        """The share of the attention that each of the M gets, [R, M]; "nobody" gets the rest."""
-        query, key_value, mask = self._asked(own, tokens, score)
-        r, keys, d = len(query), key_value.shape[1], query.shape[2] // self.heads
-        key = key_value.view(r, keys, 2, self.heads, d)[:, :, 0]
-        found = torch.einsum("rhd,rkhd->rhk", query.view(r, self.heads, d), key) / d**0.5
-        return torch.softmax(found + mask[:, :, 0], -1).mean(1)[:, 1:]
+        """The share of the attention that each of the M gets, [P, M]; "nobody" gets the rest."""
+        share, _ = self._attend(own, tokens, score)
+        return share.mean(-1)[:, 1:]
 
-    def _asked(self, own: Tensor, tokens: Tensor, score: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Query, keys with values, and mask, as `_attend` takes them."""
+    def _attend(self, own: Tensor, tokens: Tensor, score: Tensor) -> tuple[Tensor, Tensor]:
+        """Shares [P, 1 + M, heads] and values [P, 1 + M, D] of nobody and the agents."""
         nobody = self.nobody.expand(len(tokens), 1, -1)
-        key_value = torch.cat([nobody, self.key_value(tokens)], 1)
-        mask = functional.pad(score, (1, 0)).unsqueeze(2)
-        return self.query(own).unsqueeze(1), key_value, mask
+        key, value = torch.cat([nobody, self.key_value(tokens)], 1).chunk(2, -1)
+        found = self.sums.scores(self.query(own).unsqueeze(1), key)
+        return torch.softmax(found + functional.pad(score, (0, 0, 1, 0)), 1), value
 
 
 class SpatialTransformer(nn.Module):
@@ -94,46 +114,40 @@ class SpatialTransformer(nn.Module):
         super().__init__()
         self.heads = heads
         self.norm = nn.LayerNorm(width)
-        self.query = nn.Linear(width, width)
-        self.key_value = nn.Linear(width, 2 * width)
-        self.graph = nn.Linear(width, width)
+        self.project = nn.Linear(
+            width, 4 * width
+        )  # query, key, value, and what the graph passes on
         self.gate = nn.Linear(2 * width, width)
         self.pool = Pool(width, heads)
 
     def forward(self, tokens: Tensor, others: Tensor, known: Tensor) -> Tensor:
-        """The tokens [R, M, D] of R robot-frames, each knowing of the others.
+        """The tokens [P, M, D] of P frames, each knowing of the others.
 
         Args:
-            tokens: [R, M, D] embeddings.
-            others: [R, M, F] what is known of them.
-            known: [R, M].
+            tokens: [P, M, D] embeddings.
+            others: [P, M, F] what is known of them.
+            known: [P, M].
         """
-        if tokens.shape[1] == 0:
+        p, m, d = tokens.shape
+        if m == 0:
             return tokens
-        normed, position = self.norm(tokens), others[..., POSITION].contiguous()
+        query, key, value, passed = self.project(self.norm(tokens)).chunk(4, -1)
         masked = torch.where(known, 0.0, _MASKED)
-        attention = _attend(
-            self.query(normed), self.key_value(normed), masked[:, None, None, :], self.heads
+        query, key, value = (
+            part.reshape(p, m, self.heads, d // self.heads).transpose(1, 2)
+            for part in (query, key, value)
         )
-        near = torch.softmax(-2.5 * torch.cdist(position, position) + masked.unsqueeze(1), -1)
-        graph = torch.relu(torch.bmm(near, self.graph(normed)))
+        attention = functional.scaled_dot_product_attention(
+            query, key, value, attn_mask=masked[:, None, None, :].expand(p, self.heads, m, m)
+        )
+        attention = attention.transpose(1, 2).reshape(p, m, d)
+        position = others[..., POSITION]
+        distance = (position.unsqueeze(1) - position.unsqueeze(2)).square().sum(-1)
+        distance = distance.clamp_min(1e-12).sqrt()
+        near = torch.softmax(-2.5 * distance + masked.unsqueeze(1), -1)
+        graph = torch.relu(torch.bmm(near, passed))
         gate = torch.sigmoid(self.gate(torch.cat([attention, graph], -1)))
         return tokens + torch.lerp(graph, attention, gate)
-
-
-class Window(NamedTuple):
-    """What the temporal transformer keeps of the last H frames, the newest last."""
-
-    key_value: Tensor  # [B, M, H, 2 D]
-    known: Tensor  # [B, M, H] in this episode
-
-    def follow(self, key_value: Tensor, known: Tensor, begins: Tensor) -> Window:
-        """One frame later: keys and values [B, M, 2 D], `known` [B, M], `begins` [B]."""
-        past = self.known[:, :, 1:] & ~begins[:, None, None]
-        return Window(
-            torch.cat([self.key_value[:, :, 1:], key_value.unsqueeze(2)], 2),
-            torch.cat([past, known.unsqueeze(2)], 2),
-        )
 
 
 class TemporalTransformer(nn.Module):
@@ -144,120 +158,117 @@ class TemporalTransformer(nn.Module):
 
     slopes: Tensor  # [heads]
 
-    def __init__(self, width: int, heads: int, history: int) -> None:
+    def __init__(self, width: int, heads: int) -> None:
         super().__init__()
-        self.heads = heads
-        self.history = history
+        self.scale = (width // heads) ** -0.5
         self.norm = nn.LayerNorm(width)
         self.query = nn.Linear(width, width)
         self.key_value = nn.Linear(width, 2 * width)
         self.register_buffer("slopes", 2.0 ** -torch.arange(heads), persistent=False)
         self.pool = Pool(width, heads)
 
-    def forward(self, tokens: Tensor, known: Tensor, begins: Tensor) -> Tensor:
-        """Tokens [B, M, T - H + 1, D] of the frames that have H - 1 frames before them.
+    def keys_values(self, tokens: Tensor) -> Tensor:
+        """What a frame's tokens [..., D] are to later frames, [..., 2 D]."""
+        return self.key_value(self.norm(tokens))
+
+    def forward(self, tokens: Tensor, kept: Tensor, window: Tensor, allowed: Tensor) -> Tensor:
+        """The tokens [P, M, D] of P frames, each knowing of its own past.
 
         Args:
-            tokens: [B, M, T, D] embeddings of all frames.
-            known: [B, M, T].
-            begins: [B, T] whether an episode begins with a frame.
+            tokens: [P, M, D] embeddings of the present.
+            kept: [F, M, 2 D] `keys_values` of all frames.
+            window: [P, H] which are the last H, the present first.
+            allowed: [P, H, M] whether a frame is of this episode and the agent was known in it.
         """
-        b, m, t, d = tokens.shape
-        normed = self.norm(tokens)
-        present = normed[:, :, self.history - 1 :]
-        if self.history == 1:
-            return tokens + self.key_value(normed)[..., d:]
-        episode = begins.long().cumsum(1)
-        frame = torch.arange(t, device=tokens.device)
-        lag = frame[self.history - 1 :].unsqueeze(1) - frame  # [T', T]
-        allowed = (lag >= 0) & (lag < self.history)
-        allowed = allowed & (episode[:, self.history - 1 :].unsqueeze(2) == episode.unsqueeze(1))
-        allowed = allowed.unsqueeze(1) & known.unsqueeze(2)  # [B, M, T', T]
-        bias = -self.slopes[:, None, None] * lag.clamp_min(0)
-        mask = bias + torch.where(allowed, 0.0, _MASKED).flatten(0, 1).unsqueeze(1)
-        query, key_value = self.query(present), self.key_value(normed)
-        timed = _attend(query.flatten(0, 1), key_value.flatten(0, 1), mask, self.heads)
-        return tokens[:, :, self.history - 1 :] + timed.view(b, m, present.shape[2], d)
+        query = self.query(self.norm(tokens)) * self.scale
+        lag = torch.arange(window.shape[1], device=tokens.device)
+        bias = -self.slopes.unsqueeze(1) * lag
+        return tokens + windowed_attention(query, kept, window, allowed, bias)
 
-    def step(self, tokens: Tensor, window: Window) -> Tensor:
-        """Tokens [B, M, D] of the newest frame over the window that ends with it."""
-        b, m, d = tokens.shape
-        lag = torch.arange(self.history - 1, -1, -1, device=tokens.device)
-        bias = (-self.slopes[:, None] * lag).unsqueeze(1)  # [heads, 1, H]
-        mask = bias + torch.where(window.known, 0.0, _MASKED).view(b * m, 1, 1, self.history)
-        query = self.query(self.norm(tokens)).view(b * m, 1, d)
-        return tokens + _attend(query, window.key_value.flatten(0, 1), mask, self.heads).view(
-            b, m, d
-        )
+
+class Seen(NamedTuple):
+    """What the block of one kind of agent found in P frames."""
+
+    spatial: Tensor  # [P, M, D] tokens
+    temporal: Tensor  # [P, M, D]
+    score: Tensor  # [P, M, heads] see `nearness`
 
 
 class Block(nn.Module):
     """Embedding, spatial and temporal transformer of one kind of agent."""
 
-    def __init__(self, ego: int, other: int, width: int, heads: int, history: int) -> None:
+    def __init__(self, ego: int, other: int, config: SpatioTemporalConfig) -> None:
         super().__init__()
+        width, self.past = config.width, config.history - 1
         self.embed_ego = nn.Linear(ego, width)
         self.embed_other = nn.Linear(other, width)
         self.embed = nn.Linear(width, width)
         for layer in (self.embed_ego, self.embed_other, self.embed):
             nn.init.orthogonal_(layer.weight, gain=2**0.5)
-        self.spatial = SpatialTransformer(width, heads)
-        self.temporal = TemporalTransformer(width, heads, history)
+        self.spatial = SpatialTransformer(width, config.heads)
+        self.temporal = TemporalTransformer(width, config.heads)
 
     def forward(
-        self, own: Tensor, ego: Tensor, others: Tensor, known: Tensor, begins: Tensor
-    ) -> list[Tensor]:
-        """Spatial and temporal feature, each [B T', D], of the frames after the first H - 1."""
-        past = self.temporal.history - 1
-        tokens = self._embedded(ego, others)  # [B, T, M, D]
-        timed = self.temporal(tokens.transpose(1, 2), known.transpose(1, 2), begins)
-        tokens, timed, others, known = (
-            tensor.flatten(0, 1)
-            for tensor in (
-                tokens[:, past:],
-                timed.transpose(1, 2),
-                others[:, past:],
-                known[:, past:],
-            )
-        )
-        return self._features(own, tokens, timed, others, known)
+        self, ego: Tensor, others: Tensor, known: Tensor, frame: Tensor, fresh: Tensor
+    ) -> Seen:
+        """What is to be seen in P of the frames.
+
+        Args:
+            ego: [F, F_e] of all frames of all robots, one after another.
+            others: [F, M, F_o].
+            known: [F, M].
+            frame: [P] which frames.
+            fresh: [P, H] whether the frame so many before belongs to the same episode.
+        """
+        tokens = self.embedded(ego, others)
+        window = frame.unsqueeze(1) - torch.arange(self.past + 1, device=frame.device)
+        window = torch.where(fresh, window, frame.unsqueeze(1))
+        allowed = known[window] & fresh.unsqueeze(-1)
+        kept = self.temporal.keys_values(tokens)
+        return self._seen(tokens[frame], others[frame], known[frame], kept, window, allowed)
 
     def step(
-        self,
-        own: Tensor,
-        ego: Tensor,
-        others: Tensor,
-        known: Tensor,
-        begins: Tensor,
-        window: Window,
-    ) -> tuple[list[Tensor], Window]:
-        """The same of one more frame (T = 1), and the window that ends with it."""
-        tokens = self._embedded(ego, others)[:, 0]
-        temporal = self.temporal
-        key_value = temporal.key_value(temporal.norm(tokens))
-        window = window.follow(key_value, known[:, 0], begins)
-        timed = temporal.step(tokens, window)
-        return self._features(own, tokens, timed, others[:, 0], known[:, 0]), window
+        self, ego: Tensor, others: Tensor, known: Tensor, kept: Tensor, kept_known: Tensor,
+        count: Tensor, rows: Tensor,
+    ) -> Seen:  # fmt: skip
+        """The same of one more frame of R robots, whose keys and values go into a ring buffer.
 
-    def attention(self, own: Tensor, ego: Tensor, others: Tensor, known: Tensor) -> Tensor:
-        """The shares [B, M] of the robot's attention in one frame (T = 1)."""
-        tokens, others, known = self._embedded(ego, others)[:, 0], others[:, 0], known[:, 0]
-        score = nearness(others, known, self.spatial.heads)
-        return self.spatial.pool.shares(own, self.spatial(tokens, others, known), score)
+        Args:
+            ego: [R, F_e].
+            others: [R, M, F_o].
+            known: [R, M].
+            kept: [B, H, M, 2 D] the ring buffer, updated in place.
+            kept_known: [B, H, M].
+            count: [R] frames of the episode before this one.
+            rows: [R] which of the B robots.
+        """
+        tokens, size = self.embedded(ego, others), self.past + 1
+        kept[rows, count % size] = self.temporal.keys_values(tokens).to(kept.dtype)
+        kept_known[rows, count % size] = known
+        lag = torch.arange(size, device=count.device)
+        slot = (count.unsqueeze(1) - lag) % size
+        allowed = kept_known[rows.unsqueeze(1), slot] & (lag <= count.unsqueeze(1)).unsqueeze(-1)
+        window = rows.unsqueeze(1) * size + slot
+        return self._seen(tokens, others, known, kept.flatten(0, 1), window, allowed)
 
-    def _features(
-        self, own: Tensor, tokens: Tensor, timed: Tensor, others: Tensor, known: Tensor
-    ) -> list[Tensor]:
-        score = nearness(others, known, self.spatial.heads)
-        spatial = self.spatial(tokens, others, known)
+    def embedded(self, ego: Tensor, others: Tensor) -> Tensor:
+        """Tokens [..., M, D] of `others` [..., M, F_o] to robots `ego` [..., F_e]."""
+        return self.embed(torch.relu(self.embed_other(others) + self.embed_ego(ego).unsqueeze(-2)))
+
+    def asked(self, own: Tensor, seen: Seen) -> list[Tensor]:
+        """The robot's spatial and temporal feature, [P, D] each."""
         return [
-            pool(own, both, score)
-            for pool, both in ((self.spatial.pool, spatial), (self.temporal.pool, timed))
+            self.spatial.pool(own, seen.spatial, seen.score),
+            self.temporal.pool(own, seen.temporal, seen.score),
         ]
 
-    def _embedded(self, ego: Tensor, others: Tensor) -> Tensor:
-        embedded = self.embed_other(others) + self.embed_ego(ego).unsqueeze(2)
-        return self.embed(torch.relu(embedded))
+    def _seen(
+        self, tokens: Tensor, others: Tensor, known: Tensor, kept: Tensor, window: Tensor,
+        allowed: Tensor,
+    ) -> Seen:  # fmt: skip
+        timed = self.temporal(tokens, kept, window, allowed)
+        score = nearness(others, known, self.spatial.heads)
+        return Seen(self.spatial(tokens, others, known), timed, score)
 
 
 class CrossModal(nn.Module):
@@ -273,70 +284,115 @@ class CrossModal(nn.Module):
         self.out = nn.Linear(5 * width, out)
 
     def forward(self, own: Tensor, modalities: Tensor) -> Tensor:
-        """Y [R, out] from the robot's own embedding [R, D] and the features [R, 4, D]."""
+        """Y [P, out] from the robot's own embedding [P, D] and the features [P, 4, D]."""
         fused = self.norm(modalities)
         crossed, _ = self.cross(fused, fused, fused, need_weights=False)
         final = self.final(modalities + crossed)
         return torch.relu(self.out(torch.cat([own, final.flatten(1)], -1)))
 
 
-@encoder_named("spatio_temporal")
+class SpatioTemporalScene(NamedTuple):
+    """Robots and humans around P robots."""
+
+    robots: Seen
+    humans: Seen
+
+
+@ENCODERS.register("spatio_temporal", SpatioTemporalConfig)
 class SpatioTemporalEncoder(Encoder):
-    """Y_t of each robot from what it knew in its last H frames (Eq. 8)."""
+    """Y_t of each robot from what it knew in its last H frames (Eq. 8).
+
+    The tokens of a frame, their keys and values are computed once, however many windows they are
+    in; everything else is computed for the samples alone.
+    """
 
     def __init__(
-        self, ego_features: int, other_features: int, width: int, heads: int, history: int, out: int
+        self, config: SpatioTemporalConfig, ego_features: int, other_features: int
     ) -> None:
         """See `Encoder`."""
-        super().__init__(ego_features, other_features, width, heads, history, out)
-        self.width = width
+        super().__init__(config, ego_features, other_features)
+        if config.width % config.heads:
+            raise ConfigurationError(
+                f"encoder.heads is {config.heads}; it must divide encoder.width ({config.width})"
+            )
+        width = config.width
+        self.width, self.history, self.features = width, config.history - 1, config.features
         self.own = nn.Sequential(nn.Linear(ego_features, width), nn.ReLU(), nn.Linear(width, width))
-        self.humans = Block(ego_features, other_features, width, heads, history)
-        self.robots = Block(ego_features, other_features, width, heads, history)
-        self.cross = CrossModal(width, heads, out)
+        self.humans = Block(ego_features, other_features, config)
+        self.robots = Block(ego_features, other_features, config)
+        self.cross = CrossModal(width, config.heads, config.features)
 
-    def forward(self, frames: Frames, begins: Tensor) -> Tensor:
-        """See `Encoder.forward`.
-
-        A frame's embedding, keys and values are computed once, however many windows it is in.
-        """
-        past = self.history - 1
-        own = self.own(frames.ego[:, past:]).flatten(0, 1)
-        features = [
-            *self.robots(own, frames.ego, frames.robots, frames.robots_known, begins),
-            *self.humans(own, frames.ego, frames.humans, frames.humans_known, begins),
-        ]
-        y = self.cross(own, torch.stack(features, 1))
-        return y.unflatten(0, frames.ego[:, past:].shape[:2])
-
-    def windows(self, frame: Frames) -> tuple[Window, Window]:
-        """Empty windows of robots and humans."""
-
-        def empty(known: Tensor) -> Window:
-            b, _, m = known.shape
-            key_value = frame.ego.new_zeros(b, m, self.history, 2 * self.width)
-            return Window(key_value, known.new_zeros(b, m, self.history))
-
-        return empty(frame.robots_known), empty(frame.humans_known)
-
-    def step(
-        self, frame: Frames, begins: Tensor, windows: tuple[Window, Window]
-    ) -> tuple[Tensor, tuple[Window, Window]]:
-        """See `Encoder.step`; the earlier frames are not computed again."""
-        own = self.own(frame.ego[:, 0])
-        f, robots, humans = frame, *windows
-        of_robots, robots = self.robots.step(own, f.ego, f.robots, f.robots_known, begins, robots)
-        of_humans, humans = self.humans.step(own, f.ego, f.humans, f.humans_known, begins, humans)
-        return self.cross(own, torch.stack([*of_robots, *of_humans], 1)), (robots, humans)
-
-    def attention(self, frame: Frames) -> tuple[Tensor, Tensor]:
-        """How each robot's spatial attention is shared out in one frame (T = 1).
-
-        Returns:
-            Over the other robots [B, N - 1] and over the humans [B, M].
-        """
-        own, f = self.own(frame.ego[:, 0]), frame
-        return (
-            self.robots.attention(own, f.ego, f.robots, f.robots_known),
-            self.humans.attention(own, f.ego, f.humans, f.humans_known),
+    def observe(
+        self, frames: Frames, is_init: Tensor, state: State, samples: Tensor | None = None
+    ) -> SpatioTemporalScene:
+        """See `Encoder.observe`."""
+        frame = frame_numbers(frames, self.history, samples)
+        steps = torch.arange(is_init.shape[1], device=is_init.device)
+        began = torch.where(is_init, steps, -1).cummax(1).values  # [B, h + T]
+        lag = torch.arange(self.history + 1, device=is_init.device)
+        now = (frame % is_init.shape[1]).unsqueeze(1)
+        fresh = now - lag >= began.flatten()[frame].clamp_min(0).unsqueeze(1)
+        f = Frames(*(tensor.flatten(0, 1) for tensor in frames))
+        return SpatioTemporalScene(
+            self.robots(f.ego, f.robots, f.robots_known, frame, fresh),
+            self.humans(f.ego, f.humans, f.humans_known, frame, fresh),
         )
+
+    def read(self, scene: SpatioTemporalScene, query: Tensor) -> Tensor:
+        """See `Encoder.read`."""
+        own = self.own(query)
+        features = [*self.robots.asked(own, scene.robots), *self.humans.asked(own, scene.humans)]
+        return self.cross(own, torch.stack(features, 1))
+
+    def initial_state(self, frame: Frames) -> State:
+        """Ring buffers of the keys and values of the last H frames, and how many there were."""
+        state: State = {
+            "count": torch.zeros(len(frame.ego), dtype=torch.long, device=frame.ego.device)
+        }
+        for name, known in (("robots", frame.robots_known), ("humans", frame.humans_known)):
+            b, _, m = known.shape
+            state[name] = frame.ego.new_zeros(b, self.history + 1, m, 2 * self.width)
+            state[f"{name}_known"] = known.new_zeros(b, self.history + 1, m)
+        return state
+
+    def step(self, frame: Frames, is_init: Tensor, state: State, rows: Tensor | None = None) -> Any:
+        """See `Encoder.step`; the earlier frames are not computed again."""
+        if rows is None:
+            rows = torch.arange(len(is_init), device=is_init.device)
+        count = torch.where(is_init, 0, state["count"][rows])
+        state["count"][rows] = count + 1
+        f = Frames(*(tensor[:, 0] for tensor in frame))
+        s = state
+        return SpatioTemporalScene(
+            self.robots.step(
+                f.ego, f.robots, f.robots_known, s["robots"], s["robots_known"], count, rows
+            ),
+            self.humans.step(
+                f.ego, f.humans, f.humans_known, s["humans"], s["humans_known"], count, rows
+            ),
+        )
+
+    def resume(self, frames: Frames, is_init: Tensor, state: State, rows: Tensor) -> None:
+        """See `Encoder.resume`: the last frames are what the ring buffers hold."""
+        for t in range(self.history):  # a frame is only taken in; nobody asks about it
+            begins = is_init[:, t] if t else torch.ones_like(is_init[:, 0])
+            count = torch.where(begins, 0, state["count"][rows])
+            slot = count % (self.history + 1)
+            for name, block in (("robots", self.robots), ("humans", self.humans)):
+                tokens = block.embedded(frames.ego[:, t], getattr(frames, name)[:, t])
+                state[name][rows, slot] = block.temporal.keys_values(tokens).to(state[name].dtype)
+                state[f"{name}_known"][rows, slot] = getattr(frames, f"{name}_known")[:, t]
+            state["count"][rows] = count + 1
+
+    def memory(self, state: State) -> State:
+        """Nothing: `resume` computes all of it."""
+        return {}
+
+    def attention(self, scene: SpatioTemporalScene, query: Tensor) -> tuple[Tensor, Tensor]:
+        """See `Encoder.attention`; that of the spatial part."""
+        own = self.own(query)
+        robots, humans = (
+            block.spatial.pool.shares(own, seen.spatial, seen.score)
+            for block, seen in ((self.robots, scene.robots), (self.humans, scene.humans))
+        )
+        return robots, humans

@@ -12,9 +12,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from mrsan import EGO_FEATURES, OTHER_FEATURES, Scenario, World
-from samarl.encoders import Frames
-from samarl.encoders.encoder import NEAR_NOW, NEAR_SOON, POSITION
+from mrsan import Scenario, World
+from samarl.observations.frames import Frames
 from samarl.observations.tracker import Tracks
 
 LENGTH_SCALE = 5.0  # metres that are 1 to the network
@@ -22,9 +21,15 @@ NETWORK_EGO_FEATURES = 11
 NETWORK_OTHER_FEATURES = 10  # of what a robot knows of another
 STATE_OTHER_FEATURES = 12  # of the true state of another
 
-assert len(EGO_FEATURES) == 11
-assert len(OTHER_FEATURES) == 5
-assert (slice(0, 2), 5, 8) == (POSITION, NEAR_NOW, NEAR_SOON)  # as laid out in `_others`
+# Where some of them stand in what a robot knows of itself, see `_own`:
+EGO_TARGET = slice(0, 5)  # see `features_of_target`
+EGO_PLACE = slice(7, 9)  # the map's origin
+EGO_TIME = slice(9, 10)
+
+# Where some of them stand in what a robot knows of another, see `_others`:
+POSITION = slice(0, 2)  # seen from the robot, in units of LENGTH_SCALE
+NEAR_NOW = 5  # exp(-2 gap), gap the distance between surfaces in m
+NEAR_SOON = 8  # the same of the closest approach ahead, times exp(-0.5 t), t s away
 
 
 def frames_of(tracks: Tracks, scenario: Scenario) -> Frames:
@@ -77,13 +82,10 @@ def _own(of_robots: NDArray[np.float32], scenario: Scenario) -> Tensor:
     """[B, 1, NETWORK_EGO_FEATURES]."""
     ego = torch.from_numpy(of_robots).flatten(0, 1)
     goal, velocity, origin = ego[:, 0:2], ego[:, 2:4], ego[:, 4:6]
-    distance = goal.norm(dim=-1, keepdim=True)
     view = ego.new_full((len(ego), 1), math.cos(math.radians(scenario.fov_degrees / 2)))
     own = torch.cat(
         [
-            goal / LENGTH_SCALE,
-            goal / distance.clamp_min(1e-3),
-            torch.exp(-distance),
+            features_of_target(goal),
             velocity,
             origin / LENGTH_SCALE,
             ego[:, 10:11],
@@ -92,6 +94,13 @@ def _own(of_robots: NDArray[np.float32], scenario: Scenario) -> Tensor:
         -1,
     )
     return own.unsqueeze(1)
+
+
+def features_of_target(target: Tensor) -> Tensor:
+    """A place in the body frame [..., 2] as a network is told it, [..., 5]."""
+    distance = target.norm(dim=-1, keepdim=True)
+    direction = target / distance.clamp_min(1e-3)
+    return torch.cat([target / LENGTH_SCALE, direction, torch.exp(-distance)], -1)
 
 
 def _others(

@@ -9,6 +9,7 @@ from numba import prange
 from numpy.typing import NDArray
 
 from mrsan import OTHER_FEATURES, Observation
+from mrsan.features import HEADING_COS, HEADING_SIN, ORIGIN_X, ORIGIN_Y, VELOCITY_X, VELOCITY_Y
 from mrsan.kernels import function, kernel
 
 TRACK_FEATURES = (*OTHER_FEATURES, "age")  # age: share of the longest time a track is kept
@@ -26,102 +27,79 @@ class Tracks(NamedTuple):
     robots_known: NDArray[np.bool_]  # [E, N, N - 1]
 
 
-class Tracker:
-    """One per agent; it belongs to the robot's memory, not to its sensor.
+class TrackMemory(NamedTuple):
+    """The tracks of every robot, in the world frame; a robot knows its own pose, so it can."""
 
-    A track is kept in the world frame, which a robot can do because it knows its own pose.
-    """
+    humans: NDArray[np.float32]  # [E, N, M, 5] position, velocity, radius
+    human_age: NDArray[np.int32]  # [E, N, M] steps since the last sighting, -1: no track
+    robots: NDArray[np.float32]  # [E, N, N - 1, 5]
+    robot_age: NDArray[np.int32]  # [E, N, N - 1]
+
+
+class Tracker:
+    """Follows everybody that was seen; it belongs to the robot's memory, not to its sensor."""
 
     def __init__(self, steps: int, time_step: float) -> None:
         """Keep a track for `steps` steps of `time_step` seconds after the last sighting."""
         self.steps = steps
         self.time_step = np.float32(time_step)
-        self._humans = np.empty((0, 0, 0, 5), np.float32)
-        self._human_age = np.empty((0, 0, 0), np.int32)
-        self._robots = self._humans
-        self._robot_age = self._human_age
 
-    def reset(self, worlds: NDArray[np.bool_]) -> None:
-        """Forget the tracks of the worlds [E] in which an episode begins."""
-        if len(self._human_age) == len(worlds):
-            self._human_age[worlds] = -1
-            self._robot_age[worlds] = -1
+    def initial(self, worlds: int, robots: int, humans: int) -> TrackMemory:
+        """No tracks."""
+        return TrackMemory(
+            *_no_tracks((worlds, robots, humans)), *_no_tracks((worlds, robots, robots - 1))
+        )
 
-    def update(self, observation: Observation, worlds: NDArray[np.bool_] | None = None) -> Tracks:
+    def update(
+        self, observation: Observation, memory: TrackMemory, is_init: NDArray[np.bool_]
+    ) -> Tracks:
         """Take in what is seen now and return what is known now.
 
         Args:
             observation: of all worlds.
-            worlds: [E], those to take in; the tracks of the others stay. None: all.
+            memory: of all worlds, updated in place.
+            is_init: [E] the worlds in which an episode begins; their tracks are forgotten.
         """
-        if self._human_age.shape != observation.humans_visible.shape:
-            self._humans, self._human_age = _no_tracks(observation.humans)
-            self._robots, self._robot_age = _no_tracks(observation.robots)
-        count = observation.ego.shape[0]
-        mask = np.ones(count, np.bool_) if worlds is None else worlds
+        memory.human_age[is_init], memory.robot_age[is_init] = -1, -1
         known = []
         for seen, visible, tracks, age in (
-            (observation.humans, observation.humans_visible, self._humans, self._human_age),
-            (observation.robots, observation.robots_visible, self._robots, self._robot_age),
+            (observation.humans, observation.humans_visible, memory.humans, memory.human_age),
+            (observation.robots, observation.robots_visible, memory.robots, memory.robot_age),
         ):
             out = np.empty((*seen.shape[:3], len(TRACK_FEATURES)), np.float32)
             alive = np.empty(visible.shape, np.bool_)
+            worlds = len(observation.ego)
             _track(
-                count,
-                mask,
-                observation.ego,
-                seen,
-                visible,
-                self.steps,
-                self.time_step,
-                tracks,
-                age,
-                out,
-                alive,
-            )
+                worlds, observation.ego, seen, visible, self.steps, self.time_step, tracks, age,
+                out, alive,
+            )  # fmt: skip
             known += [out, alive]
         return Tracks(observation.ego, *known)
 
-    def memory(self) -> dict[str, NDArray]:
-        """The arrays that hold the tracks, to be saved."""
-        return {
-            "humans": self._humans,
-            "human_age": self._human_age,
-            "robots": self._robots,
-            "robot_age": self._robot_age,
-        }
 
-    def restore(self, memory: dict[str, NDArray]) -> None:
-        """Continue from saved tracks."""
-        self._humans, self._human_age = memory["humans"].copy(), memory["human_age"].copy()
-        self._robots, self._robot_age = memory["robots"].copy(), memory["robot_age"].copy()
-
-
-def _no_tracks(seen: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
-    return np.zeros((*seen.shape[:3], 5), np.float32), np.full(seen.shape[:3], -1, np.int32)
+def _no_tracks(shape: tuple[int, ...]) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+    return np.zeros((*shape, 5), np.float32), np.full(shape, -1, np.int32)
 
 
 @kernel
-def _track(chunks, worlds, ego, seen, visible, steps, dt, tracks, age, out, alive):
+def _track(chunks, ego, seen, visible, steps, dt, tracks, age, out, alive):
     total = ego.shape[0]
     for chunk in prange(chunks):
         for e in range(chunk * total // chunks, (chunk + 1) * total // chunks):
             for i in range(ego.shape[1]):
-                if worlds[e]:
-                    _take_in(
-                        ego[e, i], seen[e, i], visible[e, i], steps, dt, tracks[e, i], age[e, i]
-                    )
+                _take_in(ego[e, i], seen[e, i], visible[e, i], steps, dt, tracks[e, i], age[e, i])
                 _recall(ego[e, i], steps, tracks[e, i], age[e, i], out[e, i], alive[e, i])
 
 
 @function
 def _take_in(ego, seen, visible, steps, dt, tracks, age):
     """Coast every track [M, 5] (world frame) by one step and replace those that are seen."""
-    cos, sin = ego[6], ego[7]
-    x, y = -(cos * ego[4] - sin * ego[5]), -(sin * ego[4] + cos * ego[5])
+    cos, sin = ego[HEADING_COS], ego[HEADING_SIN]
+    x = -(cos * ego[ORIGIN_X] - sin * ego[ORIGIN_Y])
+    y = -(sin * ego[ORIGIN_X] + cos * ego[ORIGIN_Y])
     for j in range(seen.shape[0]):
         if visible[j]:
-            vx, vy = seen[j, 2] + ego[2], seen[j, 3] + ego[3]
+            vx, vy = seen[j, 2] + ego[VELOCITY_X], seen[j, 3] + ego[VELOCITY_Y]
             tracks[j, 0] = x + cos * seen[j, 0] - sin * seen[j, 1]
             tracks[j, 1] = y + sin * seen[j, 0] + cos * seen[j, 1]
             tracks[j, 2], tracks[j, 3] = cos * vx - sin * vy, sin * vx + cos * vy
@@ -136,8 +114,9 @@ def _take_in(ego, seen, visible, steps, dt, tracks, age):
 @function
 def _recall(ego, steps, tracks, age, out, alive):
     """The tracks seen from the robot."""
-    cos, sin = ego[6], ego[7]
-    x, y = -(cos * ego[4] - sin * ego[5]), -(sin * ego[4] + cos * ego[5])
+    cos, sin = ego[HEADING_COS], ego[HEADING_SIN]
+    x = -(cos * ego[ORIGIN_X] - sin * ego[ORIGIN_Y])
+    y = -(sin * ego[ORIGIN_X] + cos * ego[ORIGIN_Y])
     for j in range(age.shape[0]):
         alive[j] = age[j] >= 0
         if not alive[j]:
@@ -147,7 +126,7 @@ def _recall(ego, steps, tracks, age, out, alive):
         dx, dy = tracks[j, 0] - x, tracks[j, 1] - y
         vx, vy = tracks[j, 2], tracks[j, 3]
         out[j, 0], out[j, 1] = cos * dx + sin * dy, cos * dy - sin * dx
-        out[j, 2] = cos * vx + sin * vy - ego[2]
-        out[j, 3] = cos * vy - sin * vx - ego[3]
+        out[j, 2] = cos * vx + sin * vy - ego[VELOCITY_X]
+        out[j, 3] = cos * vy - sin * vx - ego[VELOCITY_Y]
         out[j, 4] = tracks[j, 4]
         out[j, 5] = np.float32(age[j]) / np.float32(max(steps, 1))

@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -18,24 +19,23 @@ import torch
 from safetensors import SafetensorError
 from safetensors.torch import load_file, save
 from torch import Tensor
+from torch.utils._pytree import tree_flatten, tree_leaves, tree_unflatten
 
 from mrsan import ConfigurationError
 from samarl.evaluation.files import find_folder, unfinished, write_json
-from samarl.policies.hierarchical import Architecture, HierarchicalPolicy
+from samarl.policies import flat, hierarchical  # noqa: F401 (makes them known)
+from samarl.policies.policy import POLICIES, Policy
 
-POLICIES: dict[str, tuple[type[HierarchicalPolicy], type[Architecture]]] = {
-    "hierarchical": (HierarchicalPolicy, Architecture),
-}
-FORMAT = 1
+FORMAT = 2
 
 
 @dataclass
 class PolicyCard:
     """What a policy file says of itself."""
 
-    policy: str  # a key of POLICIES
+    policy: str  # a name in POLICIES
     action_size: int
-    architecture: dict[str, Any]
+    config: dict[str, Any]  # of the policy, with its encoder
     made: dict[str, Any]  # the command, commit, scenario, steps ... that made it
     sha256: str  # digest of the file of the weights
 
@@ -50,11 +50,22 @@ def write_tensors(path: Path, tensors: dict[str, Tensor], metadata: dict[str, st
     return hashlib.sha256(content).hexdigest()
 
 
-def save_policy(path: Path, policy: HierarchicalPolicy, name: str, made: dict[str, Any]) -> None:
+def save_policy(path: Path, policy: Policy, name: str, made: dict[str, Any]) -> None:
     """Write `path` (ending in .safetensors) and its card beside it."""
     digest = write_tensors(path, dict(policy.state_dict()), {})
-    card = PolicyCard(name, policy.action_size, asdict(policy.architecture), made, digest)
+    card = PolicyCard(name, policy.action_size, asdict(policy.config), made, digest)
     write_json(path.with_suffix(".json"), {"format": FORMAT, **asdict(card)})
+
+
+def make_policy(name: str, config: Mapping[str, Any], action_size: int) -> Policy:
+    """A policy with fresh weights.
+
+    Raises:
+        ConfigurationError: a name is not known or a number is wrong.
+    """
+    values = POLICIES.config({**config, "name": name})
+    policy = POLICIES[name].made(values, action_size)  # type: ignore[call-arg]
+    return policy
 
 
 def find_policy(name: str, field: str = "checkpoint") -> Path:
@@ -77,7 +88,7 @@ def find_policy(name: str, field: str = "checkpoint") -> Path:
     )
 
 
-def load_policy(path: Path) -> tuple[HierarchicalPolicy, PolicyCard]:
+def load_policy(path: Path) -> tuple[Policy, PolicyCard]:
     """Read a policy and its card.
 
     Raises:
@@ -98,16 +109,12 @@ def load_policy(path: Path) -> tuple[HierarchicalPolicy, PolicyCard]:
         raise ConfigurationError(f"{card_path} is not the card of a policy ({error})") from error
     if version != FORMAT:
         raise ConfigurationError(f"{card_path} has format {version!r}; it must be {FORMAT}")
-    if card.policy not in POLICIES:
-        choices = ", ".join(POLICIES)
-        raise ConfigurationError(f"{card_path} names {card.policy!r}; it must be among {choices}")
     if hashlib.sha256(path.read_bytes()).hexdigest() != card.sha256:
         raise ConfigurationError(
             f"{path} is damaged: it is not the file that {card_path} describes"
         )
-    policy_class, architecture_class = POLICIES[card.policy]
+    policy = make_policy(card.policy, card.config, card.action_size)
     try:
-        policy = policy_class(architecture_class(**card.architecture), card.action_size)
         policy.load_state_dict(load_file(path))
     except (TypeError, RuntimeError, SafetensorError, ValueError) as error:
         reason = str(error).splitlines()[0]
@@ -115,24 +122,19 @@ def load_policy(path: Path) -> tuple[HierarchicalPolicy, PolicyCard]:
     return policy.eval(), card
 
 
-def pack(prefix: str, values: Any, out: dict[str, Tensor]) -> None:
-    """Flatten nested dicts, lists, tuples of tensors, arrays and numbers into named tensors."""
-    if isinstance(values, dict):
-        items = [(str(key), value) for key, value in values.items()]
-    elif isinstance(values, list | tuple):
-        items = [(str(index), value) for index, value in enumerate(values)]
-    else:
-        out[prefix] = torch.as_tensor(values).clone()
-        return
-    for key, value in items:
-        pack(f"{prefix}/{key}" if prefix else key, value, out)
+def pack(prefix: str, tree: Any) -> dict[str, Tensor]:
+    """The leaves of a nested structure of tensors, arrays and numbers, as named tensors."""
+    leaves = tree_leaves(tree)
+    return {
+        f"{prefix}/{i}": torch.as_tensor(leaf).detach().clone() for i, leaf in enumerate(leaves)
+    }
 
 
-def unpack(example: Any, prefix: str, tensors: dict[str, Tensor]) -> Any:
+def unpack(example: Any, prefix: str, tensors: Mapping[str, Tensor]) -> Any:
     """The inverse of `pack`, in the structure of `example`."""
-    if isinstance(example, dict):
-        return {key: unpack(value, f"{prefix}/{key}", tensors) for key, value in example.items()}
-    if isinstance(example, list | tuple):
-        return [unpack(value, f"{prefix}/{i}", tensors) for i, value in enumerate(example)]
-    value = tensors[prefix]
-    return value if isinstance(example, Tensor) else value.numpy()
+    leaves, structure = tree_flatten(example)
+    found: list[Any] = []
+    for i, leaf in enumerate(leaves):
+        value = tensors[f"{prefix}/{i}"]
+        found.append(value.to(leaf.device) if isinstance(leaf, Tensor) else value.numpy())
+    return tree_unflatten(found, structure)

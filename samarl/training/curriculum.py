@@ -11,25 +11,34 @@ from mrsan.scenario import check_numbers, number
 
 
 @dataclass
-class Group:
-    """A scenario that is trained on, in how many worlds, and when: several make a curriculum."""
+class CurriculumStage:
+    """A scenario that is trained on, in how many worlds, and when."""
 
     worlds: int = number(MISSING, 1, 10**6)
     begin: float = number(0.0, 0.0, 1.0)  # share of the training after which it is trained on ...
     end: float = number(1.0, 0.0, 1.0)  # ... and until which
-    begun_share: float = number(0.0, 0.0, 1.0)  # of the episodes, begin on the way round the crowd
-    retried_share: float = number(0.0, 0.0, 1.0)  # of the collisions, tried again
-    noise_correlation: float = number(0.0, 0.0, 0.999)  # of the local level, from step to step
+    midway_start_probability: float = number(0.0, 0.0, 1.0)  # of an episode: round the crowd
+    failure_restart_probability: float = number(0.0, 0.0, 1.0)  # of a collision: tried again
+    noise_correlation: float = number(0.0, 0.0, 0.99)  # of the local level, from step to step
     scenario: Scenario = field(default_factory=Scenario)
 
-    def check(self, name: str) -> None:
-        """Check every number.
 
-        Raises:
-            ConfigurationError: names the field of the group `name` that is wrong.
-        """
-        check_numbers(self, name)
-        if self.begin >= self.end:
+def check_stages(stages: list[CurriculumStage]) -> None:
+    """Check every number, and that there is something to train on at any time.
+
+    Raises:
+        ConfigurationError: names the field that is wrong.
+    """
+    for index, stage in enumerate(stages):
+        name = f"curriculum.stages[{index}]"
+        check_numbers(stage, name)
+        if stage.begin >= stage.end:
             raise ConfigurationError(
-                f"{name}.begin is {self.begin}; it must be less than {name}.end ({self.end})"
+                f"{name}.begin is {stage.begin}; it must be less than {name}.end ({stage.end})"
+            )
+    for share in (0.0, *(stage.end for stage in stages)):
+        if share < 1.0 and not any(stage.begin <= share < stage.end for stage in stages):
+            raise ConfigurationError(
+                f"curriculum.stages has none for the time from {share:g} of the training on; it "
+                "must have one"
             )

@@ -11,6 +11,7 @@ from mrsan import Observation
 from mrsan.scenario import required
 from samarl.agents.agent import Agent
 from samarl.agents.planners.straight import drive_towards
+from samarl.observations.route import way_round
 
 
 @dataclass
@@ -25,26 +26,3 @@ class Perimeter(Agent):
         """Towards the next point of the way round."""
         targets = way_round(observation.ego, self.radius, self.lookahead, self.entry_angle)
         return drive_towards(observation, targets, self.scenario)
-
-
-def way_round(
-    ego: NDArray[np.float32], radius: float, lookahead: float, entry_angle: float
-) -> NDArray[np.float32]:
-    """The next point on the way round the crowd in the body frame, [E, N, 2] in m.
-
-    It is counter-clockwise, but for a robot that has passed its goal, which turns back.
-
-    Args:
-        ego: [E, N, 11] own states.
-        radius: of the circle round the crowd, m.
-        lookahead: how far ahead on the circle it is, rad.
-        entry_angle: it is the goal when that is so near in bearing, rad.
-    """
-    goal = np.arctan2(ego[..., 1] - ego[..., 5], ego[..., 0] - ego[..., 4])
-    here = np.arctan2(-ego[..., 5], -ego[..., 4])  # bearings from the origin, body frame
-    remaining = (goal - here + np.pi) % (2 * np.pi) - np.pi
-    passed = (remaining < -entry_angle) & (remaining > -np.pi / 2)
-    onward = here + np.float32(lookahead) * np.where(passed, -1, 1)
-    circle = np.float32(radius) * np.stack([np.cos(onward), np.sin(onward)], -1)
-    turn_in = (np.abs(remaining) < entry_angle)[..., None]
-    return np.where(turn_in, ego[..., 0:2], circle + ego[..., 4:6]).astype(np.float32)

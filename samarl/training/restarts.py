@@ -9,39 +9,44 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
-from mrsan import Scenario, Split, World
+from mrsan import Scenario, Split, State, World
 
 _FAR_AWAY = 1000.0  # m, where nobody is met
 _LEAST_GAP = 1.5  # m between robots that are placed
 
 
-class Past:
-    """The last states of E worlds, to go back to from before a collision.
+class SnapshotBuffer:
+    """The last moments of E worlds, to go back to from before a collision.
 
     Collisions are rare and what would have avoided them is rarely tried. The same situation again,
     with the same people doing the same, tries something else.
     """
 
     def __init__(self, steps: int) -> None:
-        """Keep the last `steps` states."""
-        self.kept: deque[list[NDArray[Any]]] = deque(maxlen=steps)
+        """Keep the last `steps` moments."""
+        self.steps = steps
+        self.kept: deque[tuple[State, list[Tensor]]] = deque(maxlen=steps)
 
-    def keep(self, arrays: list[NDArray[Any]]) -> None:
-        """Copy what makes up the present state; each array [E, ...]."""
-        self.kept.append([array.copy() for array in arrays])
+    def keep(self, world: World, memory: list[Tensor]) -> None:
+        """Copy the state of the worlds and what else makes up the present, [E, ...] each."""
+        self.kept.append((world.snapshot(), [tensor.clone() for tensor in memory]))
 
-    def restore(self, arrays: list[NDArray[Any]], worlds: NDArray[np.bool_], age: Any) -> None:
-        """Take some worlds back.
+    def restore(self, world: World, memory: list[Tensor], back: NDArray[np.integer]) -> None:
+        """Take worlds back.
 
         Args:
-            arrays: those that were kept; written.
-            worlds: [E] which.
-            age: [E] by how many of the kept states, at least 1: the last.
+            world: its state is written.
+            memory: as it was given to `keep`; written.
+            back: [E] by how many of the kept moments, 1: the last; 0: not at all.
         """
-        for e in np.flatnonzero(worlds):
-            for array, past in zip(arrays, self.kept[-int(age[e])], strict=True):
-                array[e] = past[e]
+        for steps in np.unique(back[back > 0]):
+            worlds = back == steps
+            snapshot, remembered = self.kept[-int(steps)]
+            world.restore(snapshot, worlds)
+            for tensor, past in zip(memory, remembered, strict=True):
+                tensor[torch.from_numpy(worlds)] = past[torch.from_numpy(worlds)]
 
 
 class Crowd:
@@ -66,7 +71,15 @@ class Crowd:
             self._send_away(state.clock == 0)
 
     def _send_away(self, worlds: NDArray[np.bool_]) -> None:
-        self.world.state.robot_position[worlds] = _FAR_AWAY
+        self._change(self.world, worlds, robot_position=np.float32(_FAR_AWAY))
+
+    @staticmethod
+    def _change(world: World, worlds: NDArray[np.bool_], **arrays: Any) -> None:
+        """Put other values into the state of some worlds."""
+        now = world.snapshot()
+        for name, value in arrays.items():
+            getattr(now, name)[worlds] = value
+        world.restore(now, worlds)
 
     def enter(self, world: World, worlds: NDArray[np.bool_], radius: float) -> None:
         """Put these people into `worlds` [E], and its robots on their way round, at full speed.
@@ -88,10 +101,17 @@ class Crowd:
         chosen = worlds & (gap > _LEAST_GAP).all((1, 2))
         heading = bearing + np.pi / 2
         ahead = np.stack([np.cos(heading), np.sin(heading)], -1)
-        state.robot_position[chosen] = place[chosen]
-        state.robot_heading[chosen] = ((heading + np.pi) % (2 * np.pi) - np.pi)[chosen]
-        state.robot_velocity[chosen] = scenario.robot_speed * ahead[chosen]
         steps = (done * way).mean(1) * radius / (scenario.robot_speed * scenario.time_step)
-        state.clock[chosen] = steps[chosen]
-        for name in ("present", "position", "velocity", "goal", "radius", "speed"):
-            getattr(state, f"human_{name}")[chosen] = getattr(crowd, f"human_{name}")[chosen]
+        people = {
+            f"human_{name}": getattr(crowd, f"human_{name}")[chosen]
+            for name in ("present", "position", "velocity", "goal", "radius", "speed")
+        }
+        self._change(
+            world,
+            chosen,
+            robot_position=place[chosen],
+            robot_heading=((heading + np.pi) % (2 * np.pi) - np.pi)[chosen],
+            robot_velocity=scenario.robot_speed * ahead[chosen],
+            clock=steps[chosen],
+            **people,
+        )

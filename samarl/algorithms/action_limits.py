@@ -10,9 +10,7 @@ from torch import Tensor
 from mrsan import Kinematics, Scenario
 
 
-def excess(
-    mean: Tensor, deviation: Tensor, speed: Tensor, scenario: Scenario, slack: float
-) -> Tensor:
+def excess(mean: Tensor, std: Tensor, speed: Tensor, scenario: Scenario, slack: float) -> Tensor:
     """The squared excess of mean actions over the limits of the robots, [R].
 
     Beyond the limits of speed and turning (SAMARL, Eq. 3) every command has the same effect. A
@@ -22,25 +20,25 @@ def excess(
 
     Args:
         mean: [R, 3] longitudinal and lateral acceleration and heading change.
-        deviation: [R, 3] of the exploration noise.
+        std: [R, 3] of the exploration noise.
         speed: [R] m/s.
         scenario: of the robots.
-        slack: so many deviations beyond the limits are free.
+        slack: so many standard deviations beyond the limits are free.
     """
     s = scenario
     if s.kinematics is not Kinematics.acceleration_heading:
         return torch.zeros_like(speed)
-    deviation = slack * deviation.detach()
+    free_of = slack * std.detach()
     gain = s.max_acceleration * s.time_step  # m/s that a full acceleration adds in a step
     turn = math.radians(s.max_turn_degrees)
     along = mean[:, 0]
-    faster = (along - (s.robot_speed - speed) / gain - deviation[:, 0]).clamp_min(0.0)
-    slower = (-speed / gain - along - deviation[:, 0]).clamp_min(0.0)
+    faster = (along - (s.robot_speed - speed) / gain - free_of[:, 0]).clamp_min(0.0)
+    slower = (-speed / gain - along - free_of[:, 0]).clamp_min(0.0)
     after = (speed + gain * along.detach()).clamp(0.0, s.robot_speed)
     limit = (s.time_step * after / s.min_turning_radius).clamp(max=turn)
     # Near a standstill the lateral part may turn by anything: taken as at a quarter of the speed.
     across = torch.atan2(gain * mean[:, 1], after.clamp_min(0.25 * s.robot_speed))
-    free = turn * deviation[:, 2] + gain * deviation[:, 1]
+    free = turn * free_of[:, 2] + gain * free_of[:, 1]
     sharper = ((turn * mean[:, 2] + across).abs() - limit - free).clamp_min(0.0) / turn
-    sharper = torch.where(after > 0.0, sharper, (mean[:, 2].abs() - 1 - deviation[:, 2]).relu())
+    sharper = torch.where(after > 0.0, sharper, (mean[:, 2].abs() - 1 - free_of[:, 2]).relu())
     return faster.square() + slower.square() + sharper.square()

@@ -1,0 +1,96 @@
+"""Values of states: needed in training alone."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+from samarl.encoders.spatio_temporal import Pool, nearness
+from samarl.observations.frames import Frames
+
+
+class SetEncoder(nn.Module):
+    """From one frame of what is given of everybody to a feature; it needs no history.
+
+    For the true state, which holds all velocities and goals, a single frame tells everything.
+    """
+
+    def __init__(self, ego: int, other: int, width: int, heads: int, out: int) -> None:
+        """Make it for own states of length `ego` and others of length `other`."""
+        super().__init__()
+
+        def perceptron(inputs: int, outputs: int) -> nn.Sequential:
+            return nn.Sequential(nn.Linear(inputs, width), nn.ReLU(), nn.Linear(width, outputs))
+
+        self.heads = heads
+        self.own = perceptron(ego, width)
+        self.embed_humans, self.embed_robots = perceptron(other, width), perceptron(other, width)
+        self.humans, self.robots = Pool(width, heads), Pool(width, heads)
+        self.out = nn.Sequential(nn.Linear(3 * width, out), nn.ReLU(), nn.Linear(out, out))
+
+    def forward(self, frames: Frames) -> Tensor:
+        """Features [P, out] of `frames` [P, ...], one each."""
+        own = self.own(frames.ego)
+        pooled = [own]
+        for pool, embed, others, known in (
+            (self.humans, self.embed_humans, frames.humans, frames.humans_known),
+            (self.robots, self.embed_robots, frames.robots, frames.robots_known),
+        ):
+            score = nearness(others, known, self.heads)
+            pooled.append(pool(own, torch.relu(embed(others)), score))
+        return torch.relu(self.out(torch.cat(pooled, -1)))
+
+
+class PopArtHead(nn.Module):
+    """A value in units of the running mean and deviation of its targets.
+
+    When those move, the last layer moves against them, so no value changes (van Hasselt et al.,
+    Learning values across many orders of magnitude, 2016); a value from before is where it was.
+    """
+
+    mean: Tensor
+    square: Tensor
+    weight: Tensor
+
+    def __init__(self, inputs: int, hidden: int, decay: float = 0.99) -> None:
+        """Make the head; the statistics forget at `decay` per update."""
+        super().__init__()
+        self.decay = decay
+        self.body = nn.Sequential(
+            nn.Linear(inputs, hidden), nn.Tanh(), nn.Linear(hidden, hidden), nn.Tanh()
+        )
+        self.last = nn.Linear(hidden, 1)
+        self.register_buffer("mean", torch.zeros(()))
+        self.register_buffer("square", torch.zeros(()))
+        self.register_buffer("weight", torch.zeros(()))
+
+    def forward(self, inputs: Tensor) -> Tensor:
+        """Normalised values [...] of features [..., F]."""
+        return self.last(self.body(inputs)).squeeze(-1)
+
+    @torch.no_grad()
+    def update(self, targets: Tensor) -> None:
+        """Take in targets [R], in the scale of returns."""
+        mean, std = self._moments()
+        self.mean.mul_(self.decay).add_((1 - self.decay) * targets.mean())
+        self.square.mul_(self.decay).add_((1 - self.decay) * targets.square().mean())
+        self.weight.mul_(self.decay).add_(1 - self.decay)
+        new_mean, new_std = self._moments()
+        self.last.weight.mul_(std / new_std)
+        self.last.bias.mul_(std).add_(mean - new_mean).div_(new_std)
+
+    def normalise(self, value: Tensor) -> Tensor:
+        """From the scale of returns to that of the critic."""
+        mean, std = self._moments()
+        return (value - mean) / std
+
+    def denormalise(self, value: Tensor) -> Tensor:
+        """From the scale of the critic to that of returns."""
+        mean, std = self._moments()
+        return value * std + mean
+
+    def _moments(self) -> tuple[Tensor, Tensor]:
+        if self.weight == 0:
+            return torch.zeros_like(self.mean), torch.ones_like(self.mean)
+        mean = self.mean / self.weight
+        return mean, (self.square / self.weight - mean.square()).clamp_min(1e-2).sqrt()

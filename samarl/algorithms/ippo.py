@@ -1,0 +1,38 @@
+"""Independent PPO: every robot for itself, the paper's SAMARL-PPO (SAMARL, Sec. V)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from torch import Tensor
+
+from samarl.algorithms.algorithm import ALGORITHMS
+from samarl.algorithms.critics import SetEncoder
+from samarl.algorithms.ppo import PPO, PPOConfig
+from samarl.observations.features import NETWORK_EGO_FEATURES, NETWORK_OTHER_FEATURES
+from samarl.observations.frames import Frames
+from samarl.rollout import Rollout
+
+
+@dataclass
+class IPPOConfig(PPOConfig):
+    """Numbers of independent PPO."""
+
+
+@ALGORITHMS.register("ippo", IPPOConfig)
+class IPPO(PPO):
+    """The critic sees what its robot knows, and nobody is paid for the team."""
+
+    def _make_critic(self, config: Any) -> SetEncoder:
+        sizes = config.critic_width, config.critic_heads, config.critic_features
+        return SetEncoder(NETWORK_EGO_FEATURES, NETWORK_OTHER_FEATURES, *sizes)
+
+    def _critic_frames(self, rollout: Rollout) -> Frames:
+        return rollout.frames.at(slice(self.policy.history, None))
+
+    def _reward(self, rollout: Rollout, level: str) -> Tensor:
+        reward = super()._reward(rollout, level)
+        if level != self.policy.levels[0]:
+            return reward  # the uppermost level alone is paid for the team
+        return reward - rollout.steps["next", "agents", "team_reward"][:, :-1]

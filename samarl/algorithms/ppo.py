@@ -1,0 +1,343 @@
+"""Proximal policy optimisation of every level of a policy (SAMARL, Eq. 9 and Algorithm 1).
+
+What differs between MAPPO and independent PPO, the critic, stands in their own files.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections import defaultdict
+from dataclasses import dataclass
+from typing import Any, ClassVar, NamedTuple
+
+import torch
+from tensordict import TensorDict
+from tensordict.nn import TensorDictModule
+from torch import Tensor, nn
+from torchrl.modules import ProbabilisticActor
+from torchrl.objectives import ClipPPOLoss
+
+from mrsan.scenario import number, required
+from samarl.algorithms.action_limits import excess
+from samarl.algorithms.advantages import macro_advantages, step_advantages, streams
+from samarl.algorithms.algorithm import Algorithm
+from samarl.algorithms.critics import PopArtHead, SetEncoder
+from samarl.observations.frames import Frames
+from samarl.policies.policy import LOCAL, Policy, Taken
+from samarl.rollout import Rollout
+
+
+@dataclass
+class PPOConfig:
+    """Numbers of the update."""
+
+    learning_rate: float = required(0.0, 1.0)  # falls linearly
+    epochs: int = required(1, 100)
+    minibatches: int = required(1, 1000)
+    discount: float = required(0.0, 1.0)  # per step, of the macro level
+    local_discount: float = required(0.0, 0.9999)  # per step, of the local level
+    gae_lambda: float = required(0.0, 1.0)
+    clip_epsilon: float = required(0.0, 10.0)
+    entropy_coefficient: float = required(0.0, 10.0)
+    critic_coefficient: float = required(0.0, 100.0)
+    max_gradient_norm: float = required(0.0, 1e6)  # of the policy and of the critics, each
+    kept_share: float = required(0.01, 1.0)  # of the samples, those of the largest advantages
+    action_limit_penalty: float = required(0.0, 10.0)  # of commands beyond the robots' limits ...
+    action_limit_slack: float = required(0.0, 10.0)  # ... by more than so many deviations
+    std_start: float = required(0.01, 10.0)  # cap of the exploration noise ...
+    std_end: float = required(0.01, 10.0)  # ... falls linearly to this
+    critic_width: int = required(8, 1024)  # of the critics' encoder
+    critic_heads: int = required(1, 64)
+    critic_features: int = required(8, 4096)
+    target_kl: float | None = number(None, 0.0, 1e6)  # no more epochs beyond it; None: all of them
+
+
+class Prepared(NamedTuple):
+    """What an update needs of one level of a rollout, [S, T, N] each."""
+
+    where: Tensor  # the level decided something that counts
+    valued: Tensor  # its critic learns from the step
+    advantage: Tensor  # normalised
+    target: Tensor  # normalised
+    value: Tensor  # normalised, of before the update
+
+
+class PPO(Algorithm):
+    """Clipped PPO with TorchRL's loss, of all levels at once."""
+
+    def __init__(self, policy: Policy, config: Any) -> None:
+        """See `Algorithm`."""
+        super().__init__(policy, config)
+        self.encoder, features = self._make_critic(config), config.critic_features
+        # The local critic is told the waypoint, as its actor is.
+        self.heads = nn.ModuleDict(
+            {
+                name: PopArtHead(features + (3 if name == LOCAL else 0), config.critic_features)
+                for name in policy.levels
+            }
+        )
+        self.loss = _torchrl_loss(config)
+        self.to(policy.device)
+        self.optimiser = torch.optim.Adam(
+            [*policy.parameters(), *self.parameters()], lr=config.learning_rate, eps=1e-5
+        )
+
+    @abstractmethod
+    def _make_critic(self, config: Any) -> SetEncoder:
+        """The critics' encoder."""
+
+    @abstractmethod
+    def _critic_frames(self, rollout: Rollout) -> Frames:
+        """What the critics are given, [B, T + 1, ...]."""
+
+    def _reward(self, rollout: Rollout, level: str) -> Tensor:
+        """What a level is paid, [S, T, N]."""
+        at = ("agents",) if level == LOCAL else ("agents", level)
+        return rollout.steps[("next", *at, "reward")][:, :-1]
+
+    def set_progress(self, share: float) -> None:
+        """Learning rate and exploration fall linearly."""
+        c = self.config
+        for group in self.optimiser.param_groups:
+            group["lr"] = c.learning_rate * max(1.0 - share, 0.02)
+        self.policy.cap_std(c.std_start + (c.std_end - c.std_start) * share)
+
+    def optimisers(self) -> dict[str, Any]:
+        """See `Algorithm.optimisers`."""
+        return {"adam": self.optimiser}
+
+    def update(self, rollouts: list[Rollout]) -> dict[str, float]:
+        """All epochs over the rollouts of one or several scenarios."""
+        rollouts = [rollout.to(self.policy.device) for rollout in rollouts]
+        statistics: dict[str, list[float]] = defaultdict(list)
+        prepared = self.prepare(rollouts, statistics)
+        kept = self._kept(prepared)
+        for _ in range(self.config.epochs):
+            statistics["losses/epochs"].append(1.0)
+            divergence: list[float] = []
+            pieces = [
+                torch.randperm(len(rollout.steps)).tensor_split(self.config.minibatches)
+                for rollout in rollouts
+            ]
+            for minibatch in zip(*pieces, strict=True):
+                self.optimiser.zero_grad(set_to_none=True)
+                for rollout, data, keep, sequences in zip(
+                    rollouts, prepared, kept, minibatch, strict=True
+                ):
+                    if len(sequences):
+                        of_piece = sequences.to(self.policy.device)
+                        loss = self._loss(rollout, data, keep, of_piece, statistics, divergence)
+                        (loss / len(rollouts)).backward()
+                for name, module in (("actor", self.policy), ("critic", self)):
+                    norm = nn.utils.clip_grad_norm_(
+                        module.parameters(), self.config.max_gradient_norm
+                    )
+                    if not torch.isfinite(norm):
+                        raise FloatingPointError(f"the gradient of the {name} is not finite")
+                    statistics[f"losses/{name}_gradient_norm"].append(float(norm))
+                self.optimiser.step()
+            mean_kl = sum(divergence) / max(len(divergence), 1)
+            if self.config.target_kl is not None and mean_kl > self.config.target_kl:
+                break
+        epochs = float(len(statistics.pop("losses/epochs")))
+        means = {key: sum(values) / len(values) for key, values in statistics.items()}
+        return {**means, "losses/epochs": epochs}
+
+    @torch.no_grad()
+    def prepare(
+        self, rollouts: list[Rollout], statistics: dict[str, list[float]]
+    ) -> list[dict[str, Prepared]]:
+        """Advantages and value targets of all levels; the value scales are updated once."""
+        out: list[dict[str, Prepared]] = [{} for _ in rollouts]
+        features = []
+        for rollout in rollouts:
+            read = self.encoder(Frames(*(x.flatten(0, 1) for x in self._critic_frames(rollout))))
+            shape = (len(rollout.steps), rollout.robots, -1, read.shape[-1])
+            features.append(read.view(shape).transpose(1, 2))  # [S, T + 1, N, F]
+        for name, head in self.heads.items():
+            found = []
+            for rollout, feature in zip(rollouts, features, strict=True):
+                told = rollout.steps["agents", "target"]
+                value = head.denormalise(head(_told(name, feature, told)))
+                found.append((*self._advantages(name, rollout, value), value[:, :-1]))
+            chosen = torch.cat([advantage[where] for advantage, _, where, _, _ in found])
+            targets = torch.cat([target[valued] for _, target, _, valued, _ in found])
+            values = torch.cat([value[valued] for _, _, _, valued, value in found])
+            unexplained = (targets - values).var() / targets.var().clamp_min(1e-8)
+            statistics[f"losses/{name}_explained_variance"].append(1.0 - float(unexplained))
+            mean, std = chosen.mean(), chosen.std().clamp_min(1e-4)
+            head.update(targets)
+            for data, (advantage, target, where, valued, value) in zip(out, found, strict=True):
+                data[name] = Prepared(
+                    where, valued, (advantage - mean) / std, head.normalise(target),
+                    head.normalise(value),
+                )  # fmt: skip
+        return out
+
+    def _advantages(
+        self, level: str, rollout: Rollout, value: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Advantage, target, where the level decided and where its critic learns, [S, T, N]."""
+        c, of, reward = self.config, streams(rollout.steps), self._reward(rollout, level)
+        if level == LOCAL:
+            found = step_advantages(of, reward, value, c.local_discount, c.gae_lambda)
+            return *found, of.acts, of.counts
+        decided = rollout.steps["agents", level, "decision_mask"][:, :-1]
+        advantage, target, where = macro_advantages(
+            of, decided, reward, value, c.discount, c.gae_lambda
+        )
+        return advantage, target, where & decided, where
+
+    def _kept(self, prepared: list[dict[str, Prepared]]) -> list[Tensor]:
+        """Which samples [S, T, N] the policy learns from: those whose advantages are largest.
+
+        Most steps are as good as expected and teach nothing (Cusumano-Towner et al., Robust
+        autonomy emerges from self-play, 2025).
+        """
+        sizes = []
+        for data in prepared:
+            size = torch.zeros_like(data[LOCAL].advantage)
+            for level in data.values():
+                size = torch.where(level.where, torch.maximum(size, level.advantage.abs()), size)
+            sizes.append(size)
+        acts = [data[LOCAL].where for data in prepared]
+        if self.config.kept_share >= 1.0:
+            return acts
+        every = torch.cat([size[where] for size, where in zip(sizes, acts, strict=True)])
+        least = every.kthvalue(max(int((1.0 - self.config.kept_share) * len(every)), 1)).values
+        return [where & (size >= least) for size, where in zip(sizes, acts, strict=True)]
+
+    def _loss(
+        self, rollout: Rollout, data: dict[str, Prepared], kept: Tensor, sequences: Tensor,
+        statistics: dict[str, list[float]], divergence: list[float],
+    ) -> Tensor:  # fmt: skip
+        steps, n = rollout.steps[sequences], rollout.robots
+        chosen = kept[sequences].transpose(1, 2)  # [S, N, T], as the rows of the sequences are
+        s, _, t = chosen.shape
+        flat = chosen.reshape(s * n, t).nonzero()
+        samples = flat[:, 0] * (t + 1) + flat[:, 1]
+        world, robot, step = flat[:, 0] // n, flat[:, 0] % n, flat[:, 1]
+        at = (world, step, robot)
+        taken, of_level = {}, {}
+        for name in data:
+            keys = ("agents",) if name == LOCAL else ("agents", name)
+            where = data[name].where[sequences][at].nonzero().squeeze(1)
+            of_level[name] = tuple(index[where] for index in at)
+            action = steps[(*keys, "action")][of_level[name]]
+            noise = steps["agents", "noise"][of_level[name]] if name == LOCAL else action
+            taken[name] = Taken(where, action, noise)
+        choices = self.policy.evaluate(
+            rollout.sequences(sequences), samples, steps["agents", "target"][at], taken,
+            rollout.correlation,
+        )  # fmt: skip
+        total = torch.zeros((), device=samples.device)
+        for name, choice in choices.items():
+            keys = ("agents",) if name == LOCAL else ("agents", name)
+            level, where = data[name], of_level[name]
+            if len(where[0]) > 0:
+                losses = self.loss(
+                    TensorDict(
+                        {
+                            "new_log_prob": choice.log_prob,
+                            "entropy_of": choice.entropy,
+                            "action": taken[name].action,
+                            "action_log_prob": steps[(*keys, "sample_log_prob")][where],
+                            "advantage": level.advantage[sequences][where].unsqueeze(-1),
+                        },
+                        [len(where[0])],
+                    )
+                )
+                total = total + losses["loss_objective"]
+                total = total - self.config.entropy_coefficient * choice.entropy.mean()
+                divergence.append(float(losses["kl_approx"].detach()))
+                for key, called in _STATISTICS.items():
+                    statistics[f"losses/{name}_{called}"].append(float(losses[key].detach()))
+                statistics[f"losses/{name}_entropy"].append(float(choice.entropy.mean().detach()))
+            if name == LOCAL and self.config.action_limit_penalty > 0.0:
+                speed = steps["agents", "speed"][where]
+                beyond = excess(
+                    choice.mean, choice.std, speed, rollout.scenario, self.config.action_limit_slack
+                ).mean()
+                total = total + self.config.action_limit_penalty * beyond
+                statistics["losses/action_limit_penalty"].append(float(beyond.detach()))
+        return total + self._critic_loss(rollout, data, sequences, chosen, statistics)
+
+    def _critic_loss(
+        self, rollout: Rollout, data: dict[str, Prepared], sequences: Tensor, chosen: Tensor,
+        statistics: dict[str, list[float]],
+    ) -> Tensor:  # fmt: skip
+        """Of the samples that the policy learns from, and of those that wait for the team."""
+        acts, counts = (x[sequences].transpose(1, 2) for x in data[LOCAL][:2])
+        where = (chosen | (counts & ~acts)).nonzero(as_tuple=True)  # [S, N, T]
+        world, robot, step = where
+        at = (sequences[world], step, robot)
+        row = sequences[world] * rollout.robots + robot
+        features = self.encoder(Frames(*(x[row, step] for x in self._critic_frames(rollout))))
+        told = rollout.steps["agents", "target"][at]
+        total = features.new_zeros(())
+        for name, level in data.items():
+            valued = level.valued[at]
+            if not valued.any():
+                continue
+            value = self.heads[name](_told(name, features, told)[valued])
+            before, target = level.value[at][valued], level.target[at][valued]
+            loss = value_loss(value, before, target, self.config.clip_epsilon)
+            total = total + self.config.critic_coefficient * loss
+            statistics[f"losses/{name}_critic"].append(float(loss.detach()))
+        return total
+
+
+def _told(level: str, features: Tensor, told: Tensor) -> Tensor:
+    """What the critic of a level reads: the local one is told the waypoint, as its actor is."""
+    return torch.cat([features, told], -1) if level == LOCAL else features
+
+
+_STATISTICS = {
+    "loss_objective": "objective",
+    "kl_approx": "approx_kl",
+    "clip_fraction": "clip_fraction",
+    "ESS": "effective_samples",
+}
+
+
+def value_loss(value: Tensor, before: Tensor, target: Tensor, clip_epsilon: float) -> Tensor:
+    """Clipped squared error, mean of [R]; all in units of the value scale (Yu et al., 2022)."""
+    clipped = before + (value - before).clamp(-clip_epsilon, clip_epsilon)
+    worst = torch.maximum((value - target).square(), (clipped - target).square())
+    return worst.mean()
+
+
+class _Known(torch.distributions.Distribution):
+    """A distribution of which only the log-probability of what was done is known."""
+
+    arg_constraints: ClassVar[dict[str, Any]] = {}
+
+    def __init__(self, new_log_prob: Tensor, entropy_of: Tensor) -> None:
+        super().__init__(new_log_prob.shape, validate_args=False)
+        self._log_prob, self._entropy = new_log_prob, entropy_of
+
+    def log_prob(self, value: Tensor) -> Tensor:
+        return self._log_prob
+
+    def entropy(self) -> Tensor:
+        return self._entropy
+
+
+def _torchrl_loss(config: Any) -> ClipPPOLoss:
+    """TorchRL's clipped objective over log-probabilities that the policy has computed."""
+    operator = ProbabilisticActor(
+        TensorDictModule(nn.Identity(), in_keys=["new_log_prob"], out_keys=["new_log_prob"]),
+        in_keys=["new_log_prob", "entropy_of"],
+        out_keys=["action"],
+        distribution_class=_Known,
+        return_log_prob=True,
+    )
+    return ClipPPOLoss(
+        operator,
+        None,
+        clip_epsilon=config.clip_epsilon,
+        entropy_bonus=False,
+        critic_coeff=None,
+        normalize_advantage=False,
+        functional=False,
+    )

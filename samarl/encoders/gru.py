@@ -1,0 +1,78 @@
+"""A recurrent encoder: what stands out among the agents, kept in a gated recurrent unit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from mrsan.scenario import required
+from samarl.encoders.encoder import ENCODERS, Encoder, State
+from samarl.observations.frames import Frames
+
+
+@dataclass
+class GRUConfig:
+    """Sizes of the recurrent encoder."""
+
+    width: int = required(8, 1024)  # of the embeddings and of the hidden state
+    features: int = required(8, 4096)  # length of Y
+
+
+@ENCODERS.register("gru", GRUConfig)
+class GRUEncoder(Encoder):
+    """Everybody is embedded, the largest of each feature is kept over time (Cho et al., 2014)."""
+
+    def __init__(self, config: GRUConfig, ego_features: int, other_features: int) -> None:
+        """See `Encoder`."""
+        super().__init__(config, ego_features, other_features)
+        width, self.features = config.width, config.features
+        self.ego = nn.Linear(ego_features, width)
+        self.humans, self.robots = (
+            nn.Sequential(nn.Linear(other_features, width), nn.ReLU(), nn.Linear(width, width))
+            for _ in range(2)
+        )
+        self.cell = nn.GRUCell(width, width)
+        self.query = nn.Linear(ego_features, width)
+        self.out = nn.Sequential(nn.ReLU(), nn.Linear(2 * width, config.features), nn.ReLU())
+
+    def observe(
+        self, frames: Frames, is_init: Tensor, state: State, samples: Tensor | None = None
+    ) -> Tensor:
+        """See `Encoder.observe`; the scene is what stands out and the hidden state, [P, 2 D]."""
+        seen, hidden, found = self._seen(frames), state["hidden"], []
+        for t in range(seen.shape[1]):
+            hidden = self.cell(seen[:, t], torch.where(is_init[:, t, None], 0.0, hidden))
+            found.append(hidden)
+        scene = (seen + torch.stack(found, 1)).flatten(0, 1)
+        return scene if samples is None else scene[samples]
+
+    def read(self, scene: Tensor, query: Tensor) -> Tensor:
+        """See `Encoder.read`."""
+        return self.out(torch.cat([scene, self.query(query)], -1))
+
+    def initial_state(self, frame: Frames) -> State:
+        """The hidden state, [B, D]."""
+        return {"hidden": frame.ego.new_zeros(len(frame.ego), self.cell.hidden_size)}
+
+    def step(self, frame: Frames, is_init: Tensor, state: State, rows: Tensor | None = None) -> Any:
+        """See `Encoder.step`."""
+        where = slice(None) if rows is None else rows
+        seen = self._seen(frame)[:, 0]
+        hidden = torch.where(is_init[:, None], 0.0, state["hidden"][where])
+        state["hidden"][where] = hidden = self.cell(seen, hidden)
+        return seen + hidden
+
+    def _seen(self, frames: Frames) -> Tensor:
+        """What stands out in each frame, [B, T, D]."""
+        out = self.ego(frames.ego)
+        for embed, others, known in (
+            (self.humans, frames.humans, frames.humans_known),
+            (self.robots, frames.robots, frames.robots_known),
+        ):
+            if others.shape[2]:
+                found = torch.relu(embed(others)) * known.unsqueeze(-1)
+                out = out + found.amax(2)
+        return torch.relu(out)

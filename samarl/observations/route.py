@@ -1,0 +1,33 @@
+"""The way round the crowd, for planners and policies that see little of it."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mrsan.features import GOAL, GOAL_X, GOAL_Y, ORIGIN, ORIGIN_X, ORIGIN_Y
+
+
+def way_round(
+    ego: NDArray[np.float32], radius: float, lookahead: float, entry_angle: float
+) -> NDArray[np.float32]:
+    """The next point on the way round the crowd in the body frame, [E, N, 2] in m.
+
+    It is counter-clockwise, but for a robot that has passed its goal, which turns back.
+
+    Args:
+        ego: [E, N, 11] own states.
+        radius: of the circle round the crowd, m.
+        lookahead: how far ahead on the circle it is, rad.
+        entry_angle: it is the goal when that is so near in bearing, rad.
+    """
+    goal = np.arctan2(ego[..., GOAL_Y] - ego[..., ORIGIN_Y], ego[..., GOAL_X] - ego[..., ORIGIN_X])
+    here = np.arctan2(
+        -ego[..., ORIGIN_Y], -ego[..., ORIGIN_X]
+    )  # bearings from the origin, body frame
+    remaining = (goal - here + np.pi) % (2 * np.pi) - np.pi
+    passed = (remaining < -entry_angle) & (remaining > -np.pi / 2)
+    onward = here + np.float32(lookahead) * np.where(passed, -1, 1)
+    circle = np.float32(radius) * np.stack([np.cos(onward), np.sin(onward)], -1)
+    turn_in = (np.abs(remaining) < entry_angle)[..., None]
+    return np.where(turn_in, ego[..., GOAL], circle + ego[..., ORIGIN]).astype(np.float32)

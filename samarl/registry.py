@@ -1,0 +1,75 @@
+"""Names under which classes are known to YAML files and to checkpoints."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, Generic, TypeVar
+
+from omegaconf import OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from mrsan import ConfigurationError
+from mrsan.scenario import check_numbers
+
+T = TypeVar("T")
+C = TypeVar("C", bound=type)
+
+
+@dataclass(frozen=True)
+class Entry(Generic[T]):
+    """A class and the dataclass of its numbers."""
+
+    made: type[T]
+    config: type
+
+
+class Registry(Generic[T]):
+    """The classes of one kind, each by a name and with the dataclass of its numbers.
+
+    A YAML file of this kind holds `name` and the fields of that dataclass. Only names that some
+    imported module registered are ever resolved.
+    """
+
+    def __init__(self, kind: str) -> None:
+        """Begin empty; `kind` is how errors call it."""
+        self.kind = kind
+        self._entries: dict[str, Entry[T]] = {}
+
+    def register(self, name: str, config: type) -> Callable[[C], C]:
+        """Make a class known by `name`, with the dataclass of its numbers."""
+
+        def add(made: C) -> C:
+            self._entries[name] = Entry(made, config)
+            return made
+
+        return add
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._entries)
+
+    def __getitem__(self, name: str) -> Entry[T]:
+        if name not in self._entries:
+            raise ConfigurationError(
+                f"{self.kind}.name is {name!r}; it must be among {', '.join(self._entries)} "
+                "(one's own becomes known by plugins=[its_module])"
+            )
+        return self._entries[name]
+
+    def config(self, values: Mapping[str, Any]) -> Any:
+        """The checked dataclass that `values` (with `name`) describes.
+
+        Raises:
+            ConfigurationError: names the field that is unknown, missing or wrong.
+        """
+        fields = {str(key): value for key, value in values.items() if key != "name"}
+        schema = OmegaConf.structured(self[str(values.get("name"))].config)
+        try:
+            config = OmegaConf.to_object(OmegaConf.merge(schema, fields))
+        except OmegaConfBaseException as error:
+            reason = str(error).splitlines()[0]
+            raise ConfigurationError(
+                f"{self.kind}.{getattr(error, 'full_key', '')}: {reason}"
+            ) from error
+        check_numbers(config, self.kind)
+        return config

@@ -1,0 +1,295 @@
+"""Keeps the worlds of one stage of a curriculum going and collects rollouts from them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from tensordict import TensorDict
+from torch import Tensor
+from torch.utils._pytree import tree_leaves, tree_map
+
+from mrsan import Episodes, Observation, Split, World
+from mrsan.features import VELOCITY
+from mrsan.metrics import episodes_of
+from samarl.observations.features import state_of
+from samarl.observations.frames import Frames
+from samarl.policies.policy import LOCAL, Decision, Policy, no_frames
+from samarl.rollout import Rollout
+from samarl.training.curriculum import CurriculumStage
+from samarl.training.restarts import Crowd, SnapshotBuffer
+
+RESTART_STEPS = 16  # a collision is taken back by at most so many
+
+
+class RolloutCollector:
+    """Collects T steps of E worlds at a time, with exploration noise.
+
+    It fills the same TensorDict as TorchRL's `Collector` over `TorchRLEnv` would, faster, and can
+    take worlds back to before a collision.
+    """
+
+    def __init__(
+        self, stage: CurriculumStage, policy: Policy, steps: int, first: int, central: bool
+    ) -> None:
+        """Begin the training cases `first`, `first + 1`, ... in the worlds of `stage`.
+
+        Args:
+            stage: scenario, worlds, and how episodes begin.
+            policy: drives and explores.
+            steps: T.
+            first: the first case number within the training split; 2 E of them are used.
+            central: keep the true state as well, for central critics.
+        """
+        self.stage, self.policy, self.steps, self.central = stage, policy, steps, central
+        scenario, worlds = stage.scenario, stage.worlds
+        self.world = World(scenario, worlds)
+        self.state = policy.initial_state(worlds, scenario)
+        cases = np.array([Split.training.case(first + e) for e in range(worlds)])
+        self.observation = self.world.reset(cases)
+        self.is_init = np.ones(worlds, np.bool_)
+        round_about = scenario.fov_degrees < policy.config.round_below
+        self.crowd = None
+        if stage.midway_start_probability > 0.0 and round_about:
+            self.crowd = Crowd(scenario, worlds, first + worlds)
+        self.snapshots = SnapshotBuffer(RESTART_STEPS)
+        self.age = np.zeros(worlds, np.int64)  # steps since the episode began or was taken back
+        self.fresh = np.ones(worlds, np.bool_)  # the episode has not been taken back
+        # Columns: what the encoder and a restart may look back to, then steps 0 to T.
+        self.past = policy.history + (RESTART_STEPS if self._restarts else 0)
+        example = no_frames(
+            worlds * scenario.robots, scenario.robots, scenario.humans, policy.device
+        )
+        self.frames = Frames(
+            *(t.repeat(1, self.past + steps + 1, *[1] * (t.dim() - 2)) for t in example)
+        )
+        self.begins = torch.ones(self.frames.ego.shape[:2], dtype=torch.bool, device=policy.device)
+        self.decision: Decision  # for the step that comes next
+        self.before: Any = None  # what the encoders remembered before it
+        for _ in range(RESTART_STEPS if self._restarts else 0):
+            self.snapshots.keep(self.world, self._memory())
+        self._decide(steps)
+
+    @property
+    def _restarts(self) -> bool:
+        return self.stage.failure_restart_probability > 0.0
+
+    @torch.no_grad()
+    def collect(self) -> Rollout:
+        """T more steps of every world."""
+        policy, world, t, h = self.policy, self.world, self.steps, self.policy.history
+        for tensor in (*self.frames, self.begins):  # what was step T is step 0 now
+            tensor[:, : self.past + 1] = tensor[:, t : t + self.past + 1].clone()
+        seen = slice(self.past + 1 - h, self.past + 1)  # encoded anew by the present weights
+        every = torch.arange(len(self.begins), device=policy.device)
+        policy.resume(self.frames.at(seen), self.begins[:, seen], self.state, every)
+        began = self.before
+        mask = torch.ones(world.worlds, t + 1, 1, dtype=torch.bool)
+        closed: list[tuple[NDArray, Tensor, Frames, Tensor]] = []
+        columns, states, episodes = [], [], []
+        for step in range(t):
+            column, state = self._take(episodes)
+            columns.append(column)
+            states.append(state)
+            back = self._begin(world.state.done)
+            if back.any():
+                worlds = np.flatnonzero(back)
+                rows = self._rows_of(worlds)
+                until = mask[worlds].clone()
+                until[:, step + 1 :] = False
+                closed.append((worlds, until, *self._shown(rows)))
+                mask[worlds, : step + 1] = False
+                self._take_back(worlds, back[worlds], self.past + step + 1)
+            self._decide(step + 1)
+        columns.append(self._column(self.decision, None, None, None, None))
+        states.append(state_of(world) if self.central else None)
+        return self._rollout(columns, states, mask, closed, began, episodes)
+
+    def _decide(self, step: int) -> None:
+        """Let the policy decide, at step 1 to T of the rollout."""
+        if self._restarts:
+            self.snapshots.keep(self.world, self._memory())
+        if step == self.steps:
+            self.before = tree_map(torch.clone, self.policy.memory(self.state)["encoder"])
+        scenario = self.stage.scenario
+        self.decision = self.policy.act(
+            self.observation, self.state, self.is_init, scenario,
+            self.stage.noise_correlation, ~self.world.state.arrived,
+        )  # fmt: skip
+        column = self.past + step
+        for room, tensor in zip(self.frames, self.decision.frames, strict=True):
+            room[:, column] = tensor[:, 0]
+        begins = torch.from_numpy(np.repeat(self.is_init, scenario.robots))
+        self.begins[:, column] = begins.to(self.begins.device)
+
+    def _take(self, episodes: list[Episodes]) -> tuple[dict[Any, Tensor], Frames | None]:
+        """Take the step that was decided."""
+        world, decision, before = self.world, self.decision, self.observation
+        state = state_of(world) if self.central else None
+        result = world.step(decision.action)
+        rewards = self.policy.rewards(
+            result.reward, result.reward_parts, before, result.observation, self.state,
+            self.stage.scenario,
+        )  # fmt: skip
+        ended = result.terminated | result.truncated
+        terminated = (world.state.collision != 0) | world.state.arrived.all(1, keepdims=True)
+        if ended.any():
+            episodes.append(episodes_of(world.state, world.scenario, ended & self.fresh))
+        self.age += 1
+        self.observation = result.observation
+        team = result.reward_parts.team
+        return self._column(decision, before, rewards, ended, terminated, team), state
+
+    def _column(
+        self, decision: Decision, before: Observation | None, rewards: Any, ended: Any,
+        terminated: Any, team: Any = None,
+    ) -> dict[Any, Tensor]:  # fmt: skip
+        """One step of `Rollout.steps`, by its keys."""
+        e, n = self.world.worlds, self.stage.scenario.robots
+        if before is None:  # decided, not taken
+            before = self.observation
+            rewards = dict.fromkeys(decision.levels, np.zeros((e, n), np.float32))
+            ended, terminated = np.zeros(e, np.bool_), np.zeros((e, n), np.bool_)
+            team = np.zeros((e, n), np.float32)
+        speed = np.linalg.norm(before.ego[..., VELOCITY], axis=-1)
+        found: dict[Any, Tensor] = {
+            "is_init": torch.from_numpy(self.is_init[:, None].copy()),
+            ("agents", "active_mask"): decision.levels[LOCAL].decided,
+            ("agents", "noise"): decision.noise,
+            ("agents", "target"): decision.target,
+            ("agents", "speed"): torch.from_numpy(speed),
+            ("next", "done"): torch.from_numpy(ended[:, None].copy()),
+            ("next", "agents", "terminated"): torch.from_numpy(terminated & ended[:, None]),
+            ("next", "agents", "team_reward"): torch.from_numpy(team.copy()),
+        }
+        for name, level in decision.levels.items():
+            at = ("agents",) if name == LOCAL else ("agents", name)
+            found[(*at, "action")] = level.action
+            found[(*at, "sample_log_prob")] = level.log_prob
+            found[("next", *at, "reward")] = torch.from_numpy(rewards[name])
+            if name != LOCAL:
+                found[(*at, "decision_mask")] = level.decided
+        return found
+
+    def _begin(self, ended: NDArray[np.bool_]) -> NDArray[np.int64]:
+        """Begin the next episodes where one has ended, or say by how much it is taken back, [E]."""
+        world, e, stage = self.world, self.world.worlds, self.stage
+        back = np.zeros(e, np.int64)
+        self.is_init = ended.copy()
+        if not ended.any():
+            if self.crowd is not None:
+                self.crowd.step()
+            return back
+        if self._restarts:
+            hit = (world.state.collision != 0).any(1) & ended & (self.age > 1)
+            again = hit & (torch.rand(e).numpy() < stage.failure_restart_probability)
+            drawn = torch.randint(1, RESTART_STEPS + 1, (e,)).numpy()
+            back[again] = np.minimum(drawn, self.age)[again]
+        anew = ended & (back == 0)
+        self.is_init = anew
+        self.observation = world.reset(worlds=anew)
+        if self.crowd is not None:
+            self.crowd.step()
+            midway = anew & (torch.rand(e).numpy() < stage.midway_start_probability)
+            self.crowd.enter(world, midway, self.policy.config.round_radius)
+            self.observation = world.observe()
+        self.age[ended] = 0
+        self.fresh[ended] = anew[ended]
+        return back
+
+    def _take_back(self, worlds: NDArray, back: NDArray, column: int) -> None:
+        """Go on from earlier moments of some worlds; their past is moved before `column`."""
+        steps = np.zeros(self.world.worlds, np.int64)
+        steps[worlds] = back
+        self.snapshots.restore(self.world, self._memory(), steps)
+        self.observation = self.world.observe()
+        h = self.policy.history
+        for e, k in zip(worlds, back, strict=True):
+            rows = self._rows_of(np.array([e]))
+            for tensor in (*self.frames, self.begins):
+                tensor[rows, k:column] = tensor[rows, : column - k].clone()
+        rows = self._rows_of(worlds)
+        seen = slice(column - h, column)
+        self.policy.resume(self.frames.at(seen).of(rows), self.begins[rows, seen], self.state, rows)
+
+    def _rows_of(self, worlds: NDArray) -> Tensor:
+        n = self.stage.scenario.robots
+        rows = (worlds[:, None] * n + np.arange(n)).ravel()
+        return torch.from_numpy(rows).to(self.policy.device)
+
+    def _shown(self, rows: Tensor | slice) -> tuple[Frames, Tensor]:
+        """What a rollout shows of some rows, copied: the frames and where episodes begin."""
+        shown = slice(self.past - self.policy.history, None)
+        frames = Frames(*(tensor[rows, shown].clone() for tensor in self.frames))
+        return frames, self.begins[rows, shown].clone()
+
+    def _memory(self) -> list[Tensor]:
+        """All that makes up the present besides the worlds, [E, ...] each, not copied."""
+        e, found = self.world.worlds, []
+        for leaf in (self.is_init, *tree_leaves(self.policy.memory(self.state))):
+            tensor = torch.from_numpy(leaf) if isinstance(leaf, np.ndarray) else leaf
+            found.append(tensor.view(e, -1, *tensor.shape[1:]))
+        return found
+
+    def _rollout(
+        self, columns: list[dict[Any, Tensor]], states: list[Frames | None], mask: Tensor,
+        closed: list, began: Any, episodes: list[Episodes],
+    ) -> Rollout:  # fmt: skip
+        e, device = self.world.worlds, self.policy.device
+        steps = TensorDict({}, [e, self.steps + 1])
+        for key in columns[0]:
+            steps[key] = torch.stack([column[key] for column in columns], 1)
+        steps["mask"] = mask
+        frames, begins = self._shown(slice(None))
+        state = None
+        if self.central:
+            state = Frames.joined([s for s in states if s is not None], 1)
+        if closed:
+            worlds = torch.from_numpy(np.concatenate([part[0] for part in closed]))
+            again = steps[worlds]
+            again["mask"] = torch.cat([part[1] for part in closed])
+            steps = torch.cat([steps, again])
+            frames = Frames.joined([frames, *(part[2] for part in closed)], 0)
+            begins = torch.cat([begins, *(part[3] for part in closed)])
+            rows = self._rows_of(worlds.numpy())
+            if state is not None:
+                state = Frames.joined([state, state.of(rows.cpu())], 0)
+            sets = len(began)
+            began = tuple(
+                tree_map(lambda t, i=i: torch.cat([t, t[rows[i::sets] // sets]]), of_set)
+                for i, of_set in enumerate(began)
+            )
+        return Rollout(
+            self.stage.scenario, self.stage.noise_correlation, steps.to(device), frames,
+            begins, began, None if state is None else state.to(device), episodes,
+            e * self.steps,
+        )  # fmt: skip
+
+    def saved(self) -> dict[str, Any]:
+        """Everything that the next `collect` depends on, but the networks and torch's generator."""
+        return {
+            "world": self.world.state,
+            "crowd": () if self.crowd is None else self.crowd.world.state,
+            "observation": self.observation,
+            "state": self.state,
+            "snapshots": list(self.snapshots.kept),
+            "age": self.age,
+            "fresh": self.fresh,
+            "is_init": self.is_init,
+            "frames": self.frames,
+            "begins": self.begins,
+            "decision": self.decision,
+            "before": self.before,
+        }
+
+    def restore(self, saved: dict[str, Any]) -> None:
+        """Go on from a saved state."""
+        self.world.restore(saved["world"])
+        if self.crowd is not None:
+            self.crowd.world.restore(saved["crowd"])
+        self.snapshots.kept.extend(saved["snapshots"])
+        for name in ("observation", "state", "age", "fresh", "is_init", "frames", "begins",
+                     "decision", "before"):  # fmt: skip
+            setattr(self, name, saved[name])

@@ -1,0 +1,91 @@
+"""The folder of a training run: one process at a time, and everything that is needed to go on."""
+
+from __future__ import annotations
+
+import csv
+import fcntl
+import io
+import json
+from pathlib import Path
+from typing import Any
+
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import load_file
+from torch import Tensor
+
+from mrsan import ConfigurationError
+from samarl.evaluation.files import write_atomically
+from samarl.policies.checkpoint import write_tensors
+
+STATE = "state.safetensors"
+LAST, BEST = "last.safetensors", "best.safetensors"  # policies
+FORMAT = 2
+
+
+class RunDir:
+    """A run's files; locked as long as this object lives."""
+
+    def __init__(self, folder: Path) -> None:
+        """Take the folder.
+
+        Raises:
+            ConfigurationError: another process trains into it.
+        """
+        self.folder = folder
+        folder.mkdir(parents=True, exist_ok=True)
+        self._lock = (folder / ".lock").open("w")
+        try:
+            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            raise ConfigurationError(
+                f"run_dir is {str(folder)!r}, into which another process trains; choose another"
+            ) from error
+
+    def release(self) -> None:
+        """Let others have the folder."""
+        self._lock.close()
+
+    @property
+    def begun(self) -> bool:
+        """There is something to go on from."""
+        return (self.folder / STATE).is_file()
+
+    def save(self, tensors: dict[str, Tensor], progress: dict[str, Any]) -> None:
+        """Write the state and the curve."""
+        metadata = {"format": str(FORMAT), "progress": json.dumps(progress)}
+        write_tensors(self.folder / STATE, tensors, metadata)
+        rows = progress["rows"]
+        keys = list(dict.fromkeys(key for row in rows for key in row))
+        text = io.StringIO()
+        writer = csv.DictWriter(text, keys, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+        write_atomically(self.folder / "progress.csv", text.getvalue())
+
+    def load(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
+        """The state and the progress."""
+        return load_file(self.folder / STATE), read_progress(self.folder)
+
+
+def read_progress(folder: Path) -> dict[str, Any]:
+    """How far the run in a folder is, and its configuration.
+
+    Raises:
+        ConfigurationError: the folder holds no run, or a damaged one or an older one.
+    """
+    path = folder / STATE
+    if not path.is_file():
+        raise ConfigurationError(
+            f"resume is {str(folder)!r}; it must be the folder of a run, which holds {STATE}"
+        )
+    try:
+        with safe_open(path, "pt") as file:
+            metadata = file.metadata()
+            progress: dict[str, Any] = json.loads(metadata["progress"])
+    except (SafetensorError, KeyError, ValueError, TypeError) as error:
+        raise ConfigurationError(f"{path} is damaged ({error})") from error
+    if metadata.get("format") != str(FORMAT):
+        raise ConfigurationError(
+            f"{path} was begun by another version of the trainer; begin again in another run_dir"
+        )
+    return progress

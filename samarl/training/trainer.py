@@ -1,0 +1,353 @@
+"""The training loop: collect, update, validate, save; resumes after any interruption."""
+
+from __future__ import annotations
+
+import contextlib
+import copy
+import ctypes
+import json
+import time
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numba
+import numpy as np
+import torch
+from torch import Tensor
+from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
+from tqdm import tqdm
+
+from mrsan import ConfigurationError, Split, social_score
+from mrsan.scenario import check_numbers, required
+from samarl.agents.learned import Deployed
+from samarl.algorithms import ALGORITHMS
+from samarl.evaluation.files import code_version, machine
+from samarl.evaluation.runner import run_cases
+from samarl.policies.checkpoint import load_policy, make_policy, pack, save_policy, unpack
+from samarl.policies.policy import Policy
+from samarl.rollout import Rollout
+from samarl.training.collector import RolloutCollector
+from samarl.training.curriculum import CurriculumStage
+from samarl.training.logging import Logger
+from samarl.training.run_dir import BEST, LAST, RunDir
+
+FREE = ("threads", "wandb")  # of `TrainerConfig`: a run may go on with others
+MOST_SEEDS = 2**20  # each has 2^20 training cases
+
+
+@dataclass
+class TrainerConfig:
+    """Numbers of a training run."""
+
+    steps: int = required(1, 10**12)  # environment steps in all worlds together
+    rollout: int = required(1, 100000)  # steps per world between updates
+    seed: int = required(0, MOST_SEEDS - 1)
+    threads: int = required(1, 1024)  # of torch and the simulator
+    validate_every: int = required(1, 10**12)  # environment steps
+    validation_cases: int = required(1, 10**6)
+    save_every: int = required(1, 10**12)  # environment steps
+    ema_decay: float = required(0.0, 0.9999)  # per update, of the mean of the weights
+    device: str = "cpu"  # of the networks; the simulation is always on the CPU
+    bfloat16: bool = False  # encode with bfloat16
+    compile: bool = False  # compile the encoders (needs a C++ compiler)
+    wandb: str | None = None  # project to which the TensorBoard curves are sent as well
+
+
+class Trainer:
+    """One training run in a folder."""
+
+    def __init__(
+        self,
+        run_dir: Path,
+        config: TrainerConfig,
+        policy: Mapping[str, Any],
+        algorithm: Mapping[str, Any],
+        stages: list[CurriculumStage],
+        command: str,
+        init_from: Path | None = None,
+    ) -> None:
+        """Set up the run, from the saved state where the folder holds one.
+
+        Args:
+            run_dir: the folder: the state, the policies, `progress.csv`.
+            config: the run's numbers.
+            policy: `name` and numbers of the policy, with its encoder.
+            algorithm: `name` and numbers of the algorithm.
+            stages: what is trained on.
+            command: what started it, for the record.
+            init_from: a policy of the same sizes whose weights to begin with; how much is explored
+                begins anew.
+
+        Raises:
+            ConfigurationError: a number is wrong, or the saved state is of another configuration.
+        """
+        check_numbers(config, "trainer")
+        self.config, self.stages = config, stages
+        self.name = str(policy["name"])
+        _keep_freed_memory()
+        torch.set_num_threads(config.threads)
+        numba.set_num_threads(min(config.threads, numba.config.NUMBA_NUM_THREADS))
+        torch.manual_seed(config.seed)
+        sizes = {key: value for key, value in policy.items() if key != "name"}
+        self.policy = make_policy(self.name, sizes, stages[0].scenario.action_size)
+        self.made: dict[str, Any] = {
+            "command": command, "commit": code_version(), "machine": machine()
+        }  # fmt: skip
+        if init_from is not None:
+            self._begin_with(init_from)
+        self.policy.to(_device(config.device))
+        self.policy.low_precision = config.bfloat16
+        if config.compile:
+            for networks in self.policy.networks:
+                networks.encoder.compile(dynamic=True)
+        self.averaged = AveragedModel(
+            self.policy, multi_avg_fn=get_ema_multi_avg_fn(config.ema_decay)
+        )
+        entry = ALGORITHMS[str(algorithm["name"])]
+        self.algorithm = entry.made(self.policy, ALGORITHMS.config(algorithm))
+        self.configuration = json.loads(
+            json.dumps(
+                {
+                    "trainer": {**asdict(config), **dict.fromkeys(FREE)},
+                    "policy": dict(policy),
+                    "algorithm": dict(algorithm),
+                    "curriculum": {"stages": [asdict(stage) for stage in stages]},
+                },
+                default=str,
+            )
+        )
+        self.collectors = self._collectors()
+        self.steps_done = 0
+        self.seconds = 0.0
+        self.best = -1.0
+        self.recent: deque[float] = deque(maxlen=2000)  # success of the last episodes
+        self.rows: list[dict[str, float]] = []
+        self.run_dir = RunDir(run_dir)
+        if self.run_dir.begun:
+            self._restore()
+
+    def _collectors(self) -> list[RolloutCollector]:
+        """One for each stage, with training cases of its own."""
+        first, collectors = self.config.seed * MOST_SEEDS, []
+        cases = 2 * sum(stage.worlds for stage in self.stages)
+        if cases > MOST_SEEDS:
+            raise ConfigurationError(
+                f"curriculum.stages has {cases // 2} worlds; it must have {MOST_SEEDS // 2} at most"
+            )
+        for stage in self.stages:
+            collectors.append(
+                RolloutCollector(
+                    stage, self.policy, self.config.rollout, first, self.algorithm.central
+                )
+            )
+            first += 2 * stage.worlds
+        return collectors
+
+    def run(self) -> None:
+        """Train to the end; an interruption loses at most `save_every` steps."""
+        c = self.config
+        self.algorithm.set_progress(self.steps_done / c.steps)
+        logger = Logger(self.run_dir.folder, c.wandb, self.configuration, self.steps_done)
+        bar = tqdm(
+            total=c.steps, initial=self.steps_done, unit="step", unit_scale=True, disable=None
+        )
+        try:
+            while self.steps_done < c.steps:
+                before = self.steps_done
+                row = self.round()
+                due = self.steps_done // c.validate_every > before // c.validate_every
+                if due or self.steps_done >= c.steps:
+                    row |= self._validate()
+                self.rows.append(row)
+                logger.log(row, self.steps_done)
+                bar.set_postfix_str(f"success {100 * row['charts/success']:.1f} %")
+                bar.update(self.steps_done - before)
+                if self.steps_done // c.save_every > before // c.save_every:
+                    self.save()
+        except FloatingPointError as error:
+            good = "the last good state is kept" if self.run_dir.begun else "nothing was saved"
+            raise ConfigurationError(
+                f"training stopped at step {self.steps_done}: {error}; {good} in "
+                f"{self.run_dir.folder}"
+            ) from error
+        except KeyboardInterrupt:
+            self.save()
+            raise
+        finally:
+            bar.close()
+            logger.close()
+        self.save()
+
+    def round(self) -> dict[str, float]:
+        """Collect one rollout of every stage that is trained on now, and learn from them."""
+        begun = time.perf_counter()
+        rollouts = self.collect()
+        collected = time.perf_counter()
+        statistics = self.algorithm.update(rollouts)
+        self.averaged.update_parameters(self.policy)
+        steps = sum(rollout.environment_steps for rollout in rollouts)
+        self.steps_done += steps
+        self.algorithm.set_progress(min(self.steps_done / self.config.steps, 1.0))
+        took = time.perf_counter() - begun
+        self.seconds += took
+        for rollout in rollouts:
+            for episodes in rollout.episodes:
+                self.recent.extend(episodes.success.astype(float))
+        return {
+            "steps": float(self.steps_done),
+            "seconds": round(self.seconds, 1),
+            "charts/steps_per_second": round(steps / took, 1),
+            "charts/collect_share": round((collected - begun) / took, 3),
+            "charts/success": round(float(np.mean(self.recent or [0.0])), 4),
+            **{key: round(value, 6) for key, value in statistics.items()},
+        }
+
+    def collect(self) -> list[Rollout]:
+        """One rollout of every stage that is trained on now."""
+        share = self.steps_done / self.config.steps
+        return [
+            collector.collect()
+            for stage, collector in zip(self.stages, self.collectors, strict=True)
+            if stage.begin <= share < stage.end
+        ]
+
+    @property
+    def mean(self) -> Policy:
+        """The policy with the mean of the weights, which is validated and saved."""
+        policy = self.averaged.module
+        assert isinstance(policy, Policy)
+        return policy
+
+    def _begin_with(self, init_from: Path) -> None:
+        weights, card = load_policy(init_from)
+        anew = {k: v for k, v in self.policy.state_dict().items() if k.endswith("log_std")}
+        try:
+            self.policy.load_state_dict({**weights.state_dict(), **anew})
+        except RuntimeError as error:
+            raise ConfigurationError(
+                f"init_from is {str(init_from)!r} with {card.config}; its sizes must be those of "
+                "this run's policy"
+            ) from error
+        self.made["init_from"] = {"sha256": card.sha256, **card.made}
+
+    def _validate(self) -> dict[str, float]:
+        """Deterministic success on validation cases with all people present; keeps the best.
+
+        Only the scenarios that the training ends with count.
+        """
+        cases = Split.validation.case(0) + np.arange(self.config.validation_cases)
+        row: dict[str, float] = {}
+        successes = []
+        policy = copy.deepcopy(self.mean).cpu()
+        for stage in self.stages:
+            if stage.end < 1.0:
+                continue
+            full = replace(stage.scenario, humans_min=None)
+            name = f"{full.fov_degrees:g}_{full.humans}h_{full.robots}r"
+            if f"validation/success_{name}" in row:
+                continue
+            episodes = run_cases(Deployed(policy, full), full, cases, len(cases), "validation")
+            successes.append(float(episodes.success.mean()))
+            row[f"validation/success_{name}"] = round(successes[-1], 4)
+            row[f"validation/social_score_{name}"] = round(float(social_score(episodes).mean()), 2)
+        figures = ", ".join(f"{key.split('/')[1]} {value:g}" for key, value in row.items())
+        tqdm.write(f"step {self.steps_done}, {self.seconds:.0f} s, validation: {figures}")
+        if np.mean(successes) > self.best:
+            self.best = float(np.mean(successes))
+            self._save_policy(BEST, row)
+        return row
+
+    def _save_policy(self, name: str, validation: dict[str, float]) -> None:
+        made = {
+            **self.made,
+            "steps": self.steps_done,
+            "seconds": round(self.seconds),
+            "validation": validation,
+            "configuration": self.configuration,
+        }
+        save_policy(self.run_dir.folder / name, self.mean, self.name, made)
+
+    def _state(self) -> dict[str, Any]:
+        return {
+            "policy": dict(self.policy.state_dict()),
+            "averaged": dict(self.averaged.state_dict()),
+            "algorithm": dict(self.algorithm.state_dict()),
+            "random": torch.get_rng_state(),
+            "collectors": [collector.saved() for collector in self.collectors],
+        }
+
+    def save(self) -> None:
+        """Write the state, the last policy and the curve."""
+        tensors: dict[str, Tensor] = {}
+        for key, value in self._state().items():
+            tensors |= pack(key, value)
+        for name, optimiser in self.algorithm.optimisers().items():
+            for index, values in optimiser.state_dict()["state"].items():
+                for key, value in values.items():
+                    tensors[f"optimiser/{name}/{index}/{key}"] = value
+        progress = {
+            "steps_done": self.steps_done,
+            "seconds": self.seconds,
+            "best": self.best,
+            "recent": list(self.recent),
+            "rows": self.rows,
+            "made": self.made,
+            "configuration": self.configuration,
+        }
+        self.run_dir.save(tensors, progress)
+        self._save_policy(LAST, {})
+
+    def _restore(self) -> None:
+        tensors, progress = self.run_dir.load()
+        if progress["configuration"] != self.configuration:
+            raise ConfigurationError(
+                f"{self.run_dir.folder} holds a run with another configuration; choose another "
+                f"run_dir, or go on with its own: resume={self.run_dir.folder}"
+            )
+        state = {key: unpack(example, key, tensors) for key, example in self._state().items()}
+        self.policy.load_state_dict(state["policy"])
+        self.averaged.load_state_dict(state["averaged"])
+        self.algorithm.load_state_dict(state["algorithm"])
+        for name, optimiser in self.algorithm.optimisers().items():
+            found: dict[int, dict[str, Tensor]] = {}
+            for key, value in tensors.items():
+                if key.startswith(f"optimiser/{name}/"):
+                    _, _, index, of = key.split("/")
+                    found.setdefault(int(index), {})[of] = value
+            groups = optimiser.state_dict()["param_groups"]
+            optimiser.load_state_dict({"state": found, "param_groups": groups})
+        for collector, saved in zip(self.collectors, state["collectors"], strict=True):
+            collector.restore(saved)
+        torch.set_rng_state(state["random"])
+        self.steps_done, self.seconds = progress["steps_done"], progress["seconds"]
+        self.best, self.rows = progress["best"], progress["rows"]
+        self.recent.extend(progress["recent"])
+        self.made = progress["made"]
+
+
+def _keep_freed_memory() -> None:
+    """Let glibc keep what is freed for the next tensor of that size.
+
+    Large tensors would otherwise go back to the system every time, and zeroing their pages anew
+    costs a third of an update. Nothing happens with another C library.
+    """
+    trim_threshold, mmap_threshold, most = -1, -3, 2**30
+    with contextlib.suppress(OSError, AttributeError):
+        mallopt = ctypes.CDLL("libc.so.6").mallopt
+        mallopt(mmap_threshold, most)
+        mallopt(trim_threshold, most)
+
+
+def _device(name: str) -> torch.device:
+    try:
+        device = torch.device(name)
+        torch.empty(0, device=device)
+    except (RuntimeError, AssertionError) as error:
+        reason = str(error).splitlines()[0]
+        raise ConfigurationError(
+            f"trainer.device is {name!r}; it must be a torch device of this machine ({reason})"
+        ) from error
+    return device
