@@ -11,15 +11,10 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from mrsan.features import EGO_FEATURES, OTHER_FEATURES
 from mrsan.metrics import Outcome, episodes_of, social_score
 from mrsan.scenario import ConfigurationError, Scenario, overridden
-from mrsan.world import (
-    EGO_FEATURES,
-    OTHER_FEATURES,
-    ActionError,
-    Observation,
-    World,
-)
+from mrsan.world import ActionError, Observation, World
 
 Array = NDArray[Any]
 

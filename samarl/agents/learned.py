@@ -11,9 +11,7 @@ import torch
 from numpy.typing import NDArray
 
 from mrsan import Observation, Scenario
-from mrsan.scenario import number
 from samarl.agents.agent import Agent, Explanation
-from samarl.agents.shield import guarded
 from samarl.encoders import Frames
 from samarl.observations.features import frames_of
 from samarl.observations.tracker import Tracker
@@ -94,7 +92,7 @@ class Deployed:
         e, n = observation.ego.shape[:2]
         if e != self._worlds:
             self._remember_nothing(e)
-        tracks = self.known = self.tracker.update(observation)
+        tracks = self.tracker.update(observation)
         frame = self._frame = frames_of(tracks, self.scenario)
         if self._windows is None:
             self._windows = self.policy.encoder.windows(frame)
@@ -127,9 +125,6 @@ class Learned(Agent):
 
     checkpoint: str  # a file, or the name of one that is shipped
     waypoints: Plan = Plan.learned
-    guard_steps: int = number(0, 0, 200)  # so far ahead actions are checked, 0: not at all ...
-    human_margin: float = number(0.0, 0.0, 5.0)  # ... with so much added to the radius of humans, m
-    robot_margin: float = number(0.0, 0.0, 5.0)  # ... and of robots, m
 
     def __post_init__(self) -> None:
         """Load the checkpoint."""
@@ -148,10 +143,8 @@ class Learned(Agent):
         self._deployed.reset(worlds)
 
     def act(self, observation: Observation) -> NDArray[np.float32]:
-        """The mean action, [E, N, A], as far as the guard lets it pass."""
-        action = self._deployed.act(observation)
-        numbers = self.guard_steps, self.human_margin, self.robot_margin
-        return guarded(self._deployed.known, action, self.scenario, *numbers)
+        """The mean action, [E, N, A]."""
+        return self._deployed.act(observation)
 
     def explain(self) -> Explanation | None:
         """Its waypoints and its attention."""

@@ -1,4 +1,4 @@
-"""A guard for the last moment: it replaces actions after which a collision can hardly be avoided.
+"""A shield for the last moment: it replaces actions after which one can hardly avoid a collision.
 
 The least restrictive kind (Alshiekh et al., Safe Reinforcement Learning via Shielding, 2018): an
 action passes as long as some way of going on from it keeps clear of everybody's prediction. Else
@@ -10,17 +10,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numba import prange
 from numpy.typing import NDArray
 
 from mrsan import Observation, Scenario
+from mrsan.features import GOAL_X, GOAL_Y
 from mrsan.kernels import function, kernel
 from mrsan.kernels.contact import closest_approach
-from mrsan.scenario import required
-from samarl.agents.agent import Agent, Explanation, build_agent
+from mrsan.scenario import check_numbers, number
+from samarl.agents.agent import Agent, Explanation
 from samarl.agents.planners.tracking import gather, move, steer, track_velocity
 from samarl.observations.tracker import Tracker, Tracks
 
@@ -34,13 +34,26 @@ _ONE = np.float32(1.0)
 _TWO_PI = np.float32(2.0 * math.pi)
 
 
-def guarded(
-    known: Observation | Tracks,
-    action: NDArray[np.float32],
-    scenario: Scenario,
-    steps: int,
-    human_margin: float,
-    robot_margin: float,
+@dataclass
+class Shield:
+    """The numbers of the shield; chosen on validation cases."""
+
+    steps: int = number(8, 1, 200)  # so far ahead actions are checked
+    human_margin: float = number(0.05, 0.0, 5.0)  # added to the radius of humans, m
+    robot_margin: float = number(0.1, 0.0, 5.0)  # added to the radius of robots, m
+    track_steps: int = number(24, 0, 1000)  # for how long those out of view are remembered
+
+    def __post_init__(self) -> None:
+        """Check every number.
+
+        Raises:
+            ConfigurationError: names the field, its value and its range.
+        """
+        check_numbers(self, "agent.shield")
+
+
+def shielded(
+    known: Observation | Tracks, action: NDArray[np.float32], scenario: Scenario, shield: Shield
 ) -> NDArray[np.float32]:
     """The actions [E, N, A], each of them replaced where it leads into a collision.
 
@@ -48,56 +61,47 @@ def guarded(
         known: what every robot sees, or sees and remembers; all of them go on at constant velocity.
         action: [E, N, A] in [-1, 1].
         scenario: the dynamics.
-        steps: looked ahead; 0: every action passes.
-        human_margin: added to the radius of humans, m.
-        robot_margin: added to the radius of robots, m.
+        shield: its numbers.
     """
-    if steps == 0:
-        return action
     checked = np.array(action, np.float32)
-    margins = np.float32(human_margin), np.float32(robot_margin)
-    _guard(len(checked), *known, scenario.parameters(), steps, *margins, checked)
+    margins = np.float32(shield.human_margin), np.float32(shield.robot_margin)
+    _check(len(checked), *known, scenario.parameters(), shield.steps, *margins, checked)
     return checked
 
 
 @dataclass
-class Guarded(Agent):
-    """Any agent, with a guard that checks its actions."""
+class Shielded(Agent):
+    """Any agent, with a shield that checks its actions."""
 
-    agent: dict[str, Any]  # the guarded one: `_target_` and its fields
-    track_steps: int = required(0, 1000)  # for how long those out of view are remembered
-    steps: int = required(0, 200)  # see `guarded`
-    human_margin: float = required(0.0, 5.0)
-    robot_margin: float = required(0.0, 5.0)
+    agent: Agent
+    shield: Shield
 
     def __post_init__(self) -> None:
-        """Build the guarded agent."""
+        """Remember nothing yet."""
         super().__post_init__()
-        self._agent = build_agent(self.agent, self.scenario)
-        self._tracker = Tracker(self.track_steps, self.scenario.time_step)
+        self._tracker = Tracker(self.shield.track_steps, self.scenario.time_step)
 
     def reset(self, worlds: NDArray[np.bool_]) -> None:
         """Forget what was remembered of the worlds [E] in which an episode begins."""
-        self._agent.reset(worlds)
+        self.agent.reset(worlds)
         self._tracker.reset(worlds)
 
     def version(self) -> str:
         """A digest of the code of both."""
-        return f"{super().version()}.{self._agent.version()}"
+        return f"{super().version()}.{self.agent.version()}"
 
     def act(self, observation: Observation) -> NDArray[np.float32]:
-        """What the guarded agent does, as far as the guard lets it pass."""
-        action, known = self._agent.act(observation), self._tracker.update(observation)
-        numbers = self.steps, self.human_margin, self.robot_margin
-        return guarded(known, action, self.scenario, *numbers)
+        """What the agent does, [E, N, A], as far as the shield lets it pass."""
+        action, known = self.agent.act(observation), self._tracker.update(observation)
+        return shielded(known, action, self.scenario, self.shield)
 
     def explain(self) -> Explanation | None:
-        """What the guarded agent had in mind."""
-        return self._agent.explain()
+        """What the agent had in mind."""
+        return self.agent.explain()
 
 
 @kernel
-def _guard(
+def _check(
     chunks,
     ego,
     humans,
@@ -117,7 +121,7 @@ def _guard(
         attempt = np.empty(action.shape[2], np.float32)
         for e in range(chunk * total // chunks, (chunk + 1) * total // chunks):
             for i in range(ego.shape[1]):
-                goal_x, goal_y = ego[e, i, 0], ego[e, i, 1]
+                goal_x, goal_y = ego[e, i, GOAL_X], ego[e, i, GOAL_Y]
                 if goal_x * goal_x + goal_y * goal_y < p.robot_radius * p.robot_radius:
                     continue  # it has arrived
                 count = gather(

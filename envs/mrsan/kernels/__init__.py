@@ -24,7 +24,11 @@ from numba.core import event
 function = numba.njit(error_model="numpy", forceinline=True)
 
 _PACKAGE = Path(__file__).resolve().parent.parent
-_CORE_SOURCES = [*sorted(_PACKAGE.glob("kernels/*.py")), _PACKAGE / "reward.py"]
+_CORE_SOURCES = [
+    *sorted(_PACKAGE.glob("kernels/*.py")),
+    _PACKAGE / "features.py",
+    _PACKAGE / "reward.py",
+]
 
 
 class kernel:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrsan import Observation
+from mrsan.features import GOAL, GOAL_X, GOAL_Y, ORIGIN, ORIGIN_X, ORIGIN_Y
 from mrsan.scenario import required
 from samarl.agents.agent import Agent
 from samarl.agents.planners.straight import drive_towards
@@ -40,11 +41,12 @@ def way_round(
         lookahead: how far ahead on the circle it is, rad.
         entry_angle: it is the goal when that is so near in bearing, rad.
     """
-    goal = np.arctan2(ego[..., 1] - ego[..., 5], ego[..., 0] - ego[..., 4])
-    here = np.arctan2(-ego[..., 5], -ego[..., 4])  # bearings from the origin, body frame
+    # Bearings from the origin, in the body frame.
+    goal = np.arctan2(ego[..., GOAL_Y] - ego[..., ORIGIN_Y], ego[..., GOAL_X] - ego[..., ORIGIN_X])
+    here = np.arctan2(-ego[..., ORIGIN_Y], -ego[..., ORIGIN_X])
     remaining = (goal - here + np.pi) % (2 * np.pi) - np.pi
     passed = (remaining < -entry_angle) & (remaining > -np.pi / 2)
     onward = here + np.float32(lookahead) * np.where(passed, -1, 1)
     circle = np.float32(radius) * np.stack([np.cos(onward), np.sin(onward)], -1)
     turn_in = (np.abs(remaining) < entry_angle)[..., None]
-    return np.where(turn_in, ego[..., 0:2], circle + ego[..., 4:6]).astype(np.float32)
+    return np.where(turn_in, ego[..., GOAL], circle + ego[..., ORIGIN]).astype(np.float32)

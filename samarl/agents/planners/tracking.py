@@ -4,6 +4,16 @@ import math
 
 import numpy as np
 
+from mrsan.features import (
+    OTHER_RADIUS,
+    OTHER_VELOCITY_X,
+    OTHER_VELOCITY_Y,
+    OTHER_X,
+    OTHER_Y,
+    RADIUS,
+    VELOCITY_X,
+    VELOCITY_Y,
+)
 from mrsan.kernels import function
 from mrsan.kernels.kinematics import ACCELERATION_HEADING, HOLONOMIC, next_velocity
 
@@ -71,7 +81,7 @@ def gather(ego, humans, humans_visible, robots, robots_visible, human_margin, ro
     is row 0. The margins are added to the radii of humans and robots. Returns how many rows.
     """
     rows[0, 0] = rows[0, 1] = _ZERO
-    rows[0, 2], rows[0, 3], rows[0, 4] = ego[2], ego[3], ego[8]
+    rows[0, 2], rows[0, 3], rows[0, 4] = ego[VELOCITY_X], ego[VELOCITY_Y], ego[RADIUS]
     count = 1
     for j in range(humans.shape[0]):
         if humans_visible[j]:
@@ -86,6 +96,7 @@ def gather(ego, humans, humans_visible, robots, robots_visible, human_margin, ro
 
 @function
 def _add(rows, count, other, ego, margin):
-    rows[count, 0], rows[count, 1] = other[0], other[1]
-    rows[count, 2], rows[count, 3] = other[2] + ego[2], other[3] + ego[3]
-    rows[count, 4] = other[4] + margin
+    rows[count, 0], rows[count, 1] = other[OTHER_X], other[OTHER_Y]
+    rows[count, 2] = other[OTHER_VELOCITY_X] + ego[VELOCITY_X]
+    rows[count, 3] = other[OTHER_VELOCITY_Y] + ego[VELOCITY_Y]
+    rows[count, 4] = other[OTHER_RADIUS] + margin
