@@ -19,13 +19,18 @@ from mrsan import Observation, Scenario
 from mrsan.features import GOAL_X, GOAL_Y
 from mrsan.kernels import function, kernel
 from mrsan.kernels.contact import closest_approach
+from mrsan.kernels.kinematics import HOLONOMIC
 from mrsan.scenario import check_numbers, number
 from samarl.agents.agent import Agent, Explanation
-from samarl.agents.planners.tracking import gather, move, steer, track_velocity
+from samarl.agents.planners.tracking import SHARP, gather, move, steer, track_velocity
 from samarl.observations.tracker import Tracker, Tracks
 
-DIRECTIONS = 16  # of the ways of going on, at full and at half speed
+DIRECTIONS = 16  # of the ways of going on: at full speed, at half, and turning on the spot first
+WAYS = 2 + 3 * DIRECTIONS
 ENOUGH = np.float32(0.3)  # no way is better for keeping further away than that, m
+STANDING = np.float32(0.1)  # who is slower stands, m/s
+HAIR = np.float32(1e-4)  # for rounding, m
+TURN = np.float32(0.2)  # the way that a radian is worth by which it must still turn, m
 PROGRESS = np.float32(0.3)  # distance that is given for a metre nearer to the goal, m
 
 _ZERO = np.float32(0.0)
@@ -134,18 +139,30 @@ def _check(
                     robot_margin,
                     rows,
                 )
+                _allow_for_nearness(rows, count, p)
                 if not _passes(rows, count, goal_x, goal_y, steps, action[e, i], attempt, p):
                     _escape(rows, count, goal_x, goal_y, steps, action[e, i], first, attempt, p)
 
 
 @function
+def _allow_for_nearness(rows, count, p):
+    """Take off the margins what is not there: who is too near already must not come nearer."""
+    for j in range(1, count):
+        x, y = rows[j, 0], rows[j, 1]
+        room = math.sqrt(x * x + y * y) - p.robot_radius - HAIR
+        rows[j, 4] = min(rows[j, 4], max(room, _ZERO))
+
+
+@function
 def _passes(rows, count, goal_x, goal_y, steps, action, attempt, p):
     """Whether some way of going on after `action` stays clear."""
-    for way in range(2 * DIRECTIONS + 2):
-        vx, vy = _way(way, goal_x, goal_y, p)
+    for way in range(WAYS):
+        vx, vy, sharp = _way(way, goal_x, goal_y, p)
         for k in range(action.shape[0]):
             attempt[k] = action[k]
-        clear, _ = _outlook(rows, count, goal_x, goal_y, vx, vy, steps, attempt, p)
+        clear, _, _ = _outlook(
+            rows, count, goal_x, goal_y, vx, vy, sharp, steps, attempt, False, p
+        )
         if clear >= steps:
             return True
     return False
@@ -156,12 +173,15 @@ def _escape(rows, count, goal_x, goal_y, steps, action, first, attempt, p):
     """Write the first action of the best way."""
     speed = math.sqrt(rows[0, 2] * rows[0, 2] + rows[0, 3] * rows[0, 3])
     longest, best = -_ONE, _ZERO
-    for way in range(2 * DIRECTIONS + 2):
-        vx, vy = _way(way, goal_x, goal_y, p)
-        track_velocity(vx, vy, speed, first, p)
+    for way in range(WAYS):
+        vx, vy, sharp = _way(way, goal_x, goal_y, p)
+        track_velocity(vx, vy, speed, first, p, sharp)
         for k in range(action.shape[0]):
             attempt[k] = first[k]
-        clear, merit = _outlook(rows, count, goal_x, goal_y, vx, vy, steps, attempt, p)
+        clear, gap, left = _outlook(
+            rows, count, goal_x, goal_y, vx, vy, sharp, steps, attempt, True, p
+        )
+        merit = min(gap, ENOUGH) - PROGRESS * left
         if clear > longest or (clear == longest and merit > best):
             longest, best = clear, merit
             for k in range(action.shape[0]):
@@ -170,40 +190,83 @@ def _escape(rows, count, goal_x, goal_y, steps, action, first, attempt, p):
 
 @function
 def _way(way, goal_x, goal_y, p):
-    """The velocity of a way of going on: to the goal, standing, or in one of the directions."""
+    """A way of going on: to the goal, standing, or in one of the directions.
+
+    Returns:
+        Its velocity (x, y), and beyond which turn the robot turns on the spot, rad.
+    """
     if way == 0:
         scale = p.robot_speed / max(math.sqrt(goal_x**2 + goal_y**2), np.float32(1e-6))
-        return goal_x * scale, goal_y * scale
+        return goal_x * scale, goal_y * scale, SHARP
     if way == 1:
-        return _ZERO, _ZERO
+        return _ZERO, _ZERO, SHARP
     angle = _TWO_PI * np.float32(way % DIRECTIONS) / np.float32(DIRECTIONS)
-    speed = p.robot_speed * (_ONE if way < 2 + DIRECTIONS else _HALF)
-    return np.float32(speed * math.cos(angle)), np.float32(speed * math.sin(angle))
+    kind = (way - 2) // DIRECTIONS
+    speed = p.robot_speed * (_HALF if kind == 1 else _ONE)
+    sharp = p.max_turn if kind == 2 else SHARP
+    return np.float32(speed * math.cos(angle)), np.float32(speed * math.sin(angle)), sharp
 
 
 @function
-def _outlook(rows, count, goal_x, goal_y, wanted_x, wanted_y, steps, action, p):
+def _outlook(rows, count, goal_x, goal_y, wanted_x, wanted_y, sharp, steps, action, judged, p):
     """What comes of taking `action`, which is overwritten, and then driving at a velocity.
 
     Returns:
-        The steps that stay clear, and how good it is if all do: the smallest gap on the way against
-        the distance left to the goal, m.
+        The steps that stay clear, the smallest gap in them (m), and if `judged` the shortest way
+        that is left to the goal after any of them (m).
     """
     x, y, vx, vy, heading = _ZERO, _ZERO, rows[0, 2], rows[0, 3], _ZERO
-    least, left = ENOUGH, _ZERO
+    least = left = np.float32(np.inf)
     for k in range(steps):
         if k > 0:
-            steer(vx, vy, heading, wanted_x, wanted_y, action, p)
+            steer(vx, vy, heading, wanted_x, wanted_y, action, p, sharp)
         new_x, new_y, vx, vy, heading = move(x, y, vx, vy, heading, action, p)
         gap = _least_gap(rows, count, x, y, new_x, new_y, k, p)
         if gap < _ZERO:
-            return np.float32(k) + max(_ONE + gap, _ZERO), -left
+            return np.float32(k) + max(_ONE + gap, _ZERO), _ZERO, left
         least = min(least, gap)
         x, y = new_x, new_y
-        left = math.sqrt((goal_x - x) * (goal_x - x) + (goal_y - y) * (goal_y - y))
-        if left < p.robot_radius:
+        if judged:
+            left = min(left, _way_left(rows, count, x, y, heading, goal_x, goal_y, p))
+        left_x, left_y = goal_x - x, goal_y - y
+        if left_x * left_x + left_y * left_y < p.robot_radius * p.robot_radius:
             break
-    return np.float32(steps), least - PROGRESS * left
+    return np.float32(steps), least, left
+
+
+@function
+def _way_left(rows, count, x, y, heading, goal_x, goal_y, p):
+    """The way from (x, y) to the goal round the one who stands most in it, m.
+
+    Round a disc it is two tangents and an arc between them. Without the detour a robot would stand
+    before somebody who has parked for ever: no way round leads nearer to the goal at first. And
+    so it would without the last term, the way that it could drive while it turns to where it sets
+    out for.
+    """
+    to_x, to_y = goal_x - x, goal_y - y
+    longest, bearing = math.sqrt(to_x * to_x + to_y * to_y), math.atan2(to_y, to_x)
+    for j in range(1, count):
+        if rows[j, 2] * rows[j, 2] + rows[j, 3] * rows[j, 3] > STANDING * STANDING:
+            continue
+        radius = rows[j, 4] + p.robot_radius
+        from_x, from_y = x - rows[j, 0], y - rows[j, 1]
+        end_x, end_y = goal_x - rows[j, 0], goal_y - rows[j, 1]
+        if closest_approach(from_x, from_y, end_x, end_y) >= radius:
+            continue
+        a = max(math.sqrt(from_x * from_x + from_y * from_y), radius)
+        b = max(math.sqrt(end_x * end_x + end_y * end_y), radius)
+        between = math.atan2(from_x * end_y - from_y * end_x, from_x * end_x + from_y * end_y)
+        arc = max(abs(between) - math.acos(radius / a) - math.acos(radius / b), _ZERO)
+        tangents = math.sqrt(a * a - radius * radius) + math.sqrt(b * b - radius * radius)
+        if tangents + radius * arc > longest:
+            longest = tangents + radius * arc
+            aside = math.copysign(math.asin(radius / a), between)
+            bearing = math.atan2(-from_y, -from_x) - aside
+    if p.kinematics == HOLONOMIC:
+        return longest
+    turn = bearing - heading
+    turn = math.atan2(math.sin(turn), math.cos(turn))
+    return longest + TURN * abs(turn)
 
 
 @function

@@ -21,11 +21,11 @@ _ZERO = np.float32(0.0)
 _HALF = np.float32(0.5)
 _ONE = np.float32(1.0)
 _TWO = np.float32(2.0)
-_SHARP = np.float32(math.pi / 3)  # beyond this turn the robot stops and turns on the spot
+SHARP = np.float32(math.pi / 3)  # beyond this turn the robot stops and turns on the spot, rad
 
 
 @function
-def track_velocity(vx, vy, speed, action, p):
+def track_velocity(vx, vy, speed, action, p, sharp=SHARP):
     """Write the action that brings a robot nearest to a velocity within its limits.
 
     Args:
@@ -34,6 +34,7 @@ def track_velocity(vx, vy, speed, action, p):
         speed: the robot's speed now (m/s).
         action: [A], written.
         p: the scenario's parameters.
+        sharp: beyond this turn the robot stops and turns on the spot, rad.
     """
     wanted = math.sqrt(vx * vx + vy * vy)
     if p.kinematics == HOLONOMIC:
@@ -42,7 +43,7 @@ def track_velocity(vx, vy, speed, action, p):
         return
     turn = math.atan2(vy, vx) if wanted > _ZERO else _ZERO
     wanted = min(wanted, p.robot_speed)
-    if abs(turn) > _SHARP:
+    if abs(turn) > sharp:
         wanted = _ZERO
     limited = min(max(turn / p.max_turn, -_ONE), _ONE)
     if p.kinematics == ACCELERATION_HEADING:
@@ -55,11 +56,11 @@ def track_velocity(vx, vy, speed, action, p):
 
 
 @function
-def steer(vx, vy, heading, wanted_x, wanted_y, action, p):
+def steer(vx, vy, heading, wanted_x, wanted_y, action, p, sharp=SHARP):
     """`track_velocity` for a robot that moves and heads like that in the frame of what it wants."""
     cos, sin = math.cos(heading), math.sin(heading)
     ahead, aside = cos * wanted_x + sin * wanted_y, cos * wanted_y - sin * wanted_x
-    track_velocity(ahead, aside, math.sqrt(vx * vx + vy * vy), action, p)
+    track_velocity(ahead, aside, math.sqrt(vx * vx + vy * vy), action, p, sharp)
 
 
 @function
