@@ -26,7 +26,7 @@ from samarl.agents.planners.tracking import SHARP, gather, move, steer, track_ve
 from samarl.observations.tracker import Tracker, Tracks
 
 DIRECTIONS = 16  # of the ways of going on: at full speed, at half, and turning on the spot first
-WAYS = 2 + 3 * DIRECTIONS
+WAYS = 1 + 3 * DIRECTIONS
 ENOUGH = np.float32(0.3)  # no way is better for keeping further away than that, m
 STANDING = np.float32(0.1)  # who is slower stands, m/s
 HAIR = np.float32(1e-4)  # for rounding, m
@@ -190,18 +190,18 @@ def _escape(rows, count, goal_x, goal_y, steps, action, first, attempt, p):
 
 @function
 def _way(way, goal_x, goal_y, p):
-    """A way of going on: to the goal, standing, or in one of the directions.
+    """A way of going on: standing, or in one of the directions.
+
+    They are counted from the goal's, so a robot that turns towards one finds it again.
 
     Returns:
         Its velocity (x, y), and beyond which turn the robot turns on the spot, rad.
     """
     if way == 0:
-        scale = p.robot_speed / max(math.sqrt(goal_x**2 + goal_y**2), np.float32(1e-6))
-        return goal_x * scale, goal_y * scale, SHARP
-    if way == 1:
         return _ZERO, _ZERO, SHARP
-    angle = _TWO_PI * np.float32(way % DIRECTIONS) / np.float32(DIRECTIONS)
-    kind = (way - 2) // DIRECTIONS
+    angle = _TWO_PI * np.float32((way - 1) % DIRECTIONS) / np.float32(DIRECTIONS)
+    angle += math.atan2(goal_y, goal_x)
+    kind = (way - 1) // DIRECTIONS
     speed = p.robot_speed * (_HALF if kind == 1 else _ONE)
     sharp = p.max_turn if kind == 2 else SHARP
     return np.float32(speed * math.cos(angle)), np.float32(speed * math.sin(angle)), sharp
