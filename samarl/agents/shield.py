@@ -3,7 +3,7 @@
 The least restrictive kind (Alshiekh et al., Safe Reinforcement Learning via Shielding, 2018): an
 action passes as long as some way of going on from it keeps clear of everybody's prediction. Else
 the robot takes the way that stays clear the longest; of those that stay clear, one that keeps some
-distance and leads on.
+distance and leads on to the goal, round whoever stands in between.
 """
 
 from __future__ import annotations
@@ -19,18 +19,16 @@ from mrsan import Observation, Scenario
 from mrsan.features import GOAL_X, GOAL_Y
 from mrsan.kernels import function, kernel
 from mrsan.kernels.contact import closest_approach
-from mrsan.kernels.kinematics import HOLONOMIC
 from mrsan.scenario import check_numbers, number
 from samarl.agents.agent import Agent, Explanation
+from samarl.agents.planners.detour import way_left
 from samarl.agents.planners.tracking import SHARP, gather, move, steer, track_velocity
 from samarl.observations.tracker import Tracker, Tracks
 
 DIRECTIONS = 16  # of the ways of going on: at full speed, at half, and turning on the spot first
 WAYS = 1 + 3 * DIRECTIONS
 ENOUGH = np.float32(0.3)  # no way is better for keeping further away than that, m
-STANDING = np.float32(0.1)  # who is slower stands, m/s
-HAIR = np.float32(1e-4)  # for rounding, m
-TURN = np.float32(0.2)  # the way that a radian is worth by which it must still turn, m
+HAIR = np.float32(1e-4)  # what is not for rounding, m
 PROGRESS = np.float32(0.3)  # distance that is given for a metre nearer to the goal, m
 
 _ZERO = np.float32(0.0)
@@ -160,9 +158,7 @@ def _passes(rows, count, goal_x, goal_y, steps, action, attempt, p):
         vx, vy, sharp = _way(way, goal_x, goal_y, p)
         for k in range(action.shape[0]):
             attempt[k] = action[k]
-        clear, _, _ = _outlook(
-            rows, count, goal_x, goal_y, vx, vy, sharp, steps, attempt, False, p
-        )
+        clear, _, _ = _outlook(rows, count, goal_x, goal_y, vx, vy, sharp, steps, attempt, False, p)
         if clear >= steps:
             return True
     return False
@@ -182,7 +178,7 @@ def _escape(rows, count, goal_x, goal_y, steps, action, first, attempt, p):
             rows, count, goal_x, goal_y, vx, vy, sharp, steps, attempt, True, p
         )
         merit = min(gap, ENOUGH) - PROGRESS * left
-        if clear > longest or (clear == longest and merit > best):
+        if clear > longest or (clear == longest and merit > best + HAIR):
             longest, best = clear, merit
             for k in range(action.shape[0]):
                 action[k] = first[k]
@@ -192,15 +188,16 @@ def _escape(rows, count, goal_x, goal_y, steps, action, first, attempt, p):
 def _way(way, goal_x, goal_y, p):
     """A way of going on: standing, or in one of the directions.
 
-    They are counted from the goal's, so a robot that turns towards one finds it again.
+    They are counted from the goal's, so a robot that turns towards one finds it again; clockwise,
+    so two robots that stand face to face both keep to the right.
 
     Returns:
         Its velocity (x, y), and beyond which turn the robot turns on the spot, rad.
     """
     if way == 0:
         return _ZERO, _ZERO, SHARP
-    angle = _TWO_PI * np.float32((way - 1) % DIRECTIONS) / np.float32(DIRECTIONS)
-    angle += math.atan2(goal_y, goal_x)
+    turn = _TWO_PI * np.float32((way - 1) % DIRECTIONS) / np.float32(DIRECTIONS)
+    angle = math.atan2(goal_y, goal_x) - turn
     kind = (way - 1) // DIRECTIONS
     speed = p.robot_speed * (_HALF if kind == 1 else _ONE)
     sharp = p.max_turn if kind == 2 else SHARP
@@ -227,46 +224,11 @@ def _outlook(rows, count, goal_x, goal_y, wanted_x, wanted_y, sharp, steps, acti
         least = min(least, gap)
         x, y = new_x, new_y
         if judged:
-            left = min(left, _way_left(rows, count, x, y, heading, goal_x, goal_y, p))
+            left = min(left, way_left(rows, count, x, y, heading, goal_x, goal_y, p))
         left_x, left_y = goal_x - x, goal_y - y
         if left_x * left_x + left_y * left_y < p.robot_radius * p.robot_radius:
             break
     return np.float32(steps), least, left
-
-
-@function
-def _way_left(rows, count, x, y, heading, goal_x, goal_y, p):
-    """The way from (x, y) to the goal round the one who stands most in it, m.
-
-    Round a disc it is two tangents and an arc between them. Without the detour a robot would stand
-    before somebody who has parked for ever: no way round leads nearer to the goal at first. And
-    so it would without the last term, the way that it could drive while it turns to where it sets
-    out for.
-    """
-    to_x, to_y = goal_x - x, goal_y - y
-    longest, bearing = math.sqrt(to_x * to_x + to_y * to_y), math.atan2(to_y, to_x)
-    for j in range(1, count):
-        if rows[j, 2] * rows[j, 2] + rows[j, 3] * rows[j, 3] > STANDING * STANDING:
-            continue
-        radius = rows[j, 4] + p.robot_radius
-        from_x, from_y = x - rows[j, 0], y - rows[j, 1]
-        end_x, end_y = goal_x - rows[j, 0], goal_y - rows[j, 1]
-        if closest_approach(from_x, from_y, end_x, end_y) >= radius:
-            continue
-        a = max(math.sqrt(from_x * from_x + from_y * from_y), radius)
-        b = max(math.sqrt(end_x * end_x + end_y * end_y), radius)
-        between = math.atan2(from_x * end_y - from_y * end_x, from_x * end_x + from_y * end_y)
-        arc = max(abs(between) - math.acos(radius / a) - math.acos(radius / b), _ZERO)
-        tangents = math.sqrt(a * a - radius * radius) + math.sqrt(b * b - radius * radius)
-        if tangents + radius * arc > longest:
-            longest = tangents + radius * arc
-            aside = math.copysign(math.asin(radius / a), between)
-            bearing = math.atan2(-from_y, -from_x) - aside
-    if p.kinematics == HOLONOMIC:
-        return longest
-    turn = bearing - heading
-    turn = math.atan2(math.sin(turn), math.cos(turn))
-    return longest + TURN * abs(turn)
 
 
 @function

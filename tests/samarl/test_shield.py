@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from mrsan import ConfigurationError, Crowd, Kinematics, Scenario, Split, World
+from mrsan import ConfigurationError, Crowd, Kinematics, Observation, Scenario, Split, World
+from mrsan.features import GOAL
 from samarl.agents import Agent, build_agent
 from samarl.agents.shield import Shield, shielded
 from samarl.configuration import load_agent
@@ -91,17 +92,55 @@ def test_a_policy_is_shielded_as_any_other_agent(name: str) -> None:
     assert 0 < replaced < 30 * 30 * 3 / 4
 
 
-def test_refused_by_somebody_parked_a_robot_finds_another_way() -> None:
-    """It does not stand in front of a robot that will never move again."""
-    scenario = Scenario(robots=2, humans=0, kinematics=Kinematics.holonomic)
-    agent = shield_over("straight", scenario)
+STANDOFFS = {  # starts and goals of each robot, m; who starts at its goal has parked
+    "behind somebody parked": ([[0.0, 0.0], [0.75, 0.05]], [[2.4, 0.0], [0.75, 0.05]]),
+    "right behind somebody parked": ([[0.0, 0.0], [0.75, 0.0]], [[2.4, 0.0], [0.75, 0.0]]),
+    "nearer than the margin": ([[0.0, 0.0], [0.65, 0.0]], [[2.4, 0.0], [0.65, 0.0]]),
+    "between two parked": (
+        [[0.0, 0.0], [0.8, 0.45], [0.8, -0.5]],
+        [[3.0, 0.0], [0.8, 0.45], [0.8, -0.5]],
+    ),
+    "face to face": ([[-0.38, 0.0], [0.38, 0.0]], [[4.0, 0.0], [-4.0, 0.0]]),
+    "three that want to cross": (
+        [[0.5, 0.0], [-0.25, 0.433], [-0.25, -0.433]],
+        [[-4.0, 0.0], [2.0, -3.464], [2.0, 3.464]],
+    ),
+}
+
+
+def pushing(observation: Observation, scenario: Scenario) -> np.ndarray:
+    """Full speed ahead while turning to the goal, whoever is in the way."""
+    goal = observation.ego[..., GOAL]
+    if scenario.kinematics is Kinematics.holonomic:
+        return goal / np.maximum(np.linalg.norm(goal, axis=-1, keepdims=True), np.float32(1e-6))
+    bearing = np.arctan2(goal[..., 1], goal[..., 0])
+    action = np.zeros((*goal.shape[:2], scenario.action_size), np.float32)
+    action[..., 0] = 1.0
+    action[..., -1] = np.clip(bearing / np.radians(scenario.max_turn_degrees), -1, 1)
+    return action
+
+
+@pytest.mark.parametrize("standoff", STANDOFFS)
+@pytest.mark.parametrize("kinematics", Kinematics)
+def test_robots_that_stand_before_each_other_get_on(kinematics: Kinematics, standoff: str) -> None:
+    """None stands for ever in front of another, and none hits another."""
+    starts, goals = (np.array(places) for places in STANDOFFS[standoff])
+    scenario = Scenario(robots=len(starts), humans=0, kinematics=kinematics)
     world = World(scenario, 1)
     world.reset(CASES[:1])
     state = world.state
-    state.robot_position[0] = [[0.0, 0.0], [1.0, 0.05]]
-    state.robot_goal[0] = [[4.0, 0.0], [1.0, 0.05]]
+    state.robot_position[0], state.robot_goal[0] = starts, goals
+    state.robot_heading[0] = np.arctan2(*(goals - starts).T[::-1])
     observation = world.observe()
-    agent.reset(np.ones(1, bool))
     while not (state.terminated | state.truncated).any():
-        observation = world.step(agent.act(observation)).observation
+        action = shielded(observation, pushing(observation, scenario), scenario, Shield())
+        observation = world.step(action).observation
     assert state.arrived.all()
+
+
+@pytest.mark.parametrize("name", ["samarl", "perimeter_shielded"])
+def test_robots_alone_in_an_empty_hall_arrive(name: str) -> None:
+    scenario = Scenario(robots=5, humans=0)
+    cases = Split.validation.case(0) + np.arange(40)
+    episodes = run_cases(build_agent(load_agent(name), scenario), scenario, cases, batch=40)
+    assert episodes.success.all()
