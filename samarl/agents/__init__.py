@@ -1,5 +1,6 @@
 """Everything that drives robots, behind one interface."""
 
-from samarl.agents.agent import Agent, Explanation, build_agent
+from samarl.agents.agent import Agent, Explanation
+from samarl.agents.build import build_agent
 
 __all__ = ["Agent", "Explanation", "build_agent"]

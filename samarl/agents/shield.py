@@ -1,31 +1,34 @@
-"""A guard for the last moment: it replaces actions after which a collision can hardly be avoided.
+"""A shield for the last moment: it replaces actions after which one can hardly avoid a collision.
 
 The least restrictive kind (Alshiekh et al., Safe Reinforcement Learning via Shielding, 2018): an
 action passes as long as some way of going on from it keeps clear of everybody's prediction. Else
 the robot takes the way that stays clear the longest; of those that stay clear, one that keeps some
-distance and leads on.
+distance and leads on to the goal, round whoever stands in between.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numba import prange
 from numpy.typing import NDArray
 
 from mrsan import Observation, Scenario
+from mrsan.features import GOAL_X, GOAL_Y
 from mrsan.kernels import function, kernel
 from mrsan.kernels.contact import closest_approach
-from mrsan.scenario import required
-from samarl.agents.agent import Agent, Explanation, build_agent
-from samarl.agents.planners.tracking import gather, move, steer, track_velocity
+from mrsan.scenario import check_numbers, number
+from samarl.agents.agent import Agent, Explanation
+from samarl.agents.planners.detour import way_left
+from samarl.agents.planners.tracking import SHARP, gather, move, steer, track_velocity
 from samarl.observations.tracker import Tracker, Tracks
 
-DIRECTIONS = 16  # of the ways of going on, at full and at half speed
+DIRECTIONS = 16  # of the ways of going on: at full speed, at half, and turning on the spot first
+WAYS = 1 + 3 * DIRECTIONS
 ENOUGH = np.float32(0.3)  # no way is better for keeping further away than that, m
+HAIR = np.float32(1e-4)  # what is not for rounding, m
 PROGRESS = np.float32(0.3)  # distance that is given for a metre nearer to the goal, m
 
 _ZERO = np.float32(0.0)
@@ -34,13 +37,26 @@ _ONE = np.float32(1.0)
 _TWO_PI = np.float32(2.0 * math.pi)
 
 
-def guarded(
-    known: Observation | Tracks,
-    action: NDArray[np.float32],
-    scenario: Scenario,
-    steps: int,
-    human_margin: float,
-    robot_margin: float,
+@dataclass
+class Shield:
+    """The numbers of the shield; chosen on validation cases."""
+
+    steps: int = number(8, 1, 200)  # so far ahead actions are checked
+    human_margin: float = number(0.05, 0.0, 5.0)  # added to the radius of humans, m
+    robot_margin: float = number(0.1, 0.0, 5.0)  # added to the radius of robots, m
+    track_steps: int = number(24, 0, 1000)  # for how long those out of view are remembered
+
+    def __post_init__(self) -> None:
+        """Check every number.
+
+        Raises:
+            ConfigurationError: names the field, its value and its range.
+        """
+        check_numbers(self, "agent.shield")
+
+
+def shielded(
+    known: Observation | Tracks, action: NDArray[np.float32], scenario: Scenario, shield: Shield
 ) -> NDArray[np.float32]:
     """The actions [E, N, A], each of them replaced where it leads into a collision.
 
@@ -48,56 +64,59 @@ def guarded(
         known: what every robot sees, or sees and remembers; all of them go on at constant velocity.
         action: [E, N, A] in [-1, 1].
         scenario: the dynamics.
-        steps: looked ahead; 0: every action passes.
-        human_margin: added to the radius of humans, m.
-        robot_margin: added to the radius of robots, m.
+        shield: its numbers.
     """
-    if steps == 0:
-        return action
     checked = np.array(action, np.float32)
-    margins = np.float32(human_margin), np.float32(robot_margin)
-    _guard(len(checked), *known, scenario.parameters(), steps, *margins, checked)
+    margins = np.float32(shield.human_margin), np.float32(shield.robot_margin)
+    _check(len(checked), *known, scenario.parameters(), shield.steps, *margins, checked)
     return checked
 
 
 @dataclass
-class Guarded(Agent):
-    """Any agent, with a guard that checks its actions."""
+class Shielded(Agent):
+    """Any agent, with a shield that checks its actions."""
 
-    agent: dict[str, Any]  # the guarded one: `_target_` and its fields
-    track_steps: int = required(0, 1000)  # for how long those out of view are remembered
-    steps: int = required(0, 200)  # see `guarded`
-    human_margin: float = required(0.0, 5.0)
-    robot_margin: float = required(0.0, 5.0)
+    agent: Agent
+    shield: Shield
 
     def __post_init__(self) -> None:
-        """Build the guarded agent."""
+        """Remember nothing yet."""
         super().__post_init__()
-        self._agent = build_agent(self.agent, self.scenario)
-        self._tracker = Tracker(self.track_steps, self.scenario.time_step)
+        self._tracker = Tracker(self.shield.track_steps, self.scenario.time_step)
+        self._begin(0)
+
+    def _begin(self, worlds: int) -> None:
+        s = self.scenario
+        self._tracks = self._tracker.initial(worlds, s.robots, s.humans)
+        self._is_init = np.ones(worlds, np.bool_)
 
     def reset(self, worlds: NDArray[np.bool_]) -> None:
         """Forget what was remembered of the worlds [E] in which an episode begins."""
-        self._agent.reset(worlds)
-        self._tracker.reset(worlds)
+        self.agent.reset(worlds)
+        if len(worlds) != len(self._is_init):
+            self._begin(len(worlds))
+        self._is_init |= worlds
 
     def version(self) -> str:
         """A digest of the code of both."""
-        return f"{super().version()}.{self._agent.version()}"
+        return f"{super().version()}.{self.agent.version()}"
 
     def act(self, observation: Observation) -> NDArray[np.float32]:
-        """What the guarded agent does, as far as the guard lets it pass."""
-        action, known = self._agent.act(observation), self._tracker.update(observation)
-        numbers = self.steps, self.human_margin, self.robot_margin
-        return guarded(known, action, self.scenario, *numbers)
+        """What the agent does, [E, N, A], as far as the shield lets it pass."""
+        action = self.agent.act(observation)
+        if len(action) != len(self._is_init):
+            self._begin(len(action))
+        known = self._tracker.update(observation, self._tracks, self._is_init)
+        self._is_init = np.zeros(len(action), np.bool_)
+        return shielded(known, action, self.scenario, self.shield)
 
     def explain(self) -> Explanation | None:
-        """What the guarded agent had in mind."""
-        return self._agent.explain()
+        """What the agent had in mind."""
+        return self.agent.explain()
 
 
 @kernel
-def _guard(
+def _check(
     chunks,
     ego,
     humans,
@@ -117,7 +136,7 @@ def _guard(
         attempt = np.empty(action.shape[2], np.float32)
         for e in range(chunk * total // chunks, (chunk + 1) * total // chunks):
             for i in range(ego.shape[1]):
-                goal_x, goal_y = ego[e, i, 0], ego[e, i, 1]
+                goal_x, goal_y = ego[e, i, GOAL_X], ego[e, i, GOAL_Y]
                 if goal_x * goal_x + goal_y * goal_y < p.robot_radius * p.robot_radius:
                     continue  # it has arrived
                 count = gather(
@@ -130,18 +149,28 @@ def _guard(
                     robot_margin,
                     rows,
                 )
+                _allow_for_nearness(rows, count, p)
                 if not _passes(rows, count, goal_x, goal_y, steps, action[e, i], attempt, p):
                     _escape(rows, count, goal_x, goal_y, steps, action[e, i], first, attempt, p)
 
 
 @function
+def _allow_for_nearness(rows, count, p):
+    """Take off the margins what is not there: who is too near already must not come nearer."""
+    for j in range(1, count):
+        x, y = rows[j, 0], rows[j, 1]
+        room = math.sqrt(x * x + y * y) - p.robot_radius - HAIR
+        rows[j, 4] = min(rows[j, 4], max(room, _ZERO))
+
+
+@function
 def _passes(rows, count, goal_x, goal_y, steps, action, attempt, p):
     """Whether some way of going on after `action` stays clear."""
-    for way in range(2 * DIRECTIONS + 2):
-        vx, vy = _way(way, goal_x, goal_y, p)
+    for way in range(WAYS):
+        vx, vy, sharp = _way(way, goal_x, goal_y, p)
         for k in range(action.shape[0]):
             attempt[k] = action[k]
-        clear, _ = _outlook(rows, count, goal_x, goal_y, vx, vy, steps, attempt, p)
+        clear, _, _ = _outlook(rows, count, goal_x, goal_y, vx, vy, sharp, steps, attempt, False, p)
         if clear >= steps:
             return True
     return False
@@ -152,13 +181,16 @@ def _escape(rows, count, goal_x, goal_y, steps, action, first, attempt, p):
     """Write the first action of the best way."""
     speed = math.sqrt(rows[0, 2] * rows[0, 2] + rows[0, 3] * rows[0, 3])
     longest, best = -_ONE, _ZERO
-    for way in range(2 * DIRECTIONS + 2):
-        vx, vy = _way(way, goal_x, goal_y, p)
-        track_velocity(vx, vy, speed, first, p)
+    for way in range(WAYS):
+        vx, vy, sharp = _way(way, goal_x, goal_y, p)
+        track_velocity(vx, vy, speed, first, p, sharp)
         for k in range(action.shape[0]):
             attempt[k] = first[k]
-        clear, merit = _outlook(rows, count, goal_x, goal_y, vx, vy, steps, attempt, p)
-        if clear > longest or (clear == longest and merit > best):
+        clear, gap, left = _outlook(
+            rows, count, goal_x, goal_y, vx, vy, sharp, steps, attempt, True, p
+        )
+        merit = min(gap, ENOUGH) - PROGRESS * left
+        if clear > longest or (clear == longest and merit > best + HAIR):
             longest, best = clear, merit
             for k in range(action.shape[0]):
                 action[k] = first[k]
@@ -166,40 +198,49 @@ def _escape(rows, count, goal_x, goal_y, steps, action, first, attempt, p):
 
 @function
 def _way(way, goal_x, goal_y, p):
-    """The velocity of a way of going on: to the goal, standing, or in one of the directions."""
+    """A way of going on: standing, or in one of the directions.
+
+    They are counted from the goal's, so a robot that turns towards one finds it again; clockwise,
+    so two robots that stand face to face both keep to the right.
+
+    Returns:
+        Its velocity (x, y), and beyond which turn the robot turns on the spot, rad.
+    """
     if way == 0:
-        scale = p.robot_speed / max(math.sqrt(goal_x**2 + goal_y**2), np.float32(1e-6))
-        return goal_x * scale, goal_y * scale
-    if way == 1:
-        return _ZERO, _ZERO
-    angle = _TWO_PI * np.float32(way % DIRECTIONS) / np.float32(DIRECTIONS)
-    speed = p.robot_speed * (_ONE if way < 2 + DIRECTIONS else _HALF)
-    return np.float32(speed * math.cos(angle)), np.float32(speed * math.sin(angle))
+        return _ZERO, _ZERO, SHARP
+    turn = _TWO_PI * np.float32((way - 1) % DIRECTIONS) / np.float32(DIRECTIONS)
+    angle = math.atan2(goal_y, goal_x) - turn
+    kind = (way - 1) // DIRECTIONS
+    speed = p.robot_speed * (_HALF if kind == 1 else _ONE)
+    sharp = p.max_turn if kind == 2 else SHARP
+    return np.float32(speed * math.cos(angle)), np.float32(speed * math.sin(angle)), sharp
 
 
 @function
-def _outlook(rows, count, goal_x, goal_y, wanted_x, wanted_y, steps, action, p):
+def _outlook(rows, count, goal_x, goal_y, wanted_x, wanted_y, sharp, steps, action, judged, p):
     """What comes of taking `action`, which is overwritten, and then driving at a velocity.
 
     Returns:
-        The steps that stay clear, and how good it is if all do: the smallest gap on the way against
-        the distance left to the goal, m.
+        The steps that stay clear, the smallest gap in them (m), and if `judged` the shortest way
+        that is left to the goal after any of them (m).
     """
     x, y, vx, vy, heading = _ZERO, _ZERO, rows[0, 2], rows[0, 3], _ZERO
-    least, left = ENOUGH, _ZERO
+    least = left = np.float32(np.inf)
     for k in range(steps):
         if k > 0:
-            steer(vx, vy, heading, wanted_x, wanted_y, action, p)
+            steer(vx, vy, heading, wanted_x, wanted_y, action, p, sharp)
         new_x, new_y, vx, vy, heading = move(x, y, vx, vy, heading, action, p)
         gap = _least_gap(rows, count, x, y, new_x, new_y, k, p)
         if gap < _ZERO:
-            return np.float32(k) + max(_ONE + gap, _ZERO), -left
+            return np.float32(k) + max(_ONE + gap, _ZERO), _ZERO, left
         least = min(least, gap)
         x, y = new_x, new_y
-        left = math.sqrt((goal_x - x) * (goal_x - x) + (goal_y - y) * (goal_y - y))
-        if left < p.robot_radius:
+        if judged:
+            left = min(left, way_left(rows, count, x, y, heading, goal_x, goal_y, p))
+        left_x, left_y = goal_x - x, goal_y - y
+        if left_x * left_x + left_y * left_y < p.robot_radius * p.robot_radius:
             break
-    return np.float32(steps), least - PROGRESS * left
+    return np.float32(steps), least, left
 
 
 @function

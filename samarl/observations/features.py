@@ -13,8 +13,21 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from mrsan import Scenario, World
+from mrsan.features import (
+    GOAL,
+    HEADING_COS,
+    HEADING_SIN,
+    ORIGIN,
+    ORIGIN_X,
+    ORIGIN_Y,
+    OTHER_POSITION,
+    OTHER_RADIUS,
+    OTHER_VELOCITY,
+    TIME,
+    VELOCITY,
+)
 from samarl.observations.frames import Frames
-from samarl.observations.tracker import Tracks
+from samarl.observations.tracker import AGE, Tracks
 
 LENGTH_SCALE = 5.0  # metres that are 1 to the network
 NETWORK_EGO_FEATURES = 11
@@ -34,7 +47,7 @@ NEAR_SOON = 8  # the same of the closest approach ahead, times exp(-0.5 t), t s 
 
 def frames_of(tracks: Tracks, scenario: Scenario) -> Frames:
     """What the robots know: the input of the actors' encoder."""
-    age = [torch.from_numpy(known[..., 5:6]) for known in (tracks.humans, tracks.robots)]
+    age = [torch.from_numpy(known[..., AGE : AGE + 1]) for known in (tracks.humans, tracks.robots)]
     humans = _others(tracks.humans, age[0], tracks.humans_known, scenario)
     robots = _others(tracks.robots, age[1], tracks.robots_known, scenario)
     return Frames(_own(tracks.ego, scenario), *humans, *robots)
@@ -64,16 +77,16 @@ def state_of(world: World) -> Frames:
 
 def to_world(point: NDArray[np.float32], ego: NDArray[np.float32]) -> NDArray[np.float32]:
     """From the body frames of robots `ego` [..., 11] to the world frame, [..., 2]."""
-    cos, sin = ego[..., 6], ego[..., 7]
-    dx, dy = point[..., 0] - ego[..., 4], point[..., 1] - ego[..., 5]
+    cos, sin = ego[..., HEADING_COS], ego[..., HEADING_SIN]
+    dx, dy = point[..., 0] - ego[..., ORIGIN_X], point[..., 1] - ego[..., ORIGIN_Y]
     return np.stack([cos * dx - sin * dy, sin * dx + cos * dy], -1)
 
 
 def to_body(point: NDArray[np.float32], ego: NDArray[np.float32]) -> NDArray[np.float32]:
     """From the world frame to the body frames of robots `ego` [..., 11], [..., 2]."""
-    cos, sin = ego[..., 6], ego[..., 7]
-    x = -(cos * ego[..., 4] - sin * ego[..., 5])
-    y = -(sin * ego[..., 4] + cos * ego[..., 5])
+    cos, sin = ego[..., HEADING_COS], ego[..., HEADING_SIN]
+    x = -(cos * ego[..., ORIGIN_X] - sin * ego[..., ORIGIN_Y])
+    y = -(sin * ego[..., ORIGIN_X] + cos * ego[..., ORIGIN_Y])
     dx, dy = point[..., 0] - x, point[..., 1] - y
     return np.stack([cos * dx + sin * dy, cos * dy - sin * dx], -1)
 
@@ -81,14 +94,14 @@ def to_body(point: NDArray[np.float32], ego: NDArray[np.float32]) -> NDArray[np.
 def _own(of_robots: NDArray[np.float32], scenario: Scenario) -> Tensor:
     """[B, 1, NETWORK_EGO_FEATURES]."""
     ego = torch.from_numpy(of_robots).flatten(0, 1)
-    goal, velocity, origin = ego[:, 0:2], ego[:, 2:4], ego[:, 4:6]
+    goal, velocity, origin = ego[:, GOAL], ego[:, VELOCITY], ego[:, ORIGIN]
     view = ego.new_full((len(ego), 1), math.cos(math.radians(scenario.fov_degrees / 2)))
     own = torch.cat(
         [
             features_of_target(goal),
             velocity,
             origin / LENGTH_SCALE,
-            ego[:, 10:11],
+            ego[:, TIME : TIME + 1],
             view,
         ],
         -1,
@@ -111,8 +124,8 @@ def _others(
     That is when and how near the two will pass if both keep their velocities.
     """
     others, mask = torch.from_numpy(of_others).flatten(0, 1), torch.from_numpy(known).flatten(0, 1)
-    position, velocity = others[..., 0:2], others[..., 2:4]
-    radii = others[..., 4:5] + scenario.robot_radius
+    position, velocity = others[..., OTHER_POSITION], others[..., OTHER_VELOCITY]
+    radii = others[..., OTHER_RADIUS : OTHER_RADIUS + 1] + scenario.robot_radius
     gap = position.norm(dim=-1, keepdim=True) - radii
     closing = -(position * velocity).sum(-1, keepdim=True)
     time = (closing / velocity.square().sum(-1, keepdim=True).clamp_min(1e-3)).clamp(0.0, 5.0)
@@ -122,7 +135,7 @@ def _others(
         [
             position / LENGTH_SCALE,
             velocity,
-            others[..., 4:5],
+            others[..., OTHER_RADIUS : OTHER_RADIUS + 1],
             torch.exp(-2.0 * gap.clamp_min(0.0)),
             soon,
             near,

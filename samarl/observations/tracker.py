@@ -9,10 +9,23 @@ from numba import prange
 from numpy.typing import NDArray
 
 from mrsan import OTHER_FEATURES, Observation
-from mrsan.features import HEADING_COS, HEADING_SIN, ORIGIN_X, ORIGIN_Y, VELOCITY_X, VELOCITY_Y
+from mrsan.features import (
+    HEADING_COS,
+    HEADING_SIN,
+    ORIGIN_X,
+    ORIGIN_Y,
+    OTHER_RADIUS,
+    OTHER_VELOCITY_X,
+    OTHER_VELOCITY_Y,
+    OTHER_X,
+    OTHER_Y,
+    VELOCITY_X,
+    VELOCITY_Y,
+)
 from mrsan.kernels import function, kernel
 
 TRACK_FEATURES = (*OTHER_FEATURES, "age")  # age: share of the longest time a track is kept
+AGE = 5
 
 _ZERO = np.float32(0.0)
 
@@ -99,15 +112,18 @@ def _take_in(ego, seen, visible, steps, dt, tracks, age):
     y = -(sin * ego[ORIGIN_X] + cos * ego[ORIGIN_Y])
     for j in range(seen.shape[0]):
         if visible[j]:
-            vx, vy = seen[j, 2] + ego[VELOCITY_X], seen[j, 3] + ego[VELOCITY_Y]
-            tracks[j, 0] = x + cos * seen[j, 0] - sin * seen[j, 1]
-            tracks[j, 1] = y + sin * seen[j, 0] + cos * seen[j, 1]
-            tracks[j, 2], tracks[j, 3] = cos * vx - sin * vy, sin * vx + cos * vy
-            tracks[j, 4] = seen[j, 4]
+            dx, dy = seen[j, OTHER_X], seen[j, OTHER_Y]
+            vx = seen[j, OTHER_VELOCITY_X] + ego[VELOCITY_X]
+            vy = seen[j, OTHER_VELOCITY_Y] + ego[VELOCITY_Y]
+            tracks[j, OTHER_X] = x + cos * dx - sin * dy
+            tracks[j, OTHER_Y] = y + sin * dx + cos * dy
+            tracks[j, OTHER_VELOCITY_X] = cos * vx - sin * vy
+            tracks[j, OTHER_VELOCITY_Y] = sin * vx + cos * vy
+            tracks[j, OTHER_RADIUS] = seen[j, OTHER_RADIUS]
             age[j] = 0
         elif age[j] >= 0:
-            tracks[j, 0] += tracks[j, 2] * dt
-            tracks[j, 1] += tracks[j, 3] * dt
+            tracks[j, OTHER_X] += tracks[j, OTHER_VELOCITY_X] * dt
+            tracks[j, OTHER_Y] += tracks[j, OTHER_VELOCITY_Y] * dt
             age[j] = age[j] + 1 if age[j] < steps else -1
 
 
@@ -120,13 +136,12 @@ def _recall(ego, steps, tracks, age, out, alive):
     for j in range(age.shape[0]):
         alive[j] = age[j] >= 0
         if not alive[j]:
-            for k in range(6):
-                out[j, k] = _ZERO
+            out[j, :] = _ZERO
             continue
-        dx, dy = tracks[j, 0] - x, tracks[j, 1] - y
-        vx, vy = tracks[j, 2], tracks[j, 3]
-        out[j, 0], out[j, 1] = cos * dx + sin * dy, cos * dy - sin * dx
-        out[j, 2] = cos * vx + sin * vy - ego[VELOCITY_X]
-        out[j, 3] = cos * vy - sin * vx - ego[VELOCITY_Y]
-        out[j, 4] = tracks[j, 4]
-        out[j, 5] = np.float32(age[j]) / np.float32(max(steps, 1))
+        dx, dy = tracks[j, OTHER_X] - x, tracks[j, OTHER_Y] - y
+        vx, vy = tracks[j, OTHER_VELOCITY_X], tracks[j, OTHER_VELOCITY_Y]
+        out[j, OTHER_X], out[j, OTHER_Y] = cos * dx + sin * dy, cos * dy - sin * dx
+        out[j, OTHER_VELOCITY_X] = cos * vx + sin * vy - ego[VELOCITY_X]
+        out[j, OTHER_VELOCITY_Y] = cos * vy - sin * vx - ego[VELOCITY_Y]
+        out[j, OTHER_RADIUS] = tracks[j, OTHER_RADIUS]
+        out[j, AGE] = np.float32(age[j]) / np.float32(max(steps, 1))

@@ -1,22 +1,20 @@
-"""The guard: it lets actions pass as long as a collision can still be avoided."""
+"""The safety shield: it lets actions pass as long as a collision can still be avoided."""
 
 import numpy as np
 import pytest
 
-from mrsan import Crowd, Kinematics, Scenario, Split, World
+from mrsan import ConfigurationError, Crowd, Kinematics, Observation, Scenario, Split, World
+from mrsan.features import GOAL
 from samarl.agents import Agent, build_agent
-from samarl.agents.shield import guarded
+from samarl.agents.shield import Shield, shielded
 from samarl.configuration import load_agent
 from samarl.evaluation.runner import run_cases
 
-NUMBERS = (8, 0.05, 0.1)
 CASES = Split.test.case(0) + np.arange(40)
 
 
-def guard_over(name: str, scenario: Scenario) -> Agent:
-    numbers = {"steps": 8, "human_margin": 0.05, "robot_margin": 0.1, "track_steps": 24}
-    target = "samarl.agents.shield.Guarded"
-    return build_agent({"_target_": target, "agent": load_agent(name), **numbers}, scenario)
+def shield_over(name: str, scenario: Scenario) -> Agent:
+    return build_agent({**load_agent(name), "shield": True}, scenario)
 
 
 @pytest.mark.parametrize("kinematics", Kinematics)
@@ -27,7 +25,7 @@ def test_with_nobody_near_every_action_passes(kinematics: Kinematics) -> None:
     rng = np.random.default_rng(0)
     for _ in range(10):
         action = rng.uniform(-1, 1, (30, 1, scenario.action_size)).astype(np.float32)
-        np.testing.assert_array_equal(guarded(observation, action, scenario, *NUMBERS), action)
+        np.testing.assert_array_equal(shielded(observation, action, scenario, Shield()), action)
         observation = world.step(action).observation
 
 
@@ -36,7 +34,7 @@ def test_who_stands_still_is_never_hit(kinematics: Kinematics) -> None:
     """Predictions are exact then, so one safe action follows another for ever."""
     scenario = Scenario(robots=1, crowd=Crowd.still, kinematics=kinematics, spawn_jitter=2.0)
     blind = run_cases(build_agent(load_agent("straight"), scenario), scenario, CASES, batch=40)
-    safe = run_cases(guard_over("straight", scenario), scenario, CASES, batch=40)
+    safe = run_cases(shield_over("straight", scenario), scenario, CASES, batch=40)
     assert blind.hit_human.mean() > 0.2
     assert not safe.hit_human.any()
 
@@ -46,7 +44,7 @@ def test_most_collisions_of_the_blind_walk_do_not_happen(fov: float) -> None:
     scenario = Scenario(fov_degrees=fov, robots=5)
     agent = build_agent(load_agent("perimeter"), scenario)
     blind = run_cases(agent, scenario, CASES, batch=40)
-    safe = run_cases(guard_over("perimeter", scenario), scenario, CASES, batch=40)
+    safe = run_cases(shield_over("perimeter", scenario), scenario, CASES, batch=40)
     assert blind.hit_human.sum() > 2 * safe.hit_human.sum()
     assert not safe.hit_robot.any()
 
@@ -59,24 +57,30 @@ def test_who_has_arrived_is_left_alone() -> None:
     state.human_position[0, 0] = state.robot_position[0, 0] + [0.7, 0.0]
     state.human_velocity[0, 0] = [-1.0, 0.0]
     action = np.zeros((1, 1, 3), np.float32)
-    assert (guarded(world.observe(), action, scenario, *NUMBERS) != action).any()
+    assert (shielded(world.observe(), action, scenario, Shield()) != action).any()
     state.robot_goal[0, 0] = state.robot_position[0, 0]
-    np.testing.assert_array_equal(guarded(world.observe(), action, scenario, *NUMBERS), action)
+    np.testing.assert_array_equal(shielded(world.observe(), action, scenario, Shield()), action)
 
 
-def test_a_guard_of_no_steps_lets_everything_pass() -> None:
-    scenario = Scenario()
-    world = World(scenario, 4)
-    action = np.ones((4, 3, 3), np.float32)
-    assert guarded(world.reset(CASES[:4]), action, scenario, 0, 0.0, 0.0) is action
+@pytest.mark.parametrize(
+    ("shield", "message"),
+    [
+        ({"steps": 0}, r"agent.shield.steps is 0; .* in \[1, 200\]"),
+        ({"step": 4}, r"agent.shield.step: Key 'step' not in 'Shield'"),
+        ("yes", r"agent.shield is 'yes'; it must be true, false or the numbers"),
+    ],
+)
+def test_what_is_wrong_with_its_numbers_is_said(shield: object, message: str) -> None:
+    with pytest.raises(ConfigurationError, match=message):
+        build_agent({**load_agent("straight"), "shield": shield}, Scenario())
 
 
 @pytest.mark.parametrize("name", ["samarl", "samarl_narrow"])
-def test_a_policy_is_guarded_as_any_other_agent(name: str) -> None:
+def test_a_policy_is_shielded_as_any_other_agent(name: str) -> None:
     scenario = Scenario(humans=16, fov_degrees=120.0)
     policy = build_agent(load_agent(name), scenario)
-    free = build_agent(load_agent(f"{name}_unguarded"), scenario)
-    wrapped = guard_over(f"{name}_unguarded", scenario)
+    free = build_agent(load_agent(f"{name}_unshielded"), scenario)
+    wrapped = shield_over(f"{name}_unshielded", scenario)
     world = World(scenario, 30)
     observation = world.reset(CASES[:30])
     replaced = 0
@@ -88,17 +92,55 @@ def test_a_policy_is_guarded_as_any_other_agent(name: str) -> None:
     assert 0 < replaced < 30 * 30 * 3 / 4
 
 
-def test_refused_by_somebody_parked_a_robot_finds_another_way() -> None:
-    """It does not stand in front of a robot that will never move again."""
-    scenario = Scenario(robots=2, humans=0, kinematics=Kinematics.holonomic)
-    agent = guard_over("straight", scenario)
+STANDOFFS = {  # starts and goals of each robot, m; who starts at its goal has parked
+    "behind somebody parked": ([[0.0, 0.0], [0.75, 0.05]], [[2.4, 0.0], [0.75, 0.05]]),
+    "right behind somebody parked": ([[0.0, 0.0], [0.75, 0.0]], [[2.4, 0.0], [0.75, 0.0]]),
+    "nearer than the margin": ([[0.0, 0.0], [0.65, 0.0]], [[2.4, 0.0], [0.65, 0.0]]),
+    "between two parked": (
+        [[0.0, 0.0], [0.8, 0.45], [0.8, -0.5]],
+        [[3.0, 0.0], [0.8, 0.45], [0.8, -0.5]],
+    ),
+    "face to face": ([[-0.38, 0.0], [0.38, 0.0]], [[4.0, 0.0], [-4.0, 0.0]]),
+    "three that want to cross": (
+        [[0.5, 0.0], [-0.25, 0.433], [-0.25, -0.433]],
+        [[-4.0, 0.0], [2.0, -3.464], [2.0, 3.464]],
+    ),
+}
+
+
+def pushing(observation: Observation, scenario: Scenario) -> np.ndarray:
+    """Full speed ahead while turning to the goal, whoever is in the way."""
+    goal = observation.ego[..., GOAL]
+    if scenario.kinematics is Kinematics.holonomic:
+        return goal / np.maximum(np.linalg.norm(goal, axis=-1, keepdims=True), np.float32(1e-6))
+    bearing = np.arctan2(goal[..., 1], goal[..., 0])
+    action = np.zeros((*goal.shape[:2], scenario.action_size), np.float32)
+    action[..., 0] = 1.0
+    action[..., -1] = np.clip(bearing / np.radians(scenario.max_turn_degrees), -1, 1)
+    return action
+
+
+@pytest.mark.parametrize("standoff", STANDOFFS)
+@pytest.mark.parametrize("kinematics", Kinematics)
+def test_robots_that_stand_before_each_other_get_on(kinematics: Kinematics, standoff: str) -> None:
+    """None stands for ever in front of another, and none hits another."""
+    starts, goals = (np.array(places) for places in STANDOFFS[standoff])
+    scenario = Scenario(robots=len(starts), humans=0, kinematics=kinematics)
     world = World(scenario, 1)
     world.reset(CASES[:1])
     state = world.state
-    state.robot_position[0] = [[0.0, 0.0], [1.0, 0.05]]
-    state.robot_goal[0] = [[4.0, 0.0], [1.0, 0.05]]
+    state.robot_position[0], state.robot_goal[0] = starts, goals
+    state.robot_heading[0] = np.arctan2(*(goals - starts).T[::-1])
     observation = world.observe()
-    agent.reset(np.ones(1, bool))
     while not (state.terminated | state.truncated).any():
-        observation = world.step(agent.act(observation)).observation
+        action = shielded(observation, pushing(observation, scenario), scenario, Shield())
+        observation = world.step(action).observation
     assert state.arrived.all()
+
+
+@pytest.mark.parametrize("name", ["samarl", "perimeter_shielded"])
+def test_robots_alone_in_an_empty_hall_arrive(name: str) -> None:
+    scenario = Scenario(robots=5, humans=0)
+    cases = Split.validation.case(0) + np.arange(40)
+    episodes = run_cases(build_agent(load_agent(name), scenario), scenario, cases, batch=40)
+    assert episodes.success.all()

@@ -10,6 +10,7 @@ from numba import prange
 from numpy.typing import NDArray
 
 from mrsan import Observation
+from mrsan.features import GOAL_X, GOAL_Y
 from mrsan.kernels import function, kernel
 from mrsan.scenario import required
 from samarl.agents.agent import Agent
@@ -100,7 +101,7 @@ def _plan(
                     rows,
                 )
                 speed = math.sqrt(rows[0, 2] * rows[0, 2] + rows[0, 3] * rows[0, 3])
-                goal_x, goal_y = ego[e, i, 0], ego[e, i, 1]
+                goal_x, goal_y = ego[e, i, GOAL_X], ego[e, i, GOAL_Y]
                 goal_angle = math.atan2(goal_y, goal_x)
                 cheapest = np.float32(np.inf)
                 for plan in range(directions * speeds * holds + 1):

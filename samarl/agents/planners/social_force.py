@@ -10,6 +10,7 @@ from numba import prange
 from numpy.typing import NDArray
 
 from mrsan import Observation
+from mrsan.features import GOAL_X, GOAL_Y
 from mrsan.kernels import kernel
 from mrsan.kernels.social_force import social_force_velocity
 from mrsan.scenario import required
@@ -63,7 +64,7 @@ def _social_force(
                     none,
                     rows,
                 )
-                x, y = ego[e, i, 0], ego[e, i, 1]
+                x, y = ego[e, i, GOAL_X], ego[e, i, GOAL_Y]
                 scale = p.robot_speed / max(math.sqrt(x * x + y * y), np.float32(1e-6))
                 vx, vy = social_force_velocity(
                     rows,

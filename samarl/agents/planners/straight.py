@@ -9,6 +9,7 @@ from numba import prange
 from numpy.typing import NDArray
 
 from mrsan import Observation, Scenario
+from mrsan.features import GOAL, VELOCITY_X, VELOCITY_Y
 from mrsan.kernels import kernel
 from samarl.agents.agent import Agent
 from samarl.agents.planners.tracking import track_velocity
@@ -20,7 +21,7 @@ class Straight(Agent):
 
     def act(self, observation: Observation) -> NDArray[np.float32]:
         """Towards the goal."""
-        return drive_towards(observation, observation.ego[..., 0:2], self.scenario)
+        return drive_towards(observation, observation.ego[..., GOAL], self.scenario)
 
 
 def drive_towards(
@@ -47,5 +48,5 @@ def _drive_towards(chunks, ego, targets, p, action):
             for i in range(ego.shape[1]):
                 x, y = targets[e, i, 0], targets[e, i, 1]
                 scale = p.robot_speed / max(np.sqrt(x * x + y * y), np.float32(1e-6))
-                speed = np.sqrt(ego[e, i, 2] ** 2 + ego[e, i, 3] ** 2)
+                speed = np.sqrt(ego[e, i, VELOCITY_X] ** 2 + ego[e, i, VELOCITY_Y] ** 2)
                 track_velocity(x * scale, y * scale, speed, action[e, i], p)

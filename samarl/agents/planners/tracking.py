@@ -4,6 +4,16 @@ import math
 
 import numpy as np
 
+from mrsan.features import (
+    OTHER_RADIUS,
+    OTHER_VELOCITY_X,
+    OTHER_VELOCITY_Y,
+    OTHER_X,
+    OTHER_Y,
+    RADIUS,
+    VELOCITY_X,
+    VELOCITY_Y,
+)
 from mrsan.kernels import function
 from mrsan.kernels.kinematics import ACCELERATION_HEADING, HOLONOMIC, next_velocity
 
@@ -11,11 +21,11 @@ _ZERO = np.float32(0.0)
 _HALF = np.float32(0.5)
 _ONE = np.float32(1.0)
 _TWO = np.float32(2.0)
-_SHARP = np.float32(math.pi / 3)  # beyond this turn the robot stops and turns on the spot
+SHARP = np.float32(math.pi / 3)  # beyond this turn the robot stops and turns on the spot, rad
 
 
 @function
-def track_velocity(vx, vy, speed, action, p):
+def track_velocity(vx, vy, speed, action, p, sharp=SHARP):
     """Write the action that brings a robot nearest to a velocity within its limits.
 
     Args:
@@ -24,6 +34,7 @@ def track_velocity(vx, vy, speed, action, p):
         speed: the robot's speed now (m/s).
         action: [A], written.
         p: the scenario's parameters.
+        sharp: beyond this turn the robot stops and turns on the spot, rad.
     """
     wanted = math.sqrt(vx * vx + vy * vy)
     if p.kinematics == HOLONOMIC:
@@ -32,7 +43,7 @@ def track_velocity(vx, vy, speed, action, p):
         return
     turn = math.atan2(vy, vx) if wanted > _ZERO else _ZERO
     wanted = min(wanted, p.robot_speed)
-    if abs(turn) > _SHARP:
+    if abs(turn) > sharp:
         wanted = _ZERO
     limited = min(max(turn / p.max_turn, -_ONE), _ONE)
     if p.kinematics == ACCELERATION_HEADING:
@@ -45,11 +56,11 @@ def track_velocity(vx, vy, speed, action, p):
 
 
 @function
-def steer(vx, vy, heading, wanted_x, wanted_y, action, p):
+def steer(vx, vy, heading, wanted_x, wanted_y, action, p, sharp=SHARP):
     """`track_velocity` for a robot that moves and heads like that in the frame of what it wants."""
     cos, sin = math.cos(heading), math.sin(heading)
     ahead, aside = cos * wanted_x + sin * wanted_y, cos * wanted_y - sin * wanted_x
-    track_velocity(ahead, aside, math.sqrt(vx * vx + vy * vy), action, p)
+    track_velocity(ahead, aside, math.sqrt(vx * vx + vy * vy), action, p, sharp)
 
 
 @function
@@ -71,7 +82,7 @@ def gather(ego, humans, humans_visible, robots, robots_visible, human_margin, ro
     is row 0. The margins are added to the radii of humans and robots. Returns how many rows.
     """
     rows[0, 0] = rows[0, 1] = _ZERO
-    rows[0, 2], rows[0, 3], rows[0, 4] = ego[2], ego[3], ego[8]
+    rows[0, 2], rows[0, 3], rows[0, 4] = ego[VELOCITY_X], ego[VELOCITY_Y], ego[RADIUS]
     count = 1
     for j in range(humans.shape[0]):
         if humans_visible[j]:
@@ -86,6 +97,7 @@ def gather(ego, humans, humans_visible, robots, robots_visible, human_margin, ro
 
 @function
 def _add(rows, count, other, ego, margin):
-    rows[count, 0], rows[count, 1] = other[0], other[1]
-    rows[count, 2], rows[count, 3] = other[2] + ego[2], other[3] + ego[3]
-    rows[count, 4] = other[4] + margin
+    rows[count, 0], rows[count, 1] = other[OTHER_X], other[OTHER_Y]
+    rows[count, 2] = other[OTHER_VELOCITY_X] + ego[VELOCITY_X]
+    rows[count, 3] = other[OTHER_VELOCITY_Y] + ego[VELOCITY_Y]
+    rows[count, 4] = other[OTHER_RADIUS] + margin

@@ -1,0 +1,89 @@
+"""From a file of `conf/agent/` to the agent that it describes."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+import inspect
+from collections.abc import Mapping
+from typing import Any, get_type_hints
+
+from omegaconf import MISSING, DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from mrsan import ConfigurationError, Scenario
+from samarl.agents.agent import Agent
+from samarl.agents.shield import Shield, Shielded
+
+
+def build_agent(config: Mapping[str, Any], scenario: Scenario) -> Agent:
+    """Make the agent that a file of `conf/agent/` describes.
+
+    Args:
+        config: `_target_`, the import path of a subclass of `Agent`; its fields; and `shield`:
+            true to check its actions, or the numbers of `Shield` that are not its defaults.
+        scenario: the task; agents may know their robots' limits and the clock.
+
+    Raises:
+        ConfigurationError: the class cannot be found or one of its fields is wrong.
+    """
+    if not isinstance(config, Mapping | DictConfig):
+        raise ConfigurationError(f"agent is {config!r}; it must have `_target_` and its numbers")
+    values = dict(config)
+    shield = _shield(values.pop("shield", False))
+    target = values.pop("_target_", None)
+    agent_class = _find_class(target)
+    if not (isinstance(agent_class, type) and issubclass(agent_class, Agent)):
+        raise ConfigurationError(f"agent._target_ is {target!r}; it must be a subclass of Agent")
+    if inspect.isabstract(agent_class):
+        raise ConfigurationError(f"agent._target_ is {target!r}; it must define `act`")
+    hints = get_type_hints(agent_class)
+    knobs = [f for f in dataclasses.fields(agent_class) if f.init and f.name != "scenario"]
+    schema = dataclasses.make_dataclass(
+        agent_class.__name__, [(f.name, hints[f.name], _default(f)) for f in knobs]
+    )
+    agent: Agent = agent_class(scenario=scenario, **_checked(schema, values, "agent"))
+    return agent if shield is None else Shielded(scenario, agent, shield)
+
+
+def _shield(config: Any) -> Shield | None:
+    """The shield that `agent.shield` asks for, if any."""
+    if isinstance(config, Mapping | DictConfig):
+        return Shield(**_checked(Shield, config, "agent.shield"))
+    if not isinstance(config, bool):
+        raise ConfigurationError(
+            f"agent.shield is {config!r}; it must be true, false or the numbers of Shield"
+        )
+    return Shield() if config else None
+
+
+def _checked(schema: Any, values: Any, path: str) -> dict[str, Any]:
+    """The fields of a dataclass from `values`, which must fit their names and types."""
+    try:
+        merged = OmegaConf.merge(OmegaConf.structured(schema), values)
+        fields = OmegaConf.to_container(merged, throw_on_missing=True)
+    except OmegaConfBaseException as error:
+        reason = str(error).splitlines()[0]
+        name = getattr(error, "full_key", "")
+        raise ConfigurationError(f"{path}.{name}: {reason}") from error
+    assert isinstance(fields, dict)
+    return {str(key): value for key, value in fields.items()}
+
+
+def _default(field: dataclasses.Field) -> Any:
+    """The same default for the schema; what has none must be in the YAML file."""
+    if field.default_factory is not dataclasses.MISSING:
+        return dataclasses.field(default_factory=field.default_factory)
+    missing = field.default is dataclasses.MISSING
+    return dataclasses.field(default=MISSING if missing else field.default)
+
+
+def _find_class(target: Any) -> Any:
+    """What an import path leads to (Hydra's own `get_class` logs its errors on stderr as well)."""
+    module, _, name = str(target).rpartition(".")
+    try:
+        return getattr(importlib.import_module(module), name)
+    except Exception as error:
+        raise ConfigurationError(
+            f"agent._target_ is {target!r}; it must be the import path of an Agent ({error})"
+        ) from error
