@@ -2,7 +2,7 @@
 
 Rounds of the default recipe (collect, update) are timed; as many more then run under Python's
 profiler, which says what share of them each part takes. Arguments are those of `samarl-train`:
-`python -m benchmarks.training training.threads=1`.
+`python -m benchmarks.training trainer.threads=1`.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ from samarl.commands.train import Train, build_trainer
 from samarl.configuration import register_schemas
 from samarl.evaluation.files import code_version, find_folder, machine, write_json
 from samarl.evaluation.table import as_text
-from samarl.training.loop import Trainer
+from samarl.training.trainer import Trainer
 
 # Parts of a round and the functions that make them up (end of the file's path, name).
 _PARTS = {
     "simulation": [("world.py", "step"), ("world.py", "reset")],
     "tracks": [("tracker.py", "update")],
-    "networks, acting": [("rollout.py", "collect")],  # less simulation and tracks, see below
-    "advantages": [("mappo.py", "prepare")],
-    "networks, forward": [("mappo.py", "_loss")],
+    "networks, acting": [("collector.py", "collect")],  # less simulation and tracks, see below
+    "advantages": [("ppo.py", "prepare")],
+    "networks, forward": [("ppo.py", "_loss")],
     "networks, backward": [("_tensor.py", "backward")],
     "optimiser": [("adam.py", "step"), ("clip_grad.py", "clip_grad_norm_")],
 }
@@ -45,7 +45,7 @@ def main() -> None:
     """Measure, print the table, write the JSON."""
     arguments = _parse()
     with interruptible(), tempfile.TemporaryDirectory() as folder:
-        trainer = _trainer([*arguments.settings, f"folder={folder}"])
+        trainer = _trainer([*arguments.settings, f"run_dir={folder}"])
         seconds, steps = [], 0
         profiler = cProfile.Profile()
         rounds = arguments.rounds
@@ -53,11 +53,11 @@ def main() -> None:
             if number == 1 + rounds:
                 profiler.enable()
             begun = time.perf_counter()
-            batches = trainer.collect()
-            trainer.learner.update(batches)
+            before = trainer.steps_done
+            trainer.round()
             if 1 <= number <= rounds:  # the first one compiles and warms up
                 seconds.append(time.perf_counter() - begun)
-            steps = sum(batch.environment_steps for batch in batches)
+            steps = trainer.steps_done - before
         profiler.disable()
     rates = [steps / second for second in seconds]
     result: dict[str, Any] = {
@@ -65,7 +65,7 @@ def main() -> None:
         "smallest": round(min(rates), 1),
         "largest": round(max(rates), 1),
         "share_percent": shares(pstats.Stats(profiler)),
-        "threads": trainer.training.threads,
+        "threads": trainer.config.threads,
         "machine": machine(),
         "commit": code_version(),
         "command": shlex.join(["python", "-m", "benchmarks.training", *sys.argv[1:]]),
@@ -106,7 +106,7 @@ def _parse() -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks.training", description=(__doc__ or "").partition("\n")[0]
     )
-    parser.add_argument("settings", nargs="*", help="as for samarl-train: training.threads=1")
+    parser.add_argument("settings", nargs="*", help="as for samarl-train: trainer.threads=1")
     parser.add_argument("--rounds", type=positive_whole_number, default=5, help="timed (5)")
     parser.add_argument("--output", type=Path, default=Path("outputs/training_throughput.json"))
     return parser.parse_args()

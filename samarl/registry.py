@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Generic, TypeVar
 
 from omegaconf import OmegaConf
@@ -22,6 +22,11 @@ class Entry(Generic[T]):
 
     made: type[T]
     config: type
+
+
+def needed() -> Any:
+    """A dataclass field without a default that is no number."""
+    return field()
 
 
 class Registry(Generic[T]):

@@ -1,6 +1,7 @@
 """Everything that drives robots, behind one interface."""
 
-from samarl.agents.agent import Agent, Explanation
+from samarl.agents.agent import Agent
 from samarl.agents.build import build_agent
+from samarl.policies.explanation import Explanation
 
 __all__ = ["Agent", "Explanation", "build_agent"]

@@ -12,7 +12,7 @@ from samarl.agents.agent import Agent
 from samarl.policies.checkpoint import find_policy, load_policy
 from samarl.policies.explanation import Explanation
 from samarl.policies.hierarchical import HierarchicalPolicy, Waypoints
-from samarl.policies.policy import Policy
+from samarl.policies.policy import Decision, Policy
 
 
 class Deployed:
@@ -45,7 +45,7 @@ class Deployed:
         self._worlds = worlds
         self._state = self.policy.initial_state(worlds, self.scenario)
         self._is_init = np.ones(worlds, np.bool_)
-        self._decision = None
+        self._decision: Decision | None = None
 
     def reset(self, worlds: NDArray[np.bool_]) -> None:
         """Forget the worlds [E] in which an episode begins."""

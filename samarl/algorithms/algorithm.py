@@ -17,6 +17,7 @@ ALGORITHMS: Registry[Algorithm] = Registry("algorithm")
 class Algorithm(nn.Module, ABC):
     """Learns from rollouts; what it needs besides the policy (critics, say) are its submodules."""
 
+    policy: Policy
     on_policy = True  # else it keeps the rollouts it is given, in a replay buffer of its own
     central = False  # it needs the true state in the rollouts
 

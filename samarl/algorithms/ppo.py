@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections import defaultdict
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
 
@@ -65,12 +66,14 @@ class Prepared(NamedTuple):
 class PPO(Algorithm):
     """Clipped PPO with TorchRL's loss, of all levels at once."""
 
+    heads: Mapping[str, PopArtHead]
+
     def __init__(self, policy: Policy, config: Any) -> None:
         """See `Algorithm`."""
         super().__init__(policy, config)
         self.encoder, features = self._make_critic(config), config.critic_features
         # The local critic is told the waypoint, as its actor is.
-        self.heads = nn.ModuleDict(
+        self.heads = nn.ModuleDict(  # type: ignore[assignment]
             {
                 name: PopArtHead(features + (3 if name == LOCAL else 0), config.critic_features)
                 for name in policy.levels
@@ -233,18 +236,18 @@ class PPO(Algorithm):
         total = torch.zeros((), device=samples.device)
         for name, choice in choices.items():
             keys = ("agents",) if name == LOCAL else ("agents", name)
-            level, where = data[name], of_level[name]
-            if len(where[0]) > 0:
+            level, decided = data[name], of_level[name]
+            if len(decided[0]) > 0:
                 losses = self.loss(
                     TensorDict(
                         {
                             "new_log_prob": choice.log_prob,
                             "entropy_of": choice.entropy,
                             "action": taken[name].action,
-                            "action_log_prob": steps[(*keys, "sample_log_prob")][where],
-                            "advantage": level.advantage[sequences][where].unsqueeze(-1),
+                            "action_log_prob": steps[(*keys, "sample_log_prob")][decided],
+                            "advantage": level.advantage[sequences][decided].unsqueeze(-1),
                         },
-                        [len(where[0])],
+                        [len(decided[0])],
                     )
                 )
                 total = total + losses["loss_objective"]
@@ -254,7 +257,7 @@ class PPO(Algorithm):
                     statistics[f"losses/{name}_{called}"].append(float(losses[key].detach()))
                 statistics[f"losses/{name}_entropy"].append(float(choice.entropy.mean().detach()))
             if name == LOCAL and self.config.action_limit_penalty > 0.0:
-                speed = steps["agents", "speed"][where]
+                speed = steps["agents", "speed"][decided]
                 beyond = excess(
                     choice.mean, choice.std, speed, rollout.scenario, self.config.action_limit_slack
                 ).mean()

@@ -64,7 +64,7 @@ def make_policy(name: str, config: Mapping[str, Any], action_size: int) -> Polic
         ConfigurationError: a name is not known or a number is wrong.
     """
     values = POLICIES.config({**config, "name": name})
-    policy = POLICIES[name].made(values, action_size)  # type: ignore[call-arg]
+    policy = POLICIES[name].made(values, action_size)
     return policy
 
 

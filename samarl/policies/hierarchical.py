@@ -40,6 +40,7 @@ from samarl.policies.policy import (
     State,
     progress_to,
 )
+from samarl.registry import needed
 
 MACRO = "macro"
 REACHED = 0.3  # m, a waypoint
@@ -62,7 +63,7 @@ class HierarchicalConfig(PolicyConfig):
     waypoint_ahead: float = required(0.0, 100.0)  # where it is unmoved: so far along the route, m
     waypoint_range: float = required(0.1, 100.0)  # how far the macro level may move it, m
     waypoint_progress: float = required(0.0, 100.0)  # reward of the local level per metre
-    local_goal: bool  # the local level is told the goal as well, and paid for arriving
+    local_goal: bool = needed()  # the local level is told the goal as well, and paid for arriving
     arrival_bonus: float = required(0.0, 1000.0)  # ... so much more than the task pays
 
 

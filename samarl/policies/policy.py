@@ -8,7 +8,7 @@ per action, P samples, each one step of one robot.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -34,7 +34,7 @@ from samarl.observations.route import way_round
 from samarl.observations.tracker import Tracker
 from samarl.policies.explanation import Explanation
 from samarl.policies.heads import Gaussian, log_prob
-from samarl.registry import Registry
+from samarl.registry import Registry, needed
 
 POLICIES: Registry[Policy] = Registry("policy")
 
@@ -51,7 +51,7 @@ class PolicyConfig:
     track_steps: int = required(0, 1000)  # for how long those out of view are remembered
     round_below: float = required(0.0, 360.0)  # a narrower view goes round the crowd, degrees ...
     round_radius: float = required(0.1, 1000.0)  # ... on a circle about the origin, m
-    encoder: dict[str, Any]  # its name and numbers
+    encoder: dict[str, Any] = needed()  # its name and numbers
 
 
 class Level(NamedTuple):
@@ -113,16 +113,19 @@ class Choice(NamedTuple):
 class Networks(nn.Module):
     """An encoder and a head for each level."""
 
+    heads: Mapping[str, Gaussian]
+
     def __init__(self, encoder: Encoder, heads: Mapping[str, Gaussian]) -> None:
         super().__init__()
         self.encoder = encoder
-        self.heads = nn.ModuleDict(heads)
+        self.heads = nn.ModuleDict(heads)  # type: ignore[assignment]
 
 
 class Policy(nn.Module, ABC):
     """Drives all robots of E worlds, each from its own observations alone."""
 
     levels: tuple[str, ...] = (LOCAL,)
+    networks: Sequence[Networks]
 
     def __init__(self, config: Any, action_size: int) -> None:
         """Make the networks.
@@ -135,7 +138,7 @@ class Policy(nn.Module, ABC):
         self.config, self.action_size = config, action_size
         entry = ENCODERS[str(config.encoder.get("name"))]
         sizes = ENCODERS.config(config.encoder)
-        self.networks = nn.ModuleList(
+        self.networks = nn.ModuleList(  # type: ignore[assignment]
             self._make_networks(entry.made(sizes, NETWORK_EGO_FEATURES, NETWORK_OTHER_FEATURES))
             for _ in range(config.actors)
         )

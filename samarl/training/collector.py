@@ -88,7 +88,8 @@ class RolloutCollector:
         began = self.before
         mask = torch.ones(world.worlds, t + 1, 1, dtype=torch.bool)
         closed: list[tuple[NDArray, Tensor, Frames, Tensor]] = []
-        columns, states, episodes = [], [], []
+        columns, states = [], []
+        episodes: list[Episodes] = []
         for step in range(t):
             column, state = self._take(episodes)
             columns.append(column)
