@@ -18,7 +18,6 @@ class Algorithm(nn.Module, ABC):
     """Learns from rollouts; what it needs besides the policy (critics, say) are its submodules."""
 
     policy: Policy
-    on_policy = True  # else it keeps the rollouts it is given, in a replay buffer of its own
     central = False  # it needs the true state in the rollouts
 
     def __init__(self, policy: Policy, config: Any) -> None:

@@ -102,7 +102,7 @@ class Encoder(nn.Module, ABC):
         return None
 
 
-def samples_of(scene: Any, index: Tensor) -> Any:
+def samples_of(scene: Any, index: Tensor | slice) -> Any:
     """Some samples of a scene."""
     return tree_map(lambda tensor: tensor[index], scene)
 

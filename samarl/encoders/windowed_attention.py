@@ -35,6 +35,8 @@ def windowed_attention(
         allowed: [P, H, M] which of them a token may look at.
         bias: [heads, H] added to the scores.
     """
+    if query.numel() == 0:
+        return query
     if query.device.type == "cpu" and query.dtype == torch.float32:
         result: Tensor = _OnCPU.apply(query, kept, window, allowed, bias)
         return result

@@ -153,9 +153,11 @@ class HierarchicalPolicy(Policy):
             local += parts.arrival + np.float32(self.config.arrival_bonus) * arrived
         return {MACRO: self._route_reward(reward, parts, before, after, scenario), LOCAL: local}
 
+    @torch.no_grad()
     def explain(self, decision: Decision, state: State) -> Explanation:
-        """See `Policy.explain`: the waypoints."""
-        return Explanation(state["waypoint"].copy(), None, None)
+        """See `Policy.explain`; with the waypoints."""
+        attention = super().explain(decision, state) or Explanation(None, None, None)
+        return attention._replace(waypoint=state["waypoint"].copy())
 
     def _ablated(self, macro: NDArray[np.float32]) -> NDArray[np.float32]:
         """The macro actions [E, N, 2] that are taken up."""

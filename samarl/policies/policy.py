@@ -23,6 +23,7 @@ from mrsan import ConfigurationError, Observation, RewardParts, Scenario
 from mrsan.features import GOAL
 from mrsan.scenario import required
 from samarl.encoders import ENCODERS, Encoder
+from samarl.encoders.encoder import samples_of
 from samarl.observations.features import (
     NETWORK_EGO_FEATURES,
     NETWORK_OTHER_FEATURES,
@@ -69,6 +70,7 @@ class Decision(NamedTuple):
     noise: Tensor  # [E, N, A] of the local level in the step before, in standard deviations
     target: Tensor  # [E, N, 3] what the local level was told of where to drive
     frames: Frames  # [B, 1, ...] what was known
+    scene: Any = ()  # [B, ...] what the encoders made of it; kept when not exploring
 
     @property
     def action(self) -> NDArray[np.float32]:
@@ -280,7 +282,7 @@ class Policy(nn.Module, ABC):
             state["noise"] = before.clone()
             state["noise"][where] = noise
         levels[LOCAL] = Level(action, probability, where)
-        return Decision(levels, before, told, frames)
+        return Decision(levels, before, told, frames, () if explore else scene)
 
     def evaluate(
         self, sequences: Sequences, samples: Tensor, told: Tensor, taken: Mapping[str, Taken],
@@ -344,9 +346,22 @@ class Policy(nn.Module, ABC):
         )
         return {**{k: v for k, v in state.items() if k != "encoder"}, "encoder": kept}
 
+    @torch.no_grad()
     def explain(self, decision: Decision, state: State) -> Explanation | None:
-        """What led to a decision, for pictures."""
-        return None
+        """What led to a decision without exploration, for pictures: the robots' attention."""
+        every = torch.arange(len(decision.frames.ego), device=self.device)
+        ego = decision.frames.ego[:, 0]
+
+        def attention(net: Any, i: int, mine: Any) -> Any:
+            return net.encoder.attention(samples_of(decision.scene, mine), ego[mine])
+
+        if attention(self.networks[0], 0, slice(0, 1)) is None:
+            return None
+        found = self._by_set(every, attention)
+        robots, humans = (
+            share.view(*decision.target.shape[:2], -1).float().cpu().numpy() for share in found
+        )
+        return Explanation(None, humans, robots)
 
     def cap_std(self, largest: float) -> None:
         """Bring the standard deviations of all levels down to `largest`."""
@@ -384,8 +399,7 @@ class Policy(nn.Module, ABC):
         """Mean and standard deviation [P, A] of a level that asks the scene a query [P, F_e]."""
 
         def ask(net: Any, i: int, mine: Any) -> tuple[Tensor, Tensor]:
-            of_mine = tree_map(lambda tensor: tensor[mine], scene)
-            y = net.encoder.read(of_mine, query[mine])
+            y = net.encoder.read(samples_of(scene, mine), query[mine])
             inputs = y if told is None else torch.cat([y, told[mine]], -1)
             result: tuple[Tensor, Tensor] = net.heads[level](inputs)
             return result

@@ -100,12 +100,15 @@ class Trainer:
             self._begin_with(init_from)
         self.policy.to(_device(config.device))
         self.policy.low_precision = config.bfloat16
-        if config.compile:
-            for networks in self.policy.networks:
-                networks.encoder.compile(dynamic=True)
         self.averaged = AveragedModel(
             self.policy, multi_avg_fn=get_ema_multi_avg_fn(config.ema_decay)
         )
+        self.mean.low_precision = False  # as it will be deployed
+        if config.compile:
+            for networks in self.policy.networks:
+                encoder: Any = networks.encoder
+                for part in ("observe", "read"):
+                    setattr(encoder, part, torch.compile(getattr(encoder, part), dynamic=True))
         entry = ALGORITHMS[str(algorithm["name"])]
         self.algorithm = entry.made(self.policy, ALGORITHMS.config(algorithm))
         self.configuration = json.loads(
@@ -115,6 +118,7 @@ class Trainer:
                     "policy": dict(policy),
                     "algorithm": dict(algorithm),
                     "curriculum": {"stages": [asdict(stage) for stage in stages]},
+                    "init_from": self.made.get("init_from", {}).get("sha256"),
                 },
                 default=str,
             )

@@ -18,21 +18,13 @@ from samarl.agents.learned import Deployed
 from samarl.encoders.spatio_temporal import Pool
 from samarl.evaluation.recording import record_episode
 from samarl.policies.checkpoint import save_policy
-from samarl.policies.hierarchical import Architecture, HierarchicalPolicy
 from samarl.report.animation import _draw_state, save_animation
 from samarl.report.replays import as_replay
 from samarl.report.trajectories import save_trajectories
+from tests.small import small_policy
 
 SCENARIO = Scenario(humans=4, robots=3, fov_degrees=120.0, time_limit=4.0)
 STRAIGHT = {"_target_": "samarl.agents.planners.straight.Straight"}
-
-
-def architecture(levels: int = 2, actors: int = 1) -> Architecture:
-    return Architecture(
-        actors=actors, width=8, heads=2, history=3, features=8, hidden=8, macro_steps=4,
-        levels=levels, round_below=180.0, round_radius=7.0, waypoint_ahead=2.0,
-        waypoint_range=2.0, track_steps=4,
-    )  # fmt: skip
 
 
 def test_what_is_seen_lies_in_the_field_of_view() -> None:
@@ -97,9 +89,8 @@ def test_people_come_and_go(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> 
 
 @pytest.mark.parametrize("actors", [1, 3])
 def test_a_policy_tells_its_waypoints_and_its_attention(tmp_path: Path, actors: int) -> None:
-    torch.manual_seed(0)
     path = tmp_path / "policy.safetensors"
-    save_policy(path, HierarchicalPolicy(architecture(2, actors), 3), "hierarchical", {})
+    save_policy(path, small_policy(actors=actors), "hierarchical", {})
     config = {"_target_": "samarl.agents.learned.Learned", "checkpoint": str(path)}
     recording = record_episode(build_agent(config, SCENARIO), SCENARIO, 3)
     steps = len(recording.robot_position) - 1
@@ -119,8 +110,7 @@ def test_a_policy_tells_its_waypoints_and_its_attention(tmp_path: Path, actors: 
 
 
 def test_explaining_changes_nothing_and_a_flat_agent_has_no_waypoint() -> None:
-    torch.manual_seed(0)
-    model = HierarchicalPolicy(architecture(levels=1), 3)
+    model = small_policy("flat")
     agents = [Deployed(model, SCENARIO) for _ in range(2)]
     world = World(SCENARIO, 2)
     observation = world.reset([1, 2])
@@ -139,9 +129,9 @@ def test_the_shares_are_those_that_the_pool_uses() -> None:
     pool = Pool(8, heads=1)
     torch.nn.init.normal_(pool.nobody)
     own, tokens = torch.randn(5, 8), torch.randn(5, 3, 8)
-    masked = torch.where(torch.rand(5, 1, 3) < 0.4, -1e9, torch.randn(5, 1, 3))
+    masked = torch.where(torch.rand(5, 3, 1) < 0.4, -1e9, torch.randn(5, 3, 1))
     shares = pool.shares(own, tokens, masked)
-    assert (shares[masked[:, 0] < -1e8] == 0).all()
+    assert (shares[masked[..., 0] < -1e8] == 0).all()
     value, nobody = pool.key_value(tokens)[..., 8:], pool.nobody[8:]
     rest = 1 - shares.sum(-1, keepdim=True)
     by_hand = pool.out((shares.unsqueeze(-1) * value).sum(1) + rest * nobody)

@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 from playwright.sync_api import Browser, ConsoleMessage, Page, sync_playwright
 
 from mrsan import Scenario
@@ -24,21 +23,16 @@ from samarl.evaluation.metrics import METRICS, Metric
 from samarl.evaluation.recording import Recording, record_episode
 from samarl.evaluation.table import column_of
 from samarl.policies.checkpoint import save_policy
-from samarl.policies.hierarchical import Architecture, HierarchicalPolicy
 from samarl.report.build import build_site, slug
 from samarl.report.figures import draw_curves, draw_table, read_curve, settings_labels
 from samarl.report.replays import as_replay
+from tests.small import small_policy
 
 VOID = {"meta", "link", "input", "img", "br", "circle", "path", "rect"}
 FLAGS = [
     "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
     "--disable-background-networking", "--disable-component-update", "--disable-sync",
 ]  # fmt: skip
-ARCHITECTURE = Architecture(
-    actors=1, width=8, heads=1, history=3, features=8, hidden=8, macro_steps=4,
-    levels=2, round_below=180.0, round_radius=7.0, waypoint_ahead=2.0, waypoint_range=2.0,
-    track_steps=4,
-)  # fmt: skip
 STRAIGHT = {"_target_": "samarl.agents.planners.straight.Straight"}
 
 
@@ -74,9 +68,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
         lines = [f"{1000 * k},{k},{value},{value if k % 2 else ''},{value}" for k in range(1, 6)]
         header = "steps,seconds,charts/success,validation/success_90_10h_3r,losses/macro_critic"
         (results / f"curves/{name}.csv").write_text("\n".join([header, *lines]))
-    torch.manual_seed(0)
-    policy = HierarchicalPolicy(ARCHITECTURE, action_size=3)
-    save_policy(results / "checkpoints/mine.safetensors", policy, "hierarchical", {})
+    save_policy(results / "checkpoints/mine.safetensors", small_policy(), "hierarchical", {})
     done = report("results=results", "agents=[straight,perimeter,samarl]", "cases=[0,3]",
                   "output=site", cwd=folder)  # fmt: skip
     assert "written to site/index.html" in done.stdout
