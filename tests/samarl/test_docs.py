@@ -15,17 +15,16 @@ DOCS = Path(__file__).parents[2] / "docs"
 SMALL = {
     "samarl-evaluate": ["evaluation.cases=2"],
     "samarl-train": [
-        "training.steps=200", "training.rollout=10", "training.validation_cases=2",
-        "architecture.width=8", "architecture.features=8", "architecture.hidden=8",
-        "groups=[{worlds: 10, scenario: {humans: 2, robots: 2, time_limit: 2.0}}]",
-        "training.threads=1",
+        "trainer.steps=200", "trainer.rollout=10", "trainer.validation_cases=2",
+        "trainer.threads=1", "encoder.width=8", "encoder.features=8", "policy.hidden=8",
+        "curriculum.stages=[{worlds: 10, scenario: {humans: 2, robots: 2, time_limit: 2.0}}]",
     ],
 }  # fmt: skip
 
 
 def section(title: str) -> str:
     text = (DOCS / "extending.md").read_text()
-    return text.split(f"## {title}\n")[1].split("\n## ")[0]
+    return re.split(r"\n##+ ", text.split(f"# {title}\n")[1])[0]
 
 
 def block(text: str, language: str) -> str:
@@ -59,6 +58,8 @@ def test_a_scenario_of_ones_own(tmp_path: Path) -> None:
 
 def test_an_encoder_of_ones_own(tmp_path: Path) -> None:
     text = section("An encoder")
+    (tmp_path / "my_conf/encoder").mkdir(parents=True)
+    (tmp_path / "my_conf/encoder/deep_sets.yaml").write_text(block(text, "yaml"))
     (tmp_path / "my_encoder.py").write_text(block(text, "python"))
     assert "| samarl " in run(text, tmp_path)
     checkpoint = "checkpoint=outputs/deep_sets/last.safetensors"
@@ -67,11 +68,21 @@ def test_an_encoder_of_ones_own(tmp_path: Path) -> None:
         cwd=tmp_path, capture_output=True, text=True,
     )  # fmt: skip
     assert done.returncode == 2  # nothing of mine is imported unless I say so
-    assert "architecture.encoder is 'deep_sets'; it must be among spatio_temporal" in done.stderr
+    assert "encoder.name is 'deep_sets'; it must be among gru, spatio_temporal" in done.stderr
+
+
+def test_an_algorithm_in_samarl_train(tmp_path: Path) -> None:
+    text = section("In samarl-train")
+    (tmp_path / "my_conf/algorithm").mkdir(parents=True)
+    (tmp_path / "my_conf/algorithm/sharing.yaml").write_text(block(text, "yaml"))
+    (tmp_path / "my_mappo.py").write_text(block(text, "python"))
+    assert "| samarl " in run(text, tmp_path)
+    made = json.loads((tmp_path / "outputs/sharing/last.json").read_text())["made"]
+    assert made["configuration"]["algorithm"]["name"] == "sharing"
 
 
 def test_an_algorithm_of_ones_own(tmp_path: Path) -> None:
-    text = section("An algorithm").replace("2000000", "4096")
+    text = section("A program of one's own").replace("2000000", "4096")
     (tmp_path / "my_conf/agent").mkdir(parents=True)
     (tmp_path / "my_conf/agent/my_ppo.yaml").write_text(block(text, "yaml"))
     (tmp_path / "my_ppo.py").write_text(block(text, "python"))
