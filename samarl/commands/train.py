@@ -77,7 +77,6 @@ def begun_as(config: DictConfig) -> DictConfig:
             )
     own = read_progress(Path(config.resume))["configuration"]
     own["trainer"] |= {name: config.trainer[name] for name in FREE}
-    own.pop("init_from")
     plain = OmegaConf.create({**OmegaConf.to_container(config), **own})  # type: ignore[dict-item]
     return OmegaConf.merge(plain, {"run_dir": config.resume})  # type: ignore[return-value]
 

@@ -118,7 +118,6 @@ class Trainer:
                     "policy": dict(policy),
                     "algorithm": dict(algorithm),
                     "curriculum": {"stages": [asdict(stage) for stage in stages]},
-                    "init_from": self.made.get("init_from", {}).get("sha256"),
                 },
                 default=str,
             )
@@ -306,7 +305,9 @@ class Trainer:
 
     def _restore(self) -> None:
         tensors, progress = self.run_dir.load()
-        if progress["configuration"] != self.configuration:
+        begun_with = self.made.get("init_from", progress["made"].get("init_from"))
+        same = begun_with == progress["made"].get("init_from")
+        if progress["configuration"] != self.configuration or not same:
             raise ConfigurationError(
                 f"{self.run_dir.folder} holds a run with another configuration; choose another "
                 f"run_dir, or go on with its own: resume={self.run_dir.folder}"
