@@ -256,7 +256,7 @@ class PPO(Algorithm):
                 for key, called in _STATISTICS.items():
                     statistics[f"losses/{name}_{called}"].append(float(losses[key].detach()))
                 statistics[f"losses/{name}_entropy"].append(float(choice.entropy.mean().detach()))
-            if name == LOCAL and self.config.action_limit_penalty > 0.0:
+            if name == LOCAL and len(decided[0]) > 0 and self.config.action_limit_penalty > 0.0:
                 speed = steps["agents", "speed"][decided]
                 beyond = excess(
                     choice.mean, choice.std, speed, rollout.scenario, self.config.action_limit_slack
