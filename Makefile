@@ -101,7 +101,7 @@ check-wheel: wheel ## Install the wheel into an environment of its own and run i
 	cd "$$folder"; PATH="$$folder/venv/bin:$$PATH"; export PATH; \
 	samarl-evaluate agent=orca evaluation.cases=5; \
 	samarl-bench agents='[straight]' evaluation.cases=5 output=bench > bench.txt; \
-	python -c "import os, mrsan, samarl; from samarl.evaluation.files import find_folder; \
+	python -c "import os, mrsan, samarl; from samarl.files import find_folder; \
 	home = os.path.realpath('venv') + os.sep; \
 	places = [samarl.__file__, mrsan.__file__, *map(str, map(find_folder, ('conf', 'results')))]; \
 	wrong = [p for p in places if not (os.path.realpath(p).startswith(home) and os.path.exists(p))]; \

@@ -23,8 +23,8 @@ from benchmarks.workload import interruptible, positive_number
 from mrsan import Scenario, World
 from samarl.agents import build_agent
 from samarl.configuration import available_agents, load_agent
-from samarl.evaluation.files import code_version, machine, write_json
 from samarl.evaluation.table import as_text
+from samarl.files import code_version, machine, write_json
 
 BATCH = 512
 SCENARIO = Scenario(robots=1, humans=10, fov_degrees=90.0)

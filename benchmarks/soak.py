@@ -25,7 +25,7 @@ from benchmarks.workload import (
     positive_whole_number,
 )
 from mrsan import Step, World
-from samarl.evaluation.files import code_version, machine, write_json
+from samarl.files import code_version, machine, write_json
 
 LARGEST_GROWTH = 20.0  # MB
 

@@ -25,8 +25,8 @@ from tqdm import tqdm
 
 from benchmarks.workload import RandomDrive, interruptible, positive_number
 from mrsan.pettingzoo_env import PettingZooEnv
-from samarl.evaluation.files import code_version, machine, write_json
 from samarl.evaluation.table import as_text
+from samarl.files import code_version, machine, write_json
 
 WORLDS, HUMANS, ROBOTS = 512, 10, 3
 BY_WORLDS = (1, 64, 512, 4096)

@@ -25,8 +25,8 @@ from tqdm import trange
 from benchmarks.workload import interruptible, positive_whole_number
 from samarl.commands.train import Train, build_trainer
 from samarl.configuration import register_schemas
-from samarl.evaluation.files import code_version, find_folder, machine, write_json
 from samarl.evaluation.table import as_text
+from samarl.files import code_version, find_folder, machine, write_json
 from samarl.training.trainer import Trainer
 
 # Parts of a round and the functions that make them up (end of the file's path, name).

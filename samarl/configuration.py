@@ -16,8 +16,8 @@ from omegaconf import MISSING, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from mrsan import ConfigurationError, Scenario
-from samarl.evaluation.files import find_folder
 from samarl.evaluation.runner import Evaluation
+from samarl.files import find_folder
 
 
 @dataclass

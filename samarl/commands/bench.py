@@ -19,13 +19,6 @@ from mrsan import ActionError, ConfigurationError, Reward, Scenario
 from samarl.agents import build_agent
 from samarl.commands.cli import run_command
 from samarl.configuration import available_agents, import_plugins, load_agent, scenario_of
-from samarl.evaluation.files import (
-    code_version,
-    find_folder,
-    machine,
-    write_atomically,
-    write_json,
-)
 from samarl.evaluation.runner import Evaluation, run_cases
 from samarl.evaluation.summary import Row, read_rows, summarise
 from samarl.evaluation.table import (
@@ -33,6 +26,13 @@ from samarl.evaluation.table import (
     column_of,
     rows_as_markdown,
     table1_as_markdown,
+)
+from samarl.files import (
+    code_version,
+    find_folder,
+    machine,
+    write_atomically,
+    write_json,
 )
 
 

@@ -21,7 +21,7 @@ from yaml import YAMLError
 
 from mrsan import ActionError, ConfigurationError
 from samarl.configuration import first, import_plugins, register_schemas
-from samarl.evaluation.files import find_folder
+from samarl.files import find_folder
 
 
 def chosen_agent(config: DictConfig) -> DictConfig:

@@ -13,10 +13,10 @@ from omegaconf import DictConfig, OmegaConf
 from mrsan import Episodes, Outcome, Scenario, social_score
 from samarl.agents import build_agent
 from samarl.commands.cli import chosen_agent, command_line, run_command
-from samarl.evaluation.files import code_version, write_atomically, write_json
 from samarl.evaluation.runner import Evaluation, run_cases
 from samarl.evaluation.summary import Row, summarise
 from samarl.evaluation.table import rows_as_markdown
+from samarl.files import code_version, write_atomically, write_json
 
 _PER_ROBOT = [
     name for name in Episodes._fields if name not in ("case", "episode", "duration", "outcome")

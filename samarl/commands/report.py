@@ -14,8 +14,8 @@ from mrsan import ConfigurationError, Scenario, Split
 from samarl.agents import Agent, build_agent
 from samarl.commands.cli import run_command
 from samarl.configuration import available_agents, load_agent, scenario_of
-from samarl.evaluation.files import find_folder
 from samarl.evaluation.recording import Recording, record_episode
+from samarl.files import find_folder
 
 
 @dataclass

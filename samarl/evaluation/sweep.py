@@ -11,9 +11,9 @@ from hydra.experimental.callback import Callback
 from hydra.types import RunMode
 from omegaconf import DictConfig
 
-from samarl.evaluation.files import write_atomically, write_json
 from samarl.evaluation.summary import Row
 from samarl.evaluation.table import rows_as_markdown
+from samarl.files import write_atomically, write_json
 
 
 class GatherTable(Callback):

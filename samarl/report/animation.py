@@ -20,8 +20,8 @@ from tqdm import tqdm
 
 from mrsan import ConfigurationError, Outcome
 from mrsan.scenario import Scenario
-from samarl.evaluation.files import unfinished
 from samarl.evaluation.recording import Recording
+from samarl.files import unfinished
 from samarl.report.style import COLOURS, CONTACT, INK, MUTED, STYLE
 
 _GIF_COLOURS = 64

@@ -15,10 +15,10 @@ from matplotlib.figure import Figure
 from tqdm import tqdm
 
 from mrsan import ConfigurationError
-from samarl.evaluation.files import code_version, write_atomically
 from samarl.evaluation.recording import Recording
 from samarl.evaluation.summary import Row, read_rows
 from samarl.evaluation.table import column_name, grid_of, rows_as_cells
+from samarl.files import code_version, write_atomically
 from samarl.report.figures import (
     Curve,
     curve_title,

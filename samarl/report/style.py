@@ -9,7 +9,7 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 from PIL import Image
 
-from samarl.evaluation.files import unfinished
+from samarl.files import unfinished
 
 # Each with what stands for it on a dark page. The series are Okabe and Ito's, which colour-blind
 # readers tell apart.

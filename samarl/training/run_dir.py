@@ -14,7 +14,7 @@ from safetensors.torch import load_file
 from torch import Tensor
 
 from mrsan import ConfigurationError
-from samarl.evaluation.files import write_atomically
+from samarl.files import write_atomically
 from samarl.policies.checkpoint import write_tensors
 
 STATE = "state.safetensors"

@@ -24,8 +24,8 @@ from mrsan import ConfigurationError, Split, social_score
 from mrsan.scenario import check_numbers, required
 from samarl.agents.learned import Deployed
 from samarl.algorithms import ALGORITHMS
-from samarl.evaluation.files import code_version, machine
 from samarl.evaluation.runner import run_cases
+from samarl.files import code_version, machine
 from samarl.policies.checkpoint import load_policy, make_policy, pack, save_policy, unpack
 from samarl.policies.policy import Policy
 from samarl.rollout import Rollout

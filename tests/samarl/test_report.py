@@ -18,10 +18,10 @@ from mrsan import Scenario
 from samarl.agents import build_agent
 from samarl.commands.report import _methods
 from samarl.configuration import available_agents, load_agent
-from samarl.evaluation.files import find_folder
 from samarl.evaluation.metrics import METRICS, Metric
 from samarl.evaluation.recording import Recording, record_episode
 from samarl.evaluation.table import column_of
+from samarl.files import find_folder
 from samarl.policies.checkpoint import save_policy
 from samarl.report.build import build_site, slug
 from samarl.report.figures import draw_curves, draw_table, read_curve, settings_labels

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from samarl.training.rollout import RETRY_STEPS, Rollout
+from samarl.training.starts import Crowd
 
 from mrsan import Scenario, World
 from samarl.agents.planners.perimeter import Perimeter
 from samarl.policies.hierarchical import Architecture, HierarchicalPolicy
 from samarl.training.curriculum import Group
-from samarl.training.rollout import RETRY_STEPS, Rollout
-from samarl.training.starts import Crowd
 
 SCENARIO = Scenario(fov_degrees=90.0)
 

@@ -9,7 +9,6 @@ import pytest
 
 from mrsan import ConfigurationError, Episodes, Outcome, Scenario
 from samarl.commands.bench import compare
-from samarl.evaluation.files import find_folder
 from samarl.evaluation.metrics import METRICS, Metric, metric, metric_fields, wilson_interval
 from samarl.evaluation.summary import (
     HEADLINE,
@@ -21,6 +20,7 @@ from samarl.evaluation.summary import (
     summarise,
 )
 from samarl.evaluation.table import rows_as_cells, rows_as_markdown, table1_as_markdown
+from samarl.files import find_folder
 
 
 @pytest.mark.parametrize(

@@ -11,6 +11,8 @@ from pathlib import Path
 
 import pytest
 import torch
+from samarl.training.loop import Trainer
+from samarl.training.rollout import Batch
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from mrsan import ConfigurationError, Scenario
@@ -20,8 +22,6 @@ from samarl.commands.train import main
 from samarl.evaluation.runner import Evaluation, run_cases
 from samarl.policies.checkpoint import load_policy, save_policy
 from samarl.policies.hierarchical import Architecture, HierarchicalPolicy
-from samarl.training.loop import Trainer
-from samarl.training.rollout import Batch
 
 ARCHITECTURE = Architecture(
     actors=1, width=8, heads=1, history=3, features=8, hidden=8, macro_steps=4,

@@ -6,15 +6,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from samarl.algorithms.excess import excess
+from samarl.training.rollout import Batch, Rollout, Steps
 
 from mrsan import ConfigurationError, Scenario, World
 from samarl.agents.learned import Deployed
-from samarl.algorithms.excess import excess
 from samarl.algorithms.mappo import MAPPO, Learner, advantages, macro_records
 from samarl.observations.features import state_of
 from samarl.policies.hierarchical import Architecture, HierarchicalPolicy, Waypoints
 from samarl.training.curriculum import Group
-from samarl.training.rollout import Batch, Rollout, Steps
 
 ARCHITECTURE = Architecture(
     actors=1, width=16, heads=2, history=4, features=16, hidden=16, macro_steps=4,

@@ -1,0 +1,77 @@
+"""Data flows one way: no import circle, deferred or not, and no room reaches back."""
+
+import ast
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+# Each room may import from those before it.
+ROOMS = [
+    "mrsan", "samarl.files", "samarl.registry", "samarl.observations", "samarl.encoders",
+    "samarl.policies", "samarl.rollout", "samarl.algorithms", "samarl.agents",
+    "samarl.evaluation", "samarl.configuration", "samarl.training", "samarl.report",
+    "samarl.commands",
+]  # fmt: skip
+
+
+def modules() -> dict[str, Path]:
+    found = {}
+    for base, folder in (("samarl", ROOT / "samarl"), ("mrsan", ROOT / "envs/mrsan")):
+        for path in folder.rglob("*.py"):
+            parts = [base, *path.relative_to(folder).with_suffix("").parts]
+            found[".".join(parts).removesuffix(".__init__")] = path
+    return found
+
+
+def imports() -> dict[str, set[str]]:
+    """What each module imports, at its top or inside its functions; types alone do not count."""
+    known = modules()
+    found: dict[str, set[str]] = {}
+    for name, path in known.items():
+        tree = ast.parse(path.read_text())
+        typing_only = {
+            inner
+            for node in ast.walk(tree)
+            if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
+            for inner in ast.walk(node)
+        }
+        targets: set[str] = set()
+        for node in ast.walk(tree):
+            if node in typing_only:
+                continue
+            if isinstance(node, ast.ImportFrom) and node.module:
+                whole = [f"{node.module}.{alias.name}" for alias in node.names]
+                targets |= {target if target in known else node.module for target in whole}
+            elif isinstance(node, ast.Import):
+                targets |= {alias.name for alias in node.names}
+        found[name] = targets & set(known) - {name}
+    return found
+
+
+def test_there_is_no_import_circle() -> None:
+    graph, done = imports(), set()
+
+    def visit(name: str, path: tuple[str, ...]) -> None:
+        assert name not in path, " -> ".join([*path[path.index(name) :], name])
+        if name not in done:
+            for target in sorted(graph[name]):
+                if not name.startswith(f"{target}."):  # a package is loaded before its modules
+                    visit(target, (*path, name))
+            done.add(name)
+
+    for name in sorted(graph):
+        visit(name, ())
+
+
+def room(name: str) -> int | None:
+    of = [i for i, prefix in enumerate(ROOMS) if f"{name}.".startswith(f"{prefix}.")]
+    return of[0] if of else None
+
+
+def test_no_room_reaches_back() -> None:
+    wrong = [
+        f"{name} imports {target}"
+        for name, targets in imports().items()
+        for target in targets
+        if (here := room(name)) is not None and (there := room(target)) is not None and there > here
+    ]
+    assert wrong == []
