@@ -20,7 +20,7 @@ class TorchRLEnv(EnvBase):
     """E worlds of N robots; batch size [E], the robots under the nested key `agents`.
 
     Keys: `("agents", "observation", *)` with `ego` [E, N, 11], `humans` [E, N, M, 5], `robots`
-    [E, N, N - 1, 5] and the two visibility masks; `("agents", "driving")` [E, N, 1], False once a
+    [E, N, N - 1, 5] and the two visibility masks; `("agents", "active_mask")` [E, N, 1], False once a
     robot is parked; `("agents", "action")` [E, N, A]; `("agents", "reward")` [E, N, 1] and the
     terms it is the sum of, `("agents", "reward_parts", *)` [E, N, 1] with the names of
     `mrsan.RewardParts` (observations to TorchRL, so that there is one reward; zero after a reset);
@@ -131,7 +131,7 @@ class TorchRLEnv(EnvBase):
                     {
                         "observation": TensorDict(seen, [e, n]),
                         "reward_parts": TensorDict(paid, [e, n]),
-                        "driving": torch.from_numpy(~arrived[..., None]),
+                        "active_mask": torch.from_numpy(~arrived[..., None]),
                     },
                     [e, n],
                 ),

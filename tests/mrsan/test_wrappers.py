@@ -75,7 +75,7 @@ def test_all_wrappers_play_a_case_alike(scenario: Scenario) -> None:
         np.testing.assert_array_equal(td["truncated"][:, 0].numpy(), step.truncated)
         arrived = world.state.arrived
         np.testing.assert_array_equal(td["success"][:, 0].numpy(), arrived.all(1))
-        np.testing.assert_array_equal(td["agents", "driving"][..., 0].numpy(), ~arrived)
+        np.testing.assert_array_equal(td["agents", "active_mask"][..., 0].numpy(), ~arrived)
         for e, env in enumerate(singles):
             if not env.agents:  # its episode is over: the world stands still
                 continue
