@@ -40,12 +40,13 @@ PPO_NUMBERS: dict[str, Any] = {
 
 
 def policy_numbers(
-    name: str = "hierarchical", encoder: str = "spatio_temporal", **changes: Any
-) -> dict[str, Any]:
+    name: str = "hierarchical", encoder: str = "spatio_temporal",
+    encoder_numbers: dict[str, Any] | None = None, **changes: Any,
+) -> dict[str, Any]:  # fmt: skip
     """As of a YAML file."""
     shared = {
         "actors": 1, "hidden": 16, "track_steps": 8, "round_below": 180.0, "round_radius": 7.0,
-        "encoder": {"name": encoder, **ENCODERS[encoder]},
+        "encoder": encoder_numbers or {"name": encoder, **ENCODERS[encoder]},
     }  # fmt: skip
     return {"name": name, **shared, **POLICIES[name], **changes}
 
