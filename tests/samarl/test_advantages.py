@@ -118,9 +118,7 @@ def check(data: Made, discount: float, lam: float) -> None:
     """Both levels agree with the loops, and padding has no part in it."""
     of = streams(data.steps)
     of_steps = step_advantages(of, data.reward, data.value, discount, lam)
-    *of_records, where = macro_advantages(
-        of, data.decided, data.reward, data.value, discount, lam
-    )
+    *of_records, where = macro_advantages(of, data.decided, data.reward, data.value, discount, lam)
     for (advantage, target), expected, counts in (
         (of_steps, by_steps(data, discount, lam), of.counts),
         (of_records, by_records(data, discount, lam), where),

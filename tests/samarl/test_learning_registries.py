@@ -90,7 +90,11 @@ def test_every_name_trains_and_its_checkpoint_drives_as_before(choice: str, tmp_
 @pytest.mark.parametrize(
     ("kind", "values", "message"),
     [
-        ("encoder", {"name": "os.system"}, "encoder.name is 'os.system'; it must be among gru, spatio"),
+        (
+            "encoder",
+            {"name": "os.system"},
+            "encoder.name is 'os.system'; it must be among gru, spatio",
+        ),
         ("policy", {"name": None}, "policy.name is 'None'; it must be among flat"),
         ("encoder", {"name": "gru", "width": 8, "wdith": 8}, "encoder.wdith"),
         ("encoder", {"name": "gru", "width": 0, "features": 8}, "encoder.width is 0; it must be"),

@@ -34,7 +34,11 @@ def test_training_computes_the_log_probabilities_of_acting(
             if encoder == "gru":  # its hidden state after a restart is only about the same
                 exact = began[sequence]
             torch.testing.assert_close(
-                choice.log_prob[exact], stored[exact], atol=1e-4, rtol=0, msg=lambda m: f"{level} {m}"
+                choice.log_prob[exact],
+                stored[exact],
+                atol=1e-4,
+                rtol=0,
+                msg=lambda m: f"{level} {m}",
             )
             compared += int(exact.sum())
             assert torch.isfinite(choice.log_prob).all()

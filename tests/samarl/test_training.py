@@ -105,7 +105,10 @@ def test_a_killed_run_goes_on_bit_for_bit(tmp_path: Path) -> None:
     ("overrides", "message"),
     [
         (["resume=nowhere"], "resume is 'nowhere'; it must be the folder of a run, which holds"),
-        (["resume=nowhere", "algorithm.epochs=3"], "beside algorithm.epochs=3; a run goes on with its own"),
+        (
+            ["resume=nowhere", "algorithm.epochs=3"],
+            "beside algorithm.epochs=3; a run goes on with its own",
+        ),
     ],
 )
 def test_what_cannot_be_gone_on_with_is_said(
@@ -137,8 +140,13 @@ def test_a_stopped_run_saves_and_says_so_in_one_line(how: signal.Signals, tmp_pa
     assert (tmp_path / "run/last.safetensors").exists()
 
 
+@pytest.mark.parametrize(("number", "of"), [("advantage", "actor"), ("target", "critic")])
 def test_a_loss_that_is_not_finite_stops_the_run_and_names_the_last_good_state(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+    number: str,
+    of: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
 ) -> None:
     monkeypatch.chdir(tmp_path)
     prepare, calls = PPO.prepare, []
@@ -147,7 +155,9 @@ def test_a_loss_that_is_not_finite_stops_the_run_and_names_the_last_good_state(
         calls.append(arguments)
         (data,) = prepare(self, *arguments)
         if len(calls) == 3:
-            data[LOCAL] = data[LOCAL]._replace(advantage=data[LOCAL].advantage * float("nan"))
+            data[LOCAL] = data[LOCAL]._replace(
+                **{number: getattr(data[LOCAL], number) * float("nan")}
+            )
         return [data]
 
     monkeypatch.setattr(PPO, "prepare", poisoned)
@@ -156,7 +166,7 @@ def test_a_loss_that_is_not_finite_stops_the_run_and_names_the_last_good_state(
         main()
     assert stopped.value.code == 2
     last = capsys.readouterr().err.splitlines()[-1]
-    assert last.startswith("error: training stopped at step 256: the gradient of the actor is not")
+    assert last.startswith(f"error: training stopped at step 256: the gradient of the {of} is not")
     assert last.endswith("the last good state is kept in run")
     kept, _ = load_policy(Path("run/last.safetensors"))
     assert all(torch.isfinite(value).all() for value in kept.state_dict().values())
@@ -251,7 +261,10 @@ def test_a_foreign_or_damaged_checkpoint_is_refused_in_words(tmp_path: Path) -> 
     [
         ("[]", "curriculum.stages has none for the time from 0 "),
         ("[{worlds: 1, end: 0.5}]", "curriculum.stages has none for the time from 0.5 "),
-        ("[{worlds: 1, begin: 0.7, end: 0.5}]", "curriculum.stages[0].begin is 0.7; it must be less than"),
+        (
+            "[{worlds: 1, begin: 0.7, end: 0.5}]",
+            "curriculum.stages[0].begin is 0.7; it must be less than",
+        ),
         ("[{worlds: 0}]", "curriculum.stages[0].worlds is 0; it must be"),
     ],
 )

@@ -204,7 +204,9 @@ def test_the_mean_is_drawn_back_to_what_can_be_done() -> None:
 def test_kept_samples_are_those_of_the_largest_advantages() -> None:
     model = policy("flat")
     learner = algorithm(model, kept_share=0.25)
-    prepared = learner.prepare([collector(model).collect()], {"losses/local_explained_variance": []})
+    prepared = learner.prepare(
+        [collector(model).collect()], {"losses/local_explained_variance": []}
+    )
     (kept,) = learner._kept(prepared)
     level = prepared[0][LOCAL]
     size = level.advantage.abs()
