@@ -208,7 +208,8 @@ class PPO(Algorithm):
             return acts
         every = torch.cat([size[where] for size, where in zip(sizes, acts, strict=True)])
         least = every.kthvalue(max(int((1.0 - self.config.kept_share) * len(every)), 1)).values
-        return [where & (size >= least) for size, where in zip(sizes, acts, strict=True)]
+        # Not `>=`: what is not a number must be kept, and stop the run.
+        return [where & ~(size < least) for size, where in zip(sizes, acts, strict=True)]
 
     def _loss(
         self, rollout: Rollout, data: dict[str, Prepared], kept: Tensor, sequences: Tensor,

@@ -58,10 +58,11 @@ class _OnCPU(torch.autograd.Function):
     def forward(
         ctx: Any, query: Tensor, kept: Tensor, window: Tensor, allowed: Tensor, bias: Tensor
     ) -> Tensor:
-        p, m, _ = query.shape
+        p, m, width = query.shape
         heads = len(bias)
-        query = query.detach().contiguous().view(p, m, heads, -1)
-        kept = kept.detach().contiguous().view(len(kept), m, 2, heads, -1)
+        size = width // heads  # -1 would be ambiguous with nobody there
+        query = query.detach().contiguous().view(p, m, heads, size)
+        kept = kept.detach().contiguous().view(len(kept), m, 2, heads, size)
         out, share = torch.empty_like(query), query.new_empty(p, m, *bias.shape)
         arrays = query, kept, window.contiguous(), allowed.contiguous(), bias.contiguous()
         _forward(*(tensor.numpy() for tensor in (*arrays, share, out)))

@@ -136,5 +136,8 @@ def unpack(example: Any, prefix: str, tensors: Mapping[str, Tensor]) -> Any:
     found: list[Any] = []
     for i, leaf in enumerate(leaves):
         value = tensors[f"{prefix}/{i}"]
-        found.append(value.to(leaf.device) if isinstance(leaf, Tensor) else value.numpy())
+        # A copy: what lies in a file's buffer is aligned otherwise, and sums round otherwise.
+        found.append(
+            value.to(leaf.device).clone() if isinstance(leaf, Tensor) else value.numpy().copy()
+        )
     return tree_unflatten(found, structure)

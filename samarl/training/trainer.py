@@ -244,7 +244,7 @@ class Trainer:
         cases = Split.validation.case(0) + np.arange(self.config.validation_cases)
         row: dict[str, float] = {}
         successes = []
-        policy = copy.deepcopy(self.mean).cpu()
+        policy = copy.deepcopy(self.mean).cpu().eval()
         for stage in self.stages:
             if stage.end < 1.0:
                 continue
@@ -321,7 +321,7 @@ class Trainer:
             for key, value in tensors.items():
                 if key.startswith(f"optimiser/{name}/"):
                     _, _, index, of = key.split("/")
-                    found.setdefault(int(index), {})[of] = value
+                    found.setdefault(int(index), {})[of] = value.clone()
             groups = optimiser.state_dict()["param_groups"]
             optimiser.load_state_dict({"state": found, "param_groups": groups})
         for collector, saved in zip(self.collectors, state["collectors"], strict=True):

@@ -1,18 +1,26 @@
-"""The spatio-temporal encoder: what it must be blind to, and what it computes once."""
+"""Encoders: what they must be blind to, and that they see over time what they see at once."""
+
+from typing import Any
 
 import pytest
 import torch
+from torch import Tensor
 
-from samarl.encoders import Frames, SpatioTemporalEncoder
-from samarl.encoders.encoder import NEAR_NOW, NEAR_SOON
+from samarl.encoders import ENCODERS, Encoder
+from samarl.encoders.encoder import State
 from samarl.encoders.spatio_temporal import Pool, nearness
+from samarl.observations.features import NEAR_NOW, NEAR_SOON
+from samarl.observations.frames import Frames
+from tests.learning import ENCODERS as NUMBERS
 
-EGO, OTHER, HISTORY = 5, 10, 4
+EGO, OTHER = 5, 10
+every = pytest.mark.parametrize("name", list(ENCODERS))
 
 
-def encoder(history: int = HISTORY) -> SpatioTemporalEncoder:
+def encoder(name: str, **changes: Any) -> Any:
     torch.manual_seed(0)
-    return SpatioTemporalEncoder(EGO, OTHER, width=16, heads=2, history=history, out=12)
+    config = ENCODERS.config({"name": name, **NUMBERS[name], **changes})
+    return ENCODERS[name].made(config, EGO, OTHER)
 
 
 def frames(b: int = 6, t: int = 11, m: int = 5, n: int = 3) -> Frames:
@@ -27,40 +35,92 @@ def frames(b: int = 6, t: int = 11, m: int = 5, n: int = 3) -> Frames:
     )
 
 
-def test_whole_sequences_give_what_single_windows_give() -> None:
-    model, data = encoder(), frames()
-    begins = torch.rand(6, 11) < 0.2  # episodes of all lengths within the sequences
-    whole = model(data, begins)
-    assert whole.shape == (6, 11 - HISTORY + 1, 12)
-    for t in range(whole.shape[1]):
-        window = slice(t, t + HISTORY)
-        one = model(data.at(window), begins[:, window])
-        torch.testing.assert_close(one[:, 0], whole[:, t], atol=1e-5, rtol=0)
+def start(model: Encoder, data: Frames) -> State:
+    return model.initial_state(data.at(slice(0, 1)))
 
 
-def test_frame_by_frame_it_gives_what_the_whole_sequence_gives() -> None:
-    model, data = encoder(), frames(t=20)
-    begins = torch.rand(6, 20) < 0.15
+def seen(model: Encoder, data: Frames, begins: Tensor, samples: Tensor | None = None) -> Tensor:
+    """Y of every frame after the history [B T, F], or of some; each robot asks for itself."""
+    scene = model.observe(data, begins, start(model, data), samples)
+    query = data.ego[:, model.history :].flatten(0, 1)
+    return model.read(scene, query if samples is None else query[samples])
+
+
+def some_begin(b: int = 6, t: int = 11) -> Tensor:
+    begins = torch.rand(b, t, generator=torch.Generator().manual_seed(2)) < 0.2
     begins[:, 0] = True
-    whole = model(data, begins)
-    windows = model.windows(data.at(slice(0, 1)))
+    return begins
+
+
+@every
+def test_frame_by_frame_it_gives_what_the_whole_sequence_gives(name: str) -> None:
+    model, data, begins = encoder(name), frames(t=20), some_begin(t=20)
+    whole = seen(model, data, begins).view(6, 20 - model.history, -1)
+    state = start(model, data)
     for t in range(20):
-        y, windows = model.step(data.at(slice(t, t + 1)), begins[:, t], windows)
-        if t >= HISTORY - 1:
-            torch.testing.assert_close(y, whole[:, t - HISTORY + 1], atol=1e-5, rtol=0)
+        now = data.at(slice(t, t + 1))
+        rows = torch.arange(6) if t % 2 else None
+        y = model.read(model.step(now, begins[:, t], state, rows), now.ego[:, 0])
+        if t >= model.history:
+            torch.testing.assert_close(y, whole[:, t - model.history], atol=1e-5, rtol=0)
+
+
+@every
+def test_rows_step_alone_as_they_step_together(name: str) -> None:
+    model, data, begins = encoder(name), frames(), some_begin()
+    together, alone = start(model, data), start(model, data)
+    rows = torch.tensor([4, 1])
+    for t in range(11):
+        now = data.at(slice(t, t + 1))
+        all_of = model.read(model.step(now, begins[:, t], together), now.ego[:, 0])
+        mine = model.step(now.of(rows), begins[rows, t], alone, rows)
+        y = model.read(mine, now.ego[rows, 0])
+        torch.testing.assert_close(y, all_of[rows], atol=1e-5, rtol=0)
+
+
+@every
+def test_it_resumes_from_its_memory_and_the_last_frames(name: str) -> None:
+    model, data, begins = encoder(name), frames(t=16), some_begin(t=16)
+    state = start(model, data)
+    for t in range(12):
+        model.step(data.at(slice(t, t + 1)), begins[:, t], state)
+    resumed = start(model, data)
+    for key, value in model.memory(state).items():
+        resumed[key] = value.clone()
+    last = slice(12 - model.history, 12)
+    model.resume(data.at(last), begins[:, last], resumed, torch.arange(6))
+    for t in range(12, 16):
+        now = data.at(slice(t, t + 1))
+        one, other = (
+            model.read(model.step(now, begins[:, t], s), now.ego[:, 0]) for s in (state, resumed)
+        )
+        torch.testing.assert_close(one, other, atol=1e-5, rtol=0)
+
+
+@every
+def test_some_samples_are_what_they_are_among_all(name: str) -> None:
+    model, data, begins = encoder(name), frames(), some_begin()
+    samples = torch.tensor([17, 3, 3, 40])
+    whole = seen(model, data, begins)
+    torch.testing.assert_close(
+        seen(model, data, begins, samples), whole[samples], atol=1e-5, rtol=0
+    )
 
 
 def test_history_counts_within_an_episode_and_not_across_its_beginning() -> None:
-    model, data = encoder(), frames(t=HISTORY)
-    never, now = torch.zeros(6, HISTORY, dtype=torch.bool), torch.zeros(6, HISTORY)
-    now[:, -1] = 1
+    model = encoder("spatio_temporal")
+    data = frames(t=model.history + 1)
+    never = torch.zeros(6, model.history + 1, dtype=torch.bool)
+    now = never.clone()
+    now[:, -1] = True
     other = Frames(*(torch.cat([x[:, :-1].flip(0), x[:, -1:]], 1) for x in data))
-    assert not torch.allclose(model(data, never), model(other, never), atol=1e-4)
-    torch.testing.assert_close(model(data, now.bool()), model(other, now.bool()))
+    assert not torch.allclose(seen(model, data, never), seen(model, other, never), atol=1e-4)
+    torch.testing.assert_close(seen(model, data, now), seen(model, other, now))
 
 
-def test_it_is_finite_with_nobody_in_view_and_with_nobody_at_all() -> None:
-    model = encoder()
+@every
+def test_it_is_finite_with_nobody_in_view_and_with_nobody_at_all(name: str) -> None:
+    model = encoder(name)
     for m, n in ((5, 3), (0, 3), (5, 1), (0, 1)):
         data = frames(m=m, n=n)
         blind = data._replace(
@@ -69,16 +129,16 @@ def test_it_is_finite_with_nobody_in_view_and_with_nobody_at_all() -> None:
             robots=torch.zeros_like(data.robots),
             robots_known=torch.zeros_like(data.robots_known),
         )
-        y = model(blind, torch.zeros(6, 11, dtype=torch.bool))
+        y = seen(model, blind, some_begin())
         y.sum().backward()
         assert torch.isfinite(y).all()
         gradients = [p.grad for p in model.parameters() if p.grad is not None]
         assert all(torch.isfinite(gradient).all() for gradient in gradients)
 
 
-def test_the_slots_of_people_and_robots_have_no_order() -> None:
-    model, data = encoder(), frames()
-    begins = torch.zeros(6, 11, dtype=torch.bool)
+@every
+def test_the_slots_of_people_and_robots_have_no_order(name: str) -> None:
+    model, data, begins = encoder(name), frames(), some_begin()
     people, robots = torch.randperm(5), torch.tensor([1, 0])
     mixed = Frames(
         data.ego,
@@ -87,21 +147,28 @@ def test_the_slots_of_people_and_robots_have_no_order() -> None:
         data.robots[:, :, robots],
         data.robots_known[:, :, robots],
     )
-    torch.testing.assert_close(model(data, begins), model(mixed, begins), atol=1e-5, rtol=0)
+    torch.testing.assert_close(
+        seen(model, data, begins), seen(model, mixed, begins), atol=1e-5, rtol=0
+    )
 
 
-def test_what_is_masked_changes_nothing() -> None:
-    model, data = encoder(), frames()
-    begins = torch.zeros(6, 11, dtype=torch.bool)
-    noise = torch.randn_like(data.humans) * ~data.humans_known.unsqueeze(-1)
-    y = model(data, begins)
-    torch.testing.assert_close(y, model(data._replace(humans=data.humans + noise), begins))
-    seen = data.humans + torch.randn_like(data.humans) * data.humans_known.unsqueeze(-1)
-    assert not torch.allclose(y, model(data._replace(humans=seen), begins), atol=1e-3)
+@every
+def test_what_is_not_known_changes_no_bit(name: str) -> None:
+    model, data, begins = encoder(name), frames(), some_begin()
+    y = seen(model, data, begins)
+    noise = torch.randn_like
+    for size in (1.0, 1e6):
+        garbage = data._replace(
+            humans=data.humans + size * noise(data.humans) * ~data.humans_known[..., None],
+            robots=data.robots + size * noise(data.robots) * ~data.robots_known[..., None],
+        )  # fmt: skip
+        assert torch.equal(y, seen(model, garbage, begins))
+    known = data.humans + torch.randn_like(data.humans) * data.humans_known.unsqueeze(-1)
+    assert not torch.allclose(y, seen(model, data._replace(humans=known), begins), atol=1e-3)
 
 
 def test_the_near_weigh_more_in_the_graph() -> None:
-    spatial = encoder(history=1).humans.spatial
+    spatial = encoder("spatio_temporal", history=1).humans.spatial
     tokens = torch.randn(1, 3, 16, requires_grad=True)
     others = torch.zeros(1, 3, OTHER)
     others[0, :, 0] = torch.tensor([0.0, 0.1, 2.0])  # units of 5 m
@@ -122,14 +189,14 @@ def test_attention_begins_with_the_near_and_with_those_who_will_be_near() -> Non
     others[0, :, NEAR_SOON] = torch.exp(-2 * gap.flip(0))
     known = torch.tensor([[True, True, False]])
     score = nearness(others, known, heads=3)
-    assert score[0, :, 0].tolist() == pytest.approx([-0.5, -4.0, -0.5])  # now, soon, now
-    assert score[0, :, 1].tolist() == pytest.approx([-1.5] * 3)
-    assert (score[0, :, 2] < -1e8).all()
+    assert score[0, 0].tolist() == pytest.approx([-0.5, -4.0, -0.5])  # now, soon, now
+    assert score[0, 1].tolist() == pytest.approx([-1.5] * 3)
+    assert (score[0, 2] < -1e8).all()
     pool = Pool(16, heads=1)
     with torch.no_grad():
         pool.query.weight.zero_()  # nothing learned yet: 1 per metre, and 0 for nobody
         pool.query.bias.zero_()
-    shares = pool.shares(torch.zeros(1, 16), torch.randn(1, 3, 16), score[:, :1])
+    shares = pool.shares(torch.zeros(1, 16), torch.randn(1, 3, 16), score[..., :1])
     weights = torch.exp(torch.tensor([-0.5, -1.5]))
     torch.testing.assert_close(shares[0, :2], weights / (1 + weights.sum()))
     assert shares[0, 2] == 0

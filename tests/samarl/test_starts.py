@@ -3,15 +3,12 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 import torch
-from samarl.training.rollout import RETRY_STEPS, Rollout
-from samarl.training.starts import Crowd
 
 from mrsan import Scenario, World
 from samarl.agents.planners.perimeter import Perimeter
-from samarl.policies.hierarchical import Architecture, HierarchicalPolicy
-from samarl.training.curriculum import Group
+from samarl.training.restarts import Crowd
+from tests.learning import collector, policy
 
 SCENARIO = Scenario(fov_degrees=90.0)
 
@@ -55,58 +52,10 @@ def test_the_crowd_walks_on_when_its_time_is_over() -> None:
     assert not crowd.world.state.done.any()
 
 
-def test_a_collision_is_tried_again_from_shortly_before() -> None:
+def test_episodes_begin_midway_as_often_as_they_should() -> None:
     torch.manual_seed(0)
-    scenario = replace(SCENARIO, fov_degrees=360.0, circle_radius=4.0)
-    rollout = Rollout(
-        Group(32, retried_share=1.0, scenario=scenario), tiny_policy(), 1, 0, 0.98, 0.5
-    )
-    state, again = rollout.world.state, 0
-    for _ in range(40):
-        before = [array.copy() for array in rollout._remembered()]
-        kept = [[array.copy() for array in arrays] for arrays in rollout.past.kept]
-        age = rollout.age.copy()
-        rollout.collect()
-        back = rollout.began & ~rollout.fresh
-        for e in np.flatnonzero(back):  # as it was at one of the last steps of this episode
-            assert age[e] >= 1
-            past = [*kept, before][-RETRY_STEPS:]
-            backs = range(1, min(int(age[e]) + 1, RETRY_STEPS) + 1)
-            steps = [k for k in backs if same(past[-k], rollout._remembered(), e)]
-            assert steps, (e, age[e])
-            again += 1
-        begun = rollout.began & rollout.fresh
-        assert (state.clock[begun] == 0).all()
-        assert not state.done.any()
-        assert (state.collision == 0).all()
-    assert again > 10
-
-
-def test_exploration_keeps_its_direction_for_a_while() -> None:
-    torch.manual_seed(0)
-    policy = tiny_policy()
-    with torch.no_grad():
-        policy.local_actor.body[-1].weight.zero_()
-    rollout = Rollout(
-        Group(64, noise_correlation=0.75, scenario=SCENARIO), policy, 40, 0, 0.98, 0.5
-    )
-    actor = policy.local_actor
-    noise = (rollout.collect().steps.action - actor.body[-1].bias) / actor.log_deviation.exp()
-    assert noise.mean().item() == pytest.approx(0.0, abs=0.05)
-    assert noise.square().mean().item() == pytest.approx(1.0, abs=0.05)
-    assert (noise[:, 1:] * noise[:, :-1]).mean().item() == pytest.approx(0.75, abs=0.05)
-    assert (noise[:, :, 1:] * noise[:, :, :-1]).mean().item() == pytest.approx(0.0, abs=0.05)
-
-
-def same(one: list[np.ndarray], other: list[np.ndarray], e: int) -> bool:
-    """Whether two memories agree on world `e`."""
-    return all(np.array_equal(a[e], b[e]) for a, b in zip(one, other, strict=True))
-
-
-def tiny_policy() -> HierarchicalPolicy:
-    """An untrained policy."""
-    architecture = Architecture(
-        actors=1, width=8, heads=1, history=2, features=8, hidden=8, macro_steps=4, levels=2,
-        round_below=180.0, round_radius=8.0, waypoint_ahead=2.0, waypoint_range=2.0, track_steps=4,
-    )  # fmt: skip
-    return HierarchicalPolicy(architecture, 3)
+    scenario = replace(SCENARIO, robots=1, humans=2, time_limit=1.0)
+    going = collector(policy("flat"), 128, 4, scenario, midway_start_probability=0.5)
+    going.collect()  # a whole episode
+    assert going.is_init.all()
+    assert 0.35 < (going.world.state.clock > 0).mean() < 0.65

@@ -12,10 +12,11 @@ def test_a_person_who_leaves_the_view_is_coasted_and_then_forgotten() -> None:
     # The robot drives along x and looks 90 degrees wide; the person walks across, behind it.
     world = stage([[0, 0, 0, 1, 9, 0]], [[1.65, 0.9, 0, 0.4]], fov_degrees=90.0, time_limit=10.0)
     tracker = Tracker(steps=3, time_step=0.25)
-    tracks = tracker.update(world.observe())
+    memory, begins = tracker.initial(1, 1, 1), np.ones(1, np.bool_)
+    tracks = tracker.update(world.observe(), memory, begins)
     ages = []
     for _ in range(9):
-        tracks = tracker.update(world.step(np.zeros((1, 1, 3))).observation)
+        tracks = tracker.update(world.step(np.zeros((1, 1, 3))).observation, memory, ~begins)
         ages.append(
             round(3 * float(tracks.humans[0, 0, 0, 5])) if tracks.humans_known.any() else -1
         )
@@ -32,15 +33,15 @@ def test_a_person_who_leaves_the_view_is_coasted_and_then_forgotten() -> None:
 def test_memory_survives_turning_and_ends_with_the_episode() -> None:
     world = World(Scenario(fov_degrees=90.0), worlds=4)
     tracker = Tracker(steps=100, time_step=0.25)
-    known = tracker.update(world.reset([0, 1, 2, 3])).humans_known.sum((1, 2))
+    memory, every = tracker.initial(4, 3, 10), np.ones(4, np.bool_)
+    known = tracker.update(world.reset([0, 1, 2, 3]), memory, every).humans_known.sum((1, 2))
     for _ in range(12):  # a full half-turn on the spot
         turning = np.tile(np.float32([-1, 0, 1]), (4, 3, 1))
         step = world.step(turning)
-        tracks = tracker.update(step.observation)
+        tracks = tracker.update(step.observation, memory, ~every)
     assert (tracks.humans_known.sum((1, 2)) > known).all()
     gone = np.array([True, False, True, False])
-    tracker.reset(gone)
-    after = tracker.update(world.reset(worlds=gone), gone)
+    after = tracker.update(world.reset(worlds=gone), memory, gone)
     assert (after.humans_known[gone] == world.observe().humans_visible[gone]).all()
     assert (after.humans_known[~gone] == tracks.humans_known[~gone]).all()
 
@@ -49,8 +50,9 @@ def test_without_memory_it_is_the_sensor() -> None:
     world = World(Scenario(fov_degrees=120.0), worlds=3)
     observation = world.reset([5, 6, 7])
     tracker = Tracker(steps=0, time_step=0.25)
-    for _ in range(20):
-        tracks = tracker.update(observation)
+    memory = tracker.initial(3, 3, 10)
+    for step in range(20):
+        tracks = tracker.update(observation, memory, np.full(3, step == 0))
         assert (tracks.humans_known == observation.humans_visible).all()
         np.testing.assert_allclose(tracks.humans[..., :5], observation.humans, atol=1e-5)
         np.testing.assert_allclose(tracks.robots[..., :5], observation.robots, atol=1e-5)

@@ -8,34 +8,30 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
-from samarl.training.loop import Trainer
-from samarl.training.rollout import Batch
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from mrsan import ConfigurationError, Scenario
 from samarl.agents import build_agent
-from samarl.algorithms.mappo import Learner
+from samarl.algorithms.ppo import PPO
 from samarl.commands.train import main
 from samarl.evaluation.runner import Evaluation, run_cases
 from samarl.policies.checkpoint import load_policy, save_policy
-from samarl.policies.hierarchical import Architecture, HierarchicalPolicy
+from samarl.policies.policy import LOCAL
+from samarl.training.trainer import Trainer
+from tests.learning import policy
 
-ARCHITECTURE = Architecture(
-    actors=1, width=8, heads=1, history=3, features=8, hidden=8, macro_steps=4,
-    levels=2, round_below=180.0, round_radius=7.0, waypoint_ahead=2.0, waypoint_range=2.0,
-    track_steps=4,
-)  # fmt: skip
 SMALL = [
-    "groups=[{worlds: 8, scenario: {humans: 3, humans_min: 0, robots: 2}, end: 0.5}, {worlds: 8,"
-    "scenario: {humans: 3, robots: 3, fov_degrees: 90}, begin: 0.5, begun_share: 0.5,"
-    "retried_share: 0.5, noise_correlation: 0.5}]",
-    "architecture.width=8", "architecture.heads=1", "architecture.history=3",
-    "architecture.features=8", "architecture.hidden=8", "training.steps=1024",
-    "training.rollout=16", "training.save_every=128", "training.validate_every=512",
-    "training.validation_cases=4", "training.threads=1", "folder=run",
+    "curriculum.stages=[{worlds: 8, scenario: {humans: 3, humans_min: 0, robots: 2}, end: 0.5},"
+    "{worlds: 8, scenario: {humans: 3, robots: 3, fov_degrees: 90}, begin: 0.5,"
+    "midway_start_probability: 0.5, failure_restart_probability: 0.5, noise_correlation: 0.5}]",
+    "encoder.width=8", "encoder.heads=1", "encoder.history=3", "encoder.features=8",
+    "policy.hidden=8", "trainer.steps=1024", "trainer.rollout=16", "trainer.save_every=128",
+    "trainer.validate_every=512", "trainer.validation_cases=4", "trainer.threads=1",
+    "run_dir=run",
 ]  # fmt: skip
 
 
@@ -76,8 +72,8 @@ def test_a_killed_run_goes_on_bit_for_bit(tmp_path: Path) -> None:
         said, errors = process.communicate(timeout=240)
         assert process.returncode == 0, errors
         assert "going on at step" in said
-        for policy in ("last", "best"):
-            name = f"run/{policy}.safetensors"
+        for which in ("last", "best"):
+            name = f"run/{which}.safetensors"
             assert (whole / name).read_bytes() == (folder / name).read_bytes()
             cards = [(made / name).with_suffix(".json") for made in (whole, folder)]
             commands = [json.loads(card.read_text())["made"]["command"] for card in cards]
@@ -97,7 +93,7 @@ def test_a_killed_run_goes_on_bit_for_bit(tmp_path: Path) -> None:
     events = EventAccumulator(str(cut / "run/tensorboard")).Reload()
     assert [event.step for event in events.Scalars("charts/success")] == list(range(128, 1025, 128))
 
-    process = start(cut, "mappo.epochs=3")  # another run may not go on in this folder
+    process = start(cut, "algorithm.epochs=3")  # another run may not go on in this folder
     _, errors = process.communicate(timeout=240)
     assert process.returncode == 2
     assert "another configuration" in errors
@@ -109,7 +105,10 @@ def test_a_killed_run_goes_on_bit_for_bit(tmp_path: Path) -> None:
     ("overrides", "message"),
     [
         (["resume=nowhere"], "resume is 'nowhere'; it must be the folder of a run, which holds"),
-        (["resume=nowhere", "mappo.epochs=3"], "beside mappo.epochs=3; a run goes on with its own"),
+        (
+            ["resume=nowhere", "algorithm.epochs=3"],
+            "beside algorithm.epochs=3; a run goes on with its own",
+        ),
     ],
 )
 def test_what_cannot_be_gone_on_with_is_said(
@@ -125,7 +124,7 @@ def test_what_cannot_be_gone_on_with_is_said(
 
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
 def test_a_stopped_run_saves_and_says_so_in_one_line(how: signal.Signals, tmp_path: Path) -> None:
-    process = start(tmp_path, "training.steps=1000000", "training.save_every=1000000")
+    process = start(tmp_path, "trainer.steps=1000000", "trainer.save_every=1000000")
     curve = tmp_path / "run/tensorboard"
     deadline = time.monotonic() + 240
     while not curve.exists() or not list(curve.iterdir()):
@@ -141,60 +140,41 @@ def test_a_stopped_run_saves_and_says_so_in_one_line(how: signal.Signals, tmp_pa
     assert (tmp_path / "run/last.safetensors").exists()
 
 
+@pytest.mark.parametrize(("number", "of"), [("advantage", "actor"), ("target", "critic")])
 def test_a_loss_that_is_not_finite_stops_the_run_and_names_the_last_good_state(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+    number: str,
+    of: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    prepare, calls = Learner.prepare, []
+    prepare, calls = PPO.prepare, []
 
-    def poisoned(self: Learner, batch: Batch) -> dict[str, torch.Tensor]:
-        calls.append(batch)
-        data = prepare(self, batch)
+    def poisoned(self: PPO, *arguments: Any) -> Any:
+        calls.append(arguments)
+        (data,) = prepare(self, *arguments)
         if len(calls) == 3:
-            data["local_advantage"] = data["local_advantage"] * float("nan")
-        return data
+            data[LOCAL] = data[LOCAL]._replace(
+                **{number: getattr(data[LOCAL], number) * float("nan")}
+            )
+        return [data]
 
-    monkeypatch.setattr(Learner, "prepare", poisoned)
+    monkeypatch.setattr(PPO, "prepare", poisoned)
     monkeypatch.setattr(sys, "argv", ["samarl-train", *SMALL])
     with pytest.raises(SystemExit) as stopped:
         main()
     assert stopped.value.code == 2
     last = capsys.readouterr().err.splitlines()[-1]
-    assert last.startswith("error: training stopped at step 256: the gradient is not finite")
-    assert last.endswith("the last good checkpoint is run/state.safetensors")
-    policy, _ = load_policy(Path("run/last.safetensors"))
-    assert all(torch.isfinite(value).all() for value in policy.state_dict().values())
-
-
-def test_the_saved_policy_is_the_mean_of_the_weights_after_each_update(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    update, weights = Learner.update, []
-
-    def watched(self: Learner, batches: list[Batch]) -> dict[str, float]:
-        statistics = update(self, batches)
-        weights.append({k: v.detach().clone() for k, v in self.policy.state_dict().items()})
-        return statistics
-
-    monkeypatch.setattr(Learner, "update", watched)
-    small = [*SMALL, "training.steps=512", "training.averaging=0.75"]
-    monkeypatch.setattr(sys, "argv", ["samarl-train", *small])
-    main()
-    policy, _ = load_policy(Path("run/last.safetensors"))
-    assert len(weights) == 4
-    for name, value in policy.state_dict().items():
-        mean = weights[0][name]
-        for after in weights[1:]:
-            mean = 0.75 * mean + 0.25 * after[name]
-        torch.testing.assert_close(value, mean)
-    assert not torch.equal(mean, weights[-1][name])
+    assert last.startswith(f"error: training stopped at step 256: the gradient of the {of} is not")
+    assert last.endswith("the last good state is kept in run")
+    kept, _ = load_policy(Path("run/last.safetensors"))
+    assert all(torch.isfinite(value).all() for value in kept.state_dict().values())
 
 
 def saved(tmp_path: Path) -> Path:
-    torch.manual_seed(0)
     path = tmp_path / "policy.safetensors"
-    save_policy(path, HierarchicalPolicy(ARCHITECTURE, 3), "hierarchical", {"command": "test"})
+    save_policy(path, policy(), "hierarchical", {"command": "test"})
     return path
 
 
@@ -204,10 +184,9 @@ def learned(path: Path) -> dict[str, str]:
 
 def test_a_saved_policy_drives_as_the_one_that_was_saved(tmp_path: Path) -> None:
     path = saved(tmp_path)
-    policy, card = load_policy(path)
-    torch.manual_seed(0)
-    original = HierarchicalPolicy(ARCHITECTURE, 3).state_dict()
-    assert all(torch.equal(value, original[key]) for key, value in policy.state_dict().items())
+    found, card = load_policy(path)
+    original = policy().state_dict()
+    assert all(torch.equal(value, original[key]) for key, value in found.state_dict().items())
     assert card.made == {"command": "test"}
     scenario, cases = Scenario(humans=2), Evaluation(cases=5).numbers()
     first = run_cases(build_agent(learned(path), scenario), scenario, cases, 5)
@@ -219,25 +198,26 @@ def test_a_run_begins_with_the_weights_of_a_policy_but_explores_anew(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    initial = HierarchicalPolicy(ARCHITECTURE, 3)
+    numbers = {"name": "spatio_temporal", "width": 8, "heads": 1, "history": 3, "features": 8}
+    initial = policy(hidden=8, encoder_numbers=numbers)
     with torch.no_grad():
-        initial.local_actor.log_deviation.fill_(-5.0)
+        initial.networks[0].heads[LOCAL].log_std.fill_(-5.0)
     save_policy(tmp_path / "first.safetensors", initial, "hierarchical", {"command": "test"})
     begun: list[Trainer] = []
     monkeypatch.setattr(Trainer, "run", lambda trainer: begun.append(trainer))
-    monkeypatch.setattr(sys, "argv", ["samarl-train", *SMALL, "initial=first.safetensors"])
+    monkeypatch.setattr(sys, "argv", ["samarl-train", *SMALL, "init_from=first.safetensors"])
     main()
     begins, weights = begun[0].policy.state_dict(), initial.state_dict()
-    anew = {"local_actor.log_deviation", "macro_actor.log_deviation"}
+    anew = {f"networks.0.heads.{level}.log_std" for level in initial.levels}
     assert all(torch.equal(begins[key], weights[key]) for key in weights.keys() - anew)
-    assert begins["local_actor.log_deviation"].min() > -3.0
-    assert begun[0].made["initial"]["command"] == "test"
+    assert begins["networks.0.heads.local.log_std"].min() > -3.0
+    assert begun[0].made["init_from"]["command"] == "test"
 
     for wrong, message in {
-        "initial=first.safetensors architecture.width=16": "initial is 'first.safetensors' with",
-        "initial=none.safetensors": "initial is 'none.safetensors'; it must be a .safetensors file",
+        "init_from=first.safetensors encoder.width=16": "init_from is 'first.safetensors' with",
+        "init_from=none.safetensors": "init_from is 'none.safetensors'; it must be a .safetensors",
     }.items():
-        monkeypatch.setattr(sys, "argv", ["samarl-train", *SMALL, *wrong.split(), "folder=other"])
+        monkeypatch.setattr(sys, "argv", ["samarl-train", *SMALL, *wrong.split(), "run_dir=other"])
         with pytest.raises(SystemExit) as stopped:
             main()
         assert stopped.value.code == 2
@@ -254,15 +234,17 @@ def test_a_foreign_or_damaged_checkpoint_is_refused_in_words(tmp_path: Path) -> 
             build_agent(learned(path), Scenario())
 
     card.write_text(good.replace("hierarchical", "os.system"))
-    refused("names 'os.system'; it must be among hierarchical")
+    refused("policy.name is 'os.system'; it must be among flat, hierarchical")
+    card.write_text(good.replace("spatio_temporal", "os.system"))
+    refused("encoder.name is 'os.system'; it must be among")
     card.write_text(good[: len(good) // 2])
     refused("is not the card of a policy")
     card.write_text("[]")
     refused("is not the card of a policy")
     card.write_text(json.dumps({**json.loads(good), "format": 99}))
-    refused("has format 99; it must be 1")
+    refused("has format 99; it must be 2")
     content = json.loads(good)
-    content["architecture"]["width"] = 16
+    content["config"]["encoder"]["width"] = 32
     card.write_text(json.dumps(content))
     refused("does not fit its card")
     card.write_text(good)
@@ -275,20 +257,23 @@ def test_a_foreign_or_damaged_checkpoint_is_refused_in_words(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize(
-    ("groups", "message"),
+    ("stages", "message"),
     [
-        ("[]", "groups has none for the time from 0 "),
-        ("[{worlds: 1, end: 0.5}]", "groups has none for the time from 0.5 "),
-        ("[{worlds: 1, begin: 0.7, end: 0.5}]", "groups[0].begin is 0.7; it must be less than"),
-        ("[{worlds: 0}]", "groups[0].worlds is 0; it must be"),
+        ("[]", "curriculum.stages has none for the time from 0 "),
+        ("[{worlds: 1, end: 0.5}]", "curriculum.stages has none for the time from 0.5 "),
+        (
+            "[{worlds: 1, begin: 0.7, end: 0.5}]",
+            "curriculum.stages[0].begin is 0.7; it must be less than",
+        ),
+        ("[{worlds: 0}]", "curriculum.stages[0].worlds is 0; it must be"),
     ],
 )
 def test_a_curriculum_with_a_mistake_is_refused(
-    groups: str, message: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
+    stages: str, message: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
     tmp_path: Path,
 ) -> None:  # fmt: skip
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "argv", ["samarl-train", f"groups={groups}"])
+    monkeypatch.setattr(sys, "argv", ["samarl-train", f"curriculum.stages={stages}"])
     with pytest.raises(SystemExit) as stopped:
         main()
     assert stopped.value.code == 2
@@ -297,14 +282,10 @@ def test_a_curriculum_with_a_mistake_is_refused(
     assert errors.count("\n") == 1
 
 
-@pytest.mark.parametrize("plan", ["first", "random"])
+@pytest.mark.parametrize("plan", ["first", "random", "shuffled"])
 def test_without_its_waypoints_it_drives_otherwise(plan: str, tmp_path: Path) -> None:
-    policy = HierarchicalPolicy(ARCHITECTURE, 3)
-    with torch.no_grad():  # of a new policy the mean of the actions hardly depends on anything
-        for part in (policy.macro_actor, policy.local_actor):
-            part.body[-1].weight.mul_(100)
     path = tmp_path / "policy.safetensors"
-    save_policy(path, policy, "hierarchical", {})
+    save_policy(path, policy(gain=100.0), "hierarchical", {})
     scenario, cases = Scenario(humans=2), Evaluation(cases=3).numbers()
     with_waypoints = run_cases(build_agent(learned(path), scenario), scenario, cases, 3)
     agent = build_agent({**learned(path), "waypoints": plan}, scenario)

@@ -1,0 +1,113 @@
+"""Small policies, and what they learn from."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from mrsan import Scenario
+from samarl.algorithms import ALGORITHMS
+from samarl.algorithms.advantages import streams
+from samarl.algorithms.ppo import PPO
+from samarl.policies.checkpoint import make_policy
+from samarl.policies.policy import LOCAL, Choice, Policy, Taken
+from samarl.rollout import Rollout
+from samarl.training.collector import RolloutCollector
+from samarl.training.curriculum import CurriculumStage
+
+SCENARIO = Scenario(humans=4, robots=2, fov_degrees=120.0, time_limit=5.0)
+ENCODERS: dict[str, dict[str, Any]] = {
+    "spatio_temporal": {"width": 16, "heads": 2, "history": 4, "features": 16},
+    "gru": {"width": 16, "features": 16},
+}
+POLICIES: dict[str, dict[str, Any]] = {
+    "flat": {},
+    "hierarchical": {
+        "macro_steps": 4, "waypoint_ahead": 2.0, "waypoint_range": 2.0, "waypoint_progress": 1.5,
+        "local_goal": True, "arrival_bonus": 18.75,
+    },
+}  # fmt: skip
+PPO_NUMBERS: dict[str, Any] = {
+    "learning_rate": 1e-3, "epochs": 1, "minibatches": 2, "discount": 0.9, "local_discount": 0.95,
+    "gae_lambda": 0.8, "clip_epsilon": 0.2, "entropy_coefficient": 0.01, "critic_coefficient": 0.5,
+    "max_gradient_norm": 1.0, "kept_share": 1.0, "action_limit_penalty": 0.01,
+    "action_limit_slack": 1.0, "std_start": 1.0, "std_end": 0.1, "critic_width": 8,
+    "critic_heads": 2, "critic_features": 8,
+}  # fmt: skip
+
+
+def policy_numbers(
+    name: str = "hierarchical", encoder: str = "spatio_temporal",
+    encoder_numbers: dict[str, Any] | None = None, **changes: Any,
+) -> dict[str, Any]:  # fmt: skip
+    """As of a YAML file."""
+    shared = {
+        "actors": 1, "hidden": 16, "track_steps": 8, "round_below": 180.0, "round_radius": 7.0,
+        "encoder": encoder_numbers or {"name": encoder, **ENCODERS[encoder]},
+    }  # fmt: skip
+    return {"name": name, **shared, **POLICIES[name], **changes}
+
+
+def policy(
+    name: str = "hierarchical", encoder: str = "spatio_temporal", gain: float = 1.0, **changes: Any
+) -> Policy:
+    """A policy whose means depend on the input `gain` times as much as they do at first."""
+    torch.manual_seed(0)
+    numbers = policy_numbers(name, encoder, **changes)
+    made = make_policy(numbers.pop("name"), numbers, 3)
+    with torch.no_grad():
+        for networks in made.networks:
+            for head in networks.heads.values():
+                head.body[-1].weight.mul_(gain)
+    return made
+
+
+def algorithm(of: Policy, name: str = "mappo", **changes: Any) -> PPO:
+    """What trains it."""
+    made = ALGORITHMS[name].made(of, ALGORITHMS.config({"name": name, **PPO_NUMBERS, **changes}))
+    assert isinstance(made, PPO)
+    return made
+
+
+def collector(
+    of: Policy, worlds: int = 12, steps: int = 10, scenario: Scenario = SCENARIO, **stage: Any
+) -> RolloutCollector:
+    """What collects rollouts with it, with the true state."""
+    return RolloutCollector(
+        CurriculumStage(worlds, scenario=scenario, **stage), of, steps, 0, central=True
+    )
+
+
+def crowded(**changes: Any) -> Scenario:
+    """Where untrained policies collide."""
+    return replace(SCENARIO, **{"humans": 10, "circle_radius": 4.0, **changes})
+
+
+def choices(of: Policy, rollout: Rollout) -> dict[str, tuple[Choice, Tensor, Tensor]]:
+    """What each level is found to have chosen, the stored log-probability and the sequence."""
+    steps, n = rollout.steps, rollout.robots
+    acts = streams(steps).acts.transpose(1, 2)
+    length = acts.shape[2]
+    flat = acts.reshape(-1, length).nonzero()
+    row, step = flat[:, 0], flat[:, 1]
+    at = (row // n, step, row % n)
+    taken, stored = {}, {}
+    for level in of.levels:
+        keys = ("agents",) if level == LOCAL else ("agents", level)
+        where = torch.arange(len(row))
+        if level != LOCAL:
+            where = steps[(*keys, "decision_mask")][at].nonzero().squeeze(1)
+        mine = tuple(index[where] for index in at)
+        action = steps[(*keys, "action")][mine]
+        noise = steps["agents", "noise"][mine] if level == LOCAL else action
+        taken[level] = Taken(where, action, noise)
+        stored[level] = (steps[(*keys, "sample_log_prob")][mine], mine[0])
+    with torch.no_grad():
+        found = of.evaluate(
+            rollout.sequences(torch.arange(len(steps))), row * (length + 1) + step,
+            steps["agents", "target"][at], taken, rollout.correlation,
+        )  # fmt: skip
+    return {level: (found[level], *stored[level]) for level in of.levels}

@@ -1,0 +1,109 @@
+"""Every name that YAML files may say: composed, trained for two rounds, saved and loaded."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from hydra import compose, initialize_config_dir
+from hydra.core.config_store import ConfigStore
+from omegaconf import OmegaConf
+
+from mrsan import ConfigurationError, Scenario, World
+from samarl.agents.learned import Deployed
+from samarl.algorithms import ALGORITHMS
+from samarl.commands.train import Train, build_trainer
+from samarl.configuration import first, register_schemas
+from samarl.encoders import ENCODERS
+from samarl.files import find_folder
+from samarl.policies.checkpoint import load_policy
+from samarl.policies.policy import POLICIES
+from samarl.registry import Registry
+from samarl.training.run_dir import LAST
+
+KINDS: dict[str, Registry[Any]] = {
+    "encoder": ENCODERS, "policy": POLICIES, "algorithm": ALGORITHMS
+}  # fmt: skip
+STAGES = (
+    "curriculum.stages=[{worlds: 3, failure_restart_probability: 0.5, noise_correlation: 0.5,"
+    "scenario: {humans: 3, robots: 2}}]"
+)
+SMALL = [
+    STAGES, "trainer.rollout=4", "trainer.steps=24", "trainer.threads=1",
+    "trainer.validation_cases=1", "algorithm.minibatches=2", "algorithm.epochs=1",
+]  # fmt: skip
+
+
+@pytest.fixture(autouse=True)
+def conf() -> Iterator[None]:
+    """The folder of YAML files."""
+    OmegaConf.register_new_resolver("first", first, replace=True)
+    register_schemas()
+    ConfigStore.instance().store(name="train_schema", node=Train)
+    with initialize_config_dir(str(find_folder("conf")), version_base="1.3"):
+        yield
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_name_has_a_file_and_every_file_a_name(kind: str) -> None:
+    files = list((find_folder("conf") / kind).glob("*.yaml"))
+    assert {path.stem for path in files} == set(KINDS[kind])
+    for path in files:
+        values = OmegaConf.to_container(
+            compose("train", [f"{kind}={path.stem}"])[kind], resolve=True
+        )
+        assert isinstance(values, dict)
+        assert values["name"] == path.stem
+        KINDS[kind].config({str(key): value for key, value in values.items()})  # complete
+
+
+@pytest.mark.parametrize(
+    "choice",
+    [f"{kind}={name}" for kind, registry in KINDS.items() for name in registry]
+    + ["policy.actors=2", "encoder=gru policy.actors=2 algorithm=ippo"],
+)
+def test_every_name_trains_and_its_checkpoint_drives_as_before(choice: str, tmp_path: Path) -> None:
+    overrides = [*SMALL, *choice.split(), f"run_dir={tmp_path}/run"]
+    trainer = build_trainer(compose("train", overrides), "test")
+    before = {key: value.clone() for key, value in trainer.policy.state_dict().items()}
+    trainer.algorithm.set_progress(0.0)
+    for _ in range(2):
+        assert all(np.isfinite(value) for value in trainer.round().values())
+    assert any(not torch.equal(v, before[k]) for k, v in trainer.policy.state_dict().items())
+    trainer.save()
+    loaded, card = load_policy(tmp_path / "run" / LAST)
+    assert card.policy == trainer.name
+    scenario = Scenario(humans=3, robots=2)
+    one, two = (Deployed(p.eval(), scenario) for p in (trainer.mean, loaded))
+    worlds = World(scenario, 2)
+    observation = worlds.reset([0, 1])
+    for _ in range(3):
+        actions = one.act(observation)
+        np.testing.assert_array_equal(actions, two.act(observation))
+        observation = worlds.step(actions).observation
+
+
+@pytest.mark.parametrize(
+    ("kind", "values", "message"),
+    [
+        (
+            "encoder",
+            {"name": "os.system"},
+            "encoder.name is 'os.system'; it must be among gru, spatio",
+        ),
+        ("policy", {"name": None}, "policy.name is 'None'; it must be among flat"),
+        ("encoder", {"name": "gru", "width": 8, "wdith": 8}, "encoder.wdith"),
+        ("encoder", {"name": "gru", "width": 0, "features": 8}, "encoder.width is 0; it must be"),
+        ("encoder", {"name": "gru", "width": "wide", "features": 8}, "encoder.width"),
+        ("encoder", {"name": "gru", "width": 8}, "encoder.features"),
+    ],
+)
+def test_a_mistake_is_named(kind: str, values: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigurationError) as error:
+        KINDS[kind].config(values)
+    assert str(error.value).startswith(message)
+    assert "\n" not in str(error.value)

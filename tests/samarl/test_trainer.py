@@ -1,0 +1,130 @@
+"""The training loop in one process: cases, folders, and going on bit for bit."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from mrsan import ConfigurationError, Scenario
+from samarl.training.curriculum import CurriculumStage
+from samarl.training.run_dir import LAST, STATE, RunDir
+from samarl.training.trainer import MOST_SEEDS, Trainer, TrainerConfig
+from tests.learning import PPO_NUMBERS, crowded, policy_numbers
+
+STAGES = [
+    CurriculumStage(6, 0.0, 0.5, scenario=Scenario(humans=3, humans_min=0, robots=2)),
+    CurriculumStage(6, 0.5, 1.0, 0.0, 1.0, 0.75, crowded(robots=2)),
+    CurriculumStage(4, 0.0, 1.0, 0.5, 1.0, 0.5, Scenario(humans=3, robots=2, fov_degrees=90.0)),
+]
+
+
+def trainer(folder: Path, stages: list[CurriculumStage] = STAGES, **numbers: Any) -> Trainer:
+    algorithm = {"name": "mappo", **PPO_NUMBERS, **numbers.pop("algorithm", {})}
+    policy = numbers.pop("policy", policy_numbers())
+    config: dict[str, Any] = {
+        "steps": 10**6, "rollout": 12, "seed": 0, "threads": 1, "validate_every": 10**6,
+        "validation_cases": 1, "save_every": 10**6, "ema_decay": 0.9,
+    }  # fmt: skip
+    made = TrainerConfig(**{**config, **numbers})
+    return Trainer(folder, made, policy, algorithm, stages, "test")
+
+
+def rounds(of: Trainer, number: int) -> Trainer:
+    of.algorithm.set_progress(of.steps_done / of.config.steps)
+    for _ in range(number):
+        row = of.round()
+        of.rows.append({key: value for key, value in row.items() if key.startswith("losses")})
+    return of
+
+
+@pytest.mark.parametrize("encoder", ["spatio_temporal", "gru"])
+def test_a_run_goes_on_bit_for_bit_with_worlds_that_are_taken_back(
+    encoder: str, tmp_path: Path
+) -> None:
+    numbers: dict[str, Any] = {"policy": policy_numbers(encoder=encoder), "steps": 800}
+    whole = rounds(trainer(tmp_path / "whole", **numbers), 6)
+    whole.save()
+    cut = rounds(trainer(tmp_path / "cut", **numbers), 4)
+    assert sum(int((~c.fresh).sum()) for c in cut.collectors) > 0  # some have been taken back
+    cut.save()
+    shutil.copytree(tmp_path / "cut", tmp_path / "again")
+    rounds(cut, 1)  # and is killed here
+    again = trainer(tmp_path / "again", **numbers)
+    assert again.steps_done == cut.steps_done - 12 * 10
+    rounds(again, 2).save()
+    for name in (LAST,):
+        files = [(tmp_path / run / name).read_bytes() for run in ("whole", "again")]
+        assert files[0] == files[1]
+    assert whole.rows == again.rows
+    assert (tmp_path / "again" / STATE).is_file()
+
+
+def test_a_seed_that_would_share_cases_with_another_is_refused(tmp_path: Path) -> None:
+    for seed in (MOST_SEEDS, 2**63 - 1, -1):
+        with pytest.raises(ConfigurationError, match=r"^trainer.seed is .*; it must be") as error:
+            trainer(tmp_path / "run", seed=seed)
+        assert "\n" not in str(error.value)
+    assert not (tmp_path / "run").exists()
+    trainer(tmp_path / "run", seed=MOST_SEEDS - 1)
+
+
+def test_no_two_worlds_of_a_run_play_the_same_cases(tmp_path: Path) -> None:
+    narrow = Scenario(humans=1, robots=1, fov_degrees=90.0)
+    stages = [
+        CurriculumStage(2500, scenario=Scenario(humans=1, robots=1)),
+        CurriculumStage(1700, midway_start_probability=0.5, scenario=narrow),
+        CurriculumStage(30, scenario=Scenario(humans=1, robots=1)),
+    ]
+    policy = policy_numbers("flat", "gru")
+    cases: list[int] = []
+    for seed in (0, 1):
+        made = trainer(tmp_path / str(seed), stages, seed=seed, rollout=1, policy=policy)
+        for collector in made.collectors:
+            cases += collector.world.state.case.tolist()
+            if collector.crowd is not None:
+                cases += collector.crowd.world.state.case.tolist()
+    assert len(cases) == 2 * (2500 + 2 * 1700 + 30)
+    assert len(set(cases)) == len(cases)
+
+
+def test_fewer_worlds_than_minibatches_learn(tmp_path: Path) -> None:
+    stages = [CurriculumStage(2, scenario=Scenario(humans=2, robots=2))]
+    made = trainer(tmp_path, stages, algorithm={"minibatches": 8})
+    before = {key: value.clone() for key, value in made.policy.state_dict().items()}
+    assert all(np.isfinite(value) for value in made.round().values())
+    assert any(not torch.equal(v, before[k]) for k, v in made.policy.state_dict().items())
+
+
+def test_two_trainings_cannot_share_a_folder(tmp_path: Path) -> None:
+    first = RunDir(tmp_path / "run")
+    with pytest.raises(ConfigurationError, match=r"^run_dir is '.*run', into which") as error:
+        trainer(tmp_path / "run")
+    assert "\n" not in str(error.value)
+    first.release()
+    RunDir(tmp_path / "run").release()
+
+
+def test_a_folder_of_another_configuration_is_refused(tmp_path: Path) -> None:
+    made = trainer(tmp_path)
+    made.save()
+    made.run_dir.release()
+    with pytest.raises(ConfigurationError, match="another configuration; choose another run_dir"):
+        trainer(tmp_path, algorithm={"epochs": 2})
+
+
+def test_the_saved_policy_is_the_mean_of_the_weights_after_each_update(tmp_path: Path) -> None:
+    made, weights = trainer(tmp_path, ema_decay=0.75), []
+    for _ in range(3):
+        made.round()
+        weights.append({k: v.clone() for k, v in made.policy.state_dict().items()})
+    for name, value in made.mean.state_dict().items():
+        mean = weights[0][name]
+        for after in weights[1:]:
+            mean = 0.75 * mean + 0.25 * after[name]
+        torch.testing.assert_close(value, mean)
+    assert any(not torch.equal(v, weights[-1][k]) for k, v in made.mean.state_dict().items())
