@@ -21,8 +21,8 @@ class TorchRLEnv(EnvBase):
 
     Keys: `("agents", "observation", *)` with `ego` [E, N, 11], `humans` [E, N, M, 5], `robots`
     [E, N, N - 1, 5] and the two visibility masks; `("agents", "active_mask")` [E, N, 1], False
-    once a robot is parked; `("agents", "action")` [E, N, A]; `("agents", "reward")` [E, N, 1] and the
-    terms it is the sum of, `("agents", "reward_parts", *)` [E, N, 1] with the names of
+    once a robot is parked; `("agents", "action")` [E, N, A]; `("agents", "reward")` [E, N, 1] and
+    the terms it is the sum of, `("agents", "reward_parts", *)` [E, N, 1] with the names of
     `mrsan.RewardParts` (observations to TorchRL, so that there is one reward; zero after a reset);
     `success` [E, 1], all robots have arrived; `done`, `terminated` (a collision, or all arrived)
     and `truncated` (time limit) [E, 1]. `reset(TensorDict({"case": numbers}, [E]))` plays those

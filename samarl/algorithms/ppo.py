@@ -130,7 +130,8 @@ class PPO(Algorithm):
                     if len(sequences):
                         of_piece = sequences.to(self.policy.device)
                         loss = self._loss(rollout, data, keep, of_piece, statistics, divergence)
-                        (loss / len(rollouts)).backward()
+                        if loss.requires_grad:  # else nothing in it counts
+                            (loss / len(rollouts)).backward()
                 for name, module in (("actor", self.policy), ("critic", self)):
                     norm = nn.utils.clip_grad_norm_(
                         module.parameters(), self.config.max_gradient_norm
