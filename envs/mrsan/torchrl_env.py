@@ -77,7 +77,7 @@ class TorchRLEnv(EnvBase):
         )
         parts = Composite({name: floats(1) for name in RewardParts._fields}, shape=(e, n))
         agents = Composite(
-            observation=observation, driving=flags(n, 1), reward_parts=parts, shape=(e, n)
+            observation=observation, active_mask=flags(n, 1), reward_parts=parts, shape=(e, n)
         )
         self.observation_spec = Composite(agents=agents, success=flags(1), shape=(e,))
         action = Bounded(
