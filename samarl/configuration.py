@@ -45,7 +45,7 @@ def register_schemas() -> None:
 
 
 def import_plugins(modules: Sequence[str]) -> None:
-    """Import a user's modules, which make their encoders known."""
+    """Import a user's modules, which make their classes known."""
     for name in modules:
         try:
             importlib.import_module(name)

@@ -29,6 +29,19 @@ def needed() -> Any:
     return field()
 
 
+def checked_fields(schema: Any, values: Any, path: str) -> dict[str, Any]:
+    """The fields of a dataclass from `values`, which must fit their names and types."""
+    try:
+        merged = OmegaConf.merge(OmegaConf.structured(schema), values)
+        fields = OmegaConf.to_container(merged, throw_on_missing=True)
+    except OmegaConfBaseException as error:
+        reason = str(error).splitlines()[0]
+        name = getattr(error, "full_key", "")
+        raise ConfigurationError(f"{path}.{name}: {reason}") from error
+    assert isinstance(fields, dict)
+    return {str(key): value for key, value in fields.items()}
+
+
 class Registry(Generic[T]):
     """The classes of one kind, each by a name and with the dataclass of its numbers.
 
@@ -68,13 +81,7 @@ class Registry(Generic[T]):
             ConfigurationError: names the field that is unknown, missing or wrong.
         """
         fields = {str(key): value for key, value in values.items() if key != "name"}
-        schema = OmegaConf.structured(self[str(values.get("name"))].config)
-        try:
-            config = OmegaConf.to_object(OmegaConf.merge(schema, fields))
-        except OmegaConfBaseException as error:
-            reason = str(error).splitlines()[0]
-            raise ConfigurationError(
-                f"{self.kind}.{getattr(error, 'full_key', '')}: {reason}"
-            ) from error
+        schema = self[str(values.get("name"))].config
+        config = schema(**checked_fields(schema, fields, self.kind))
         check_numbers(config, self.kind)
         return config

@@ -12,7 +12,12 @@ from torch.utils._pytree import tree_map
 
 from mrsan import Episodes, Scenario
 from samarl.observations.frames import Frames
-from samarl.policies.policy import Sequences
+from samarl.policies.policy import LOCAL, Sequences
+
+
+def level_key(level: str) -> tuple[str, ...]:
+    """Where the data of a level begins in `Rollout.steps`."""
+    return ("agents",) if level == LOCAL else ("agents", level)
 
 
 @dataclass

@@ -8,12 +8,12 @@ import inspect
 from collections.abc import Mapping
 from typing import Any, get_type_hints
 
-from omegaconf import MISSING, DictConfig, OmegaConf
-from omegaconf.errors import OmegaConfBaseException
+from omegaconf import MISSING, DictConfig
 
 from mrsan import ConfigurationError, Scenario
 from samarl.agents.agent import Agent
 from samarl.agents.shield import Shield, Shielded
+from samarl.registry import checked_fields
 
 
 def build_agent(config: Mapping[str, Any], scenario: Scenario) -> Agent:
@@ -42,32 +42,19 @@ def build_agent(config: Mapping[str, Any], scenario: Scenario) -> Agent:
     schema = dataclasses.make_dataclass(
         agent_class.__name__, [(f.name, hints[f.name], _default(f)) for f in knobs]
     )
-    agent: Agent = agent_class(scenario=scenario, **_checked(schema, values, "agent"))
+    agent: Agent = agent_class(scenario=scenario, **checked_fields(schema, values, "agent"))
     return agent if shield is None else Shielded(scenario, agent, shield)
 
 
 def _shield(config: Any) -> Shield | None:
     """The shield that `agent.shield` asks for, if any."""
     if isinstance(config, Mapping | DictConfig):
-        return Shield(**_checked(Shield, config, "agent.shield"))
+        return Shield(**checked_fields(Shield, config, "agent.shield"))
     if not isinstance(config, bool):
         raise ConfigurationError(
             f"agent.shield is {config!r}; it must be true, false or the numbers of Shield"
         )
     return Shield() if config else None
-
-
-def _checked(schema: Any, values: Any, path: str) -> dict[str, Any]:
-    """The fields of a dataclass from `values`, which must fit their names and types."""
-    try:
-        merged = OmegaConf.merge(OmegaConf.structured(schema), values)
-        fields = OmegaConf.to_container(merged, throw_on_missing=True)
-    except OmegaConfBaseException as error:
-        reason = str(error).splitlines()[0]
-        name = getattr(error, "full_key", "")
-        raise ConfigurationError(f"{path}.{name}: {reason}") from error
-    assert isinstance(fields, dict)
-    return {str(key): value for key, value in fields.items()}
 
 
 def _default(field: dataclasses.Field) -> Any:

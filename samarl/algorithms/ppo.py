@@ -25,7 +25,7 @@ from samarl.algorithms.algorithm import Algorithm
 from samarl.algorithms.critics import PopArtHead, SetEncoder
 from samarl.observations.frames import Frames
 from samarl.policies.policy import LOCAL, Policy, Taken
-from samarl.rollout import Rollout
+from samarl.rollout import Rollout, level_key
 
 
 @dataclass
@@ -95,8 +95,7 @@ class PPO(Algorithm):
 
     def _reward(self, rollout: Rollout, level: str) -> Tensor:
         """What a level is paid, [S, T, N]."""
-        at = ("agents",) if level == LOCAL else ("agents", level)
-        return rollout.steps[("next", *at, "reward")][:, :-1]
+        return rollout.steps[("next", *level_key(level), "reward")][:, :-1]
 
     def set_progress(self, share: float) -> None:
         """Learning rate and exploration fall linearly."""
@@ -115,8 +114,8 @@ class PPO(Algorithm):
         statistics: dict[str, list[float]] = defaultdict(list)
         prepared = self.prepare(rollouts, statistics)
         kept = self._kept(prepared)
-        for _ in range(self.config.epochs):
-            statistics["losses/epochs"].append(1.0)
+        for epoch in range(1, self.config.epochs + 1):
+            statistics["losses/epochs"] = [float(epoch)]  # the last one it came to
             divergence: list[float] = []
             pieces = [
                 torch.randperm(len(rollout.steps)).tensor_split(self.config.minibatches)
@@ -143,9 +142,7 @@ class PPO(Algorithm):
             mean_kl = sum(divergence) / max(len(divergence), 1)
             if self.config.target_kl is not None and mean_kl > self.config.target_kl:
                 break
-        epochs = float(len(statistics.pop("losses/epochs")))
-        means = {key: sum(values) / len(values) for key, values in statistics.items()}
-        return {**means, "losses/epochs": epochs}
+        return {key: sum(values) / len(values) for key, values in statistics.items()}
 
     @torch.no_grad()
     def prepare(
@@ -225,10 +222,9 @@ class PPO(Algorithm):
         at = (world, step, robot)
         taken, of_level = {}, {}
         for name in data:
-            keys = ("agents",) if name == LOCAL else ("agents", name)
             where = data[name].where[sequences][at].nonzero().squeeze(1)
             of_level[name] = tuple(index[where] for index in at)
-            action = steps[(*keys, "action")][of_level[name]]
+            action = steps[(*level_key(name), "action")][of_level[name]]
             noise = steps["agents", "noise"][of_level[name]] if name == LOCAL else action
             taken[name] = Taken(where, action, noise)
         choices = self.policy.evaluate(
@@ -237,16 +233,16 @@ class PPO(Algorithm):
         )  # fmt: skip
         total = torch.zeros((), device=samples.device)
         for name, choice in choices.items():
-            keys = ("agents",) if name == LOCAL else ("agents", name)
             level, decided = data[name], of_level[name]
             if len(decided[0]) > 0:
+                before = steps[(*level_key(name), "sample_log_prob")][decided]
                 losses = self.loss(
                     TensorDict(
                         {
                             "new_log_prob": choice.log_prob,
                             "entropy_of": choice.entropy,
                             "action": taken[name].action,
-                            "action_log_prob": steps[(*keys, "sample_log_prob")][decided],
+                            "action_log_prob": before,
                             "advantage": level.advantage[sequences][decided].unsqueeze(-1),
                         },
                         [len(decided[0])],

@@ -114,9 +114,7 @@ class SpatialTransformer(nn.Module):
         super().__init__()
         self.heads = heads
         self.norm = nn.LayerNorm(width)
-        self.project = nn.Linear(
-            width, 4 * width
-        )  # query, key, value, and what the graph passes on
+        self.project = nn.Linear(width, 4 * width)  # query, key, value, what the graph passes on
         self.gate = nn.Linear(2 * width, width)
         self.pool = Pool(width, heads)
 

@@ -106,8 +106,8 @@ class HierarchicalPolicy(Policy):
         state["clock"][known.is_init] = 0
         due = known.active & (state["clock"] <= 0)
         if self.waypoints is not Waypoints.first:
-            far = np.linalg.norm(to_body(state["waypoint"], known.ego), axis=-1)
-            due |= known.active & (far < REACHED)
+            distance = np.linalg.norm(to_body(state["waypoint"], known.ego), axis=-1)
+            due |= known.active & (distance < REACHED)
         macro, probability = torch.zeros(*due.shape, 2), torch.zeros(due.shape)
         if due.any():
             asked = known.active if self.waypoints is Waypoints.shuffled else due

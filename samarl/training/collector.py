@@ -17,7 +17,7 @@ from mrsan.metrics import episodes_of
 from samarl.observations.features import state_of
 from samarl.observations.frames import Frames
 from samarl.policies.policy import LOCAL, Decision, Policy, no_frames
-from samarl.rollout import Rollout
+from samarl.rollout import Rollout, level_key
 from samarl.training.curriculum import CurriculumStage
 from samarl.training.restarts import Crowd, SnapshotBuffer
 
@@ -166,7 +166,7 @@ class RolloutCollector:
             ("next", "agents", "team_reward"): torch.from_numpy(team.copy()),
         }
         for name, level in decision.levels.items():
-            at = ("agents",) if name == LOCAL else ("agents", name)
+            at = level_key(name)
             found[(*at, "action")] = level.action
             found[(*at, "sample_log_prob")] = level.log_prob
             found[("next", *at, "reward")] = torch.from_numpy(rewards[name])

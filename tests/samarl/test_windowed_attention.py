@@ -23,8 +23,6 @@ def inputs(share: float, p: int = 7, m: int = 5) -> tuple[Tensor, ...]:
 @pytest.mark.parametrize("threads", [1, 2])
 @pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
 def test_it_is_torchs_in_value_and_gradient(share: float, threads: int) -> None:
-    if threads > numba.config.NUMBA_NUM_THREADS:
-        pytest.skip("one thread was asked for")
     numba.set_num_threads(threads)
     query, kept, window, allowed, bias = inputs(share)
     found = []
