@@ -45,7 +45,7 @@ def main() -> None:
     """Measure, print the table, write the JSON."""
     arguments = _parse()
     with interruptible(), tempfile.TemporaryDirectory() as folder:
-        trainer = _trainer([*arguments.settings, f"run_dir={folder}"])
+        trainer = default_trainer([*arguments.settings, f"run_dir={folder}"])
         seconds, steps = [], 0
         profiler = cProfile.Profile()
         rounds = arguments.rounds
@@ -95,7 +95,8 @@ def shares(profile: pstats.Stats) -> dict[str, float]:
     return {part: round(100 * seconds / total, 1) for part, seconds in spent.items()}
 
 
-def _trainer(settings: list[str]) -> Trainer:
+def default_trainer(settings: list[str]) -> Trainer:
+    """What `samarl-train` would run with these settings."""
     register_schemas()
     ConfigStore.instance().store(name="train_schema", node=Train)
     with initialize_config_dir(str(find_folder("conf").resolve()), version_base="1.3"):

@@ -207,20 +207,18 @@ class Block(nn.Module):
         self.temporal = TemporalTransformer(width, config.heads)
 
     def forward(
-        self, ego: Tensor, others: Tensor, known: Tensor, frame: Tensor, fresh: Tensor
+        self, ego: Tensor, others: Tensor, known: Tensor, window: Tensor, fresh: Tensor
     ) -> Seen:
         """What is to be seen in P of the frames.
 
         Args:
-            ego: [F, F_e] of all frames of all robots, one after another.
+            ego: [F, F_e] of frames of all robots.
             others: [F, M, F_o].
             known: [F, M].
-            frame: [P] which frames.
-            fresh: [P, H] whether the frame so many before belongs to the same episode.
+            window: [P, H] which of them are the last H of each, the present first.
+            fresh: [P, H] whether they belong to the same episode as the present.
         """
-        tokens = self.embedded(ego, others)
-        window = frame.unsqueeze(1) - torch.arange(self.past + 1, device=frame.device)
-        window = torch.where(fresh, window, frame.unsqueeze(1))
+        tokens, frame = self.embedded(ego, others), window[:, 0]
         allowed = known[window] & fresh.unsqueeze(-1)
         kept = self.temporal.keys_values(tokens)
         return self._seen(tokens[frame], others[frame], known[frame], kept, window, allowed)
@@ -301,7 +299,7 @@ class SpatioTemporalEncoder(Encoder):
     """Y_t of each robot from what it knew in its last H frames (Eq. 8).
 
     The tokens of a frame, their keys and values are computed once, however many windows they are
-    in; everything else is computed for the samples alone.
+    in, and not where they are in none; everything else is computed for the samples alone.
     """
 
     def __init__(
@@ -324,16 +322,16 @@ class SpatioTemporalEncoder(Encoder):
         self, frames: Frames, is_init: Tensor, state: State, samples: Tensor | None = None
     ) -> SpatioTemporalScene:
         """See `Encoder.observe`."""
-        frame = frame_numbers(frames, self.history, samples)
+        frame = frame_numbers(frames, self.history, samples).unsqueeze(1)
         steps = torch.arange(is_init.shape[1], device=is_init.device)
         began = torch.where(is_init, steps, -1).cummax(1).values  # [B, h + T]
         lag = torch.arange(self.history + 1, device=is_init.device)
-        now = (frame % is_init.shape[1]).unsqueeze(1)
-        fresh = now - lag >= began.flatten()[frame].clamp_min(0).unsqueeze(1)
-        f = Frames(*(tensor.flatten(0, 1) for tensor in frames))
+        fresh = frame % is_init.shape[1] - lag >= began.flatten()[frame].clamp_min(0)
+        needed, window = torch.where(fresh, frame - lag, frame).unique(return_inverse=True)
+        f = Frames(*(tensor.flatten(0, 1)[needed] for tensor in frames))
         return SpatioTemporalScene(
-            self.robots(f.ego, f.robots, f.robots_known, frame, fresh),
-            self.humans(f.ego, f.humans, f.humans_known, frame, fresh),
+            self.robots(f.ego, f.robots, f.robots_known, window, fresh),
+            self.humans(f.ego, f.humans, f.humans_known, window, fresh),
         )
 
     def read(self, scene: SpatioTemporalScene, query: Tensor) -> Tensor:
