@@ -38,13 +38,14 @@ class PPOConfig:
     discount: float = required(0.0, 1.0)  # per step, of the macro level
     local_discount: float = required(0.0, 0.9999)  # per step, of the local level
     gae_lambda: float = required(0.0, 1.0)
-    clip_epsilon: float = required(0.0, 10.0)
+    clip_epsilon: float = required(0.0, 0.99)
     entropy_coefficient: float = required(0.0, 10.0)
     critic_coefficient: float = required(0.0, 100.0)
     max_gradient_norm: float = required(0.0, 1e6)  # of the policy and of the critics, each
     kept_share: float = required(0.01, 1.0)  # of the samples, those of the largest advantages
     action_limit_penalty: float = required(0.0, 10.0)  # of commands beyond the robots' limits ...
     action_limit_slack: float = required(0.0, 10.0)  # ... by more than so many deviations
+    shield_coefficient: float = required(0.0, 100.0)  # of acting as the shield would, where unsafe
     std_start: float = required(0.01, 10.0)  # cap of the exploration noise ...
     std_end: float = required(0.01, 10.0)  # ... falls linearly to this
     critic_width: int = required(8, 1024)  # of the critics' encoder
@@ -80,6 +81,7 @@ class PPO(Algorithm):
             }
         )
         self.loss = _torchrl_loss(config)
+        self.taught = config.shield_coefficient > 0.0
         self.to(policy.device)
         self.optimiser = torch.optim.Adam(
             [*policy.parameters(), *self.parameters()], lr=config.learning_rate, eps=1e-5
@@ -114,6 +116,9 @@ class PPO(Algorithm):
         statistics: dict[str, list[float]] = defaultdict(list)
         prepared = self.prepare(rollouts, statistics)
         kept = self._kept(prepared)
+        if self.taught:
+            for rollout, data, keep in zip(rollouts, prepared, kept, strict=True):
+                keep |= data[LOCAL].where & rollout.steps["agents", "unsafe"][:, :-1]
         for epoch in range(1, self.config.epochs + 1):
             statistics["losses/epochs"] = [float(epoch)]  # the last one it came to
             divergence: list[float] = []
@@ -248,8 +253,11 @@ class PPO(Algorithm):
                         [len(decided[0])],
                     )
                 )
-                total = total + losses["loss_objective"]
-                total = total - self.config.entropy_coefficient * choice.entropy.mean()
+                # Every decision counts the same. The macro level decides rarely: with a mean of its
+                # own its noise would drown what the local one tells the encoder they share.
+                share = len(decided[0]) / len(samples)
+                bonus = self.config.entropy_coefficient * choice.entropy.mean()
+                total = total + share * (losses["loss_objective"] - bonus)
                 divergence.append(float(losses["kl_approx"].detach()))
                 for key, called in _STATISTICS.items():
                     statistics[f"losses/{name}_{called}"].append(float(losses[key].detach()))
@@ -261,6 +269,13 @@ class PPO(Algorithm):
                 ).mean()
                 total = total + self.config.action_limit_penalty * beyond
                 statistics["losses/action_limit_penalty"].append(float(beyond.detach()))
+            if name == LOCAL and len(decided[0]) > 0 and self.taught:
+                unsafe = steps["agents", "unsafe"][decided]
+                error = choice.mean - steps["agents", "safe_action"][decided]
+                wrong = (error.square().sum(-1) * unsafe).mean()
+                total = total + self.config.shield_coefficient * wrong
+                statistics["losses/unsafe"].append(float(unsafe.float().mean()))
+                statistics["losses/shield_error"].append(float(wrong.detach()))
         return total + self._critic_loss(rollout, data, sequences, chosen, statistics)
 
     def _critic_loss(

@@ -60,7 +60,7 @@ class HierarchicalConfig(PolicyConfig):
     """Numbers of the two levels."""
 
     macro_steps: int = required(1, 200)  # a waypoint is kept for so many steps, K
-    waypoint_ahead: float = required(0.0, 100.0)  # where it is unmoved: so far along the route, m
+    waypoint_ahead: float = required(0.1, 100.0)  # where it is unmoved: so far along the route, m
     waypoint_range: float = required(0.1, 100.0)  # how far the macro level may move it, m
     waypoint_progress: float = required(0.0, 100.0)  # reward of the local level per metre
     local_goal: bool = needed()  # the local level is told the goal as well, and paid for arriving
@@ -81,7 +81,7 @@ class HierarchicalPolicy(Policy):
     def _make_networks(self, encoder: Encoder) -> Networks:
         n, y, hidden = self.action_size, encoder.features, self.config.hidden
         heads = {
-            MACRO: Gaussian(y, hidden, (0.0, 0.0), (0.5, 0.5)),
+            MACRO: Gaussian(y, hidden, (0.0, 0.0), (0.1, 0.1)),
             LOCAL: Gaussian(y + 3, hidden, MEAN[n], STD[n]),
         }
         return Networks(encoder, heads)
@@ -148,9 +148,8 @@ class HierarchicalPolicy(Policy):
         )
         local = parts.collision + parts.discomfort
         local += np.where(parts.progress != 0.0, nearer, np.float32(0.0))
-        if self.config.local_goal:
-            arrived = parts.arrival > 0.0
-            local += parts.arrival + np.float32(self.config.arrival_bonus) * arrived
+        arrived = parts.arrival > 0.0
+        local += parts.arrival + np.float32(self.config.arrival_bonus) * arrived
         return {MACRO: self._route_reward(reward, parts, before, after, scenario), LOCAL: local}
 
     @torch.no_grad()
@@ -173,12 +172,14 @@ class HierarchicalPolicy(Policy):
         """Take up macro actions [E, N, 2] where they are due.
 
         The waypoint is a point on the route, as far ahead as `waypoint_ahead`, moved by the macro
-        action in [-1, 1] times `waypoint_range`: zero means "along the route".
+        action in [-1, 1] times `waypoint_range`: zero means "along the route". Where less than
+        `waypoint_ahead` is left to the goal it is moved by so much less, or no robot would arrive.
         """
         c, aim = self.config, self._route(known.ego, known.scenario)
-        distance = np.maximum(np.linalg.norm(aim, axis=-1, keepdims=True), np.float32(1e-6))
-        ahead = aim * np.minimum(np.float32(c.waypoint_ahead) / distance, 1)
-        target = ahead + np.float32(c.waypoint_range) * np.clip(macro, -1, 1)
+        left = np.maximum(np.linalg.norm(aim, axis=-1, keepdims=True), np.float32(1e-6))
+        ahead = np.minimum(left, np.float32(c.waypoint_ahead))  # m
+        reach = np.float32(c.waypoint_range / c.waypoint_ahead) * ahead
+        target = aim / left * ahead + reach * np.clip(macro, -1, 1)
         state["waypoint"][due] = to_world(target, known.ego)[due]
         once = self.waypoints is Waypoints.first
         state["clock"][due] = np.iinfo(np.int32).max if once else c.macro_steps

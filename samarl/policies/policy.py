@@ -32,7 +32,7 @@ from samarl.observations.features import (
 )
 from samarl.observations.frames import Frames
 from samarl.observations.route import way_round
-from samarl.observations.tracker import Tracker
+from samarl.observations.tracker import Tracker, Tracks
 from samarl.policies.explanation import Explanation
 from samarl.policies.heads import Gaussian, log_prob
 from samarl.registry import Registry, needed
@@ -69,7 +69,9 @@ class Decision(NamedTuple):
     levels: dict[str, Level]
     noise: Tensor  # [E, N, A] of the local level in the step before, in standard deviations
     target: Tensor  # [E, N, 3] what the local level was told of where to drive
-    frames: Frames  # [B, 1, ...] what was known
+    mean: Tensor  # [E, N, A] what the local level would do without noise
+    tracks: Tracks  # [E, N, ...] what was known
+    frames: Frames  # [B, 1, ...] the same, as the encoders are given it
     scene: Any = ()  # [B, ...] what the encoders made of it; kept when not exploring
 
     @property
@@ -269,10 +271,10 @@ class Policy(nn.Module, ABC):
             )
         mean, std = mean.float().cpu(), std.float().cpu()
         before = state["noise"]
-        action, probability = torch.zeros(e, n, self.action_size), torch.zeros(e, n)
-        if correlation is None:
-            action[where] = mean
-        else:
+        means, probability = torch.zeros(e, n, self.action_size), torch.zeros(e, n)
+        means[where] = mean
+        action = means.clone()
+        if correlation is not None:
             began = torch.from_numpy(is_init)
             before = torch.where(began[:, None, None], torch.randn(before.shape), before)
             kept, fresh = correlation * before[where], (1.0 - correlation**2) ** 0.5
@@ -282,7 +284,7 @@ class Policy(nn.Module, ABC):
             state["noise"] = before.clone()
             state["noise"][where] = noise
         levels[LOCAL] = Level(action, probability, where)
-        return Decision(levels, before, told, frames, () if explore else scene)
+        return Decision(levels, before, told, means, tracks, frames, () if explore else scene)
 
     def evaluate(
         self, sequences: Sequences, samples: Tensor, told: Tensor, taken: Mapping[str, Taken],

@@ -14,6 +14,7 @@ from torch.utils._pytree import tree_leaves, tree_map
 from mrsan import Episodes, Observation, Split, World
 from mrsan.features import VELOCITY
 from mrsan.metrics import episodes_of
+from samarl.agents.shield import Shield, shielded
 from samarl.observations.features import state_of
 from samarl.observations.frames import Frames
 from samarl.policies.policy import LOCAL, Decision, Policy, no_frames
@@ -22,6 +23,7 @@ from samarl.training.curriculum import CurriculumStage
 from samarl.training.restarts import Crowd, SnapshotBuffer
 
 RESTART_STEPS = 16  # a collision is taken back by at most so many
+UNSAFE = 1e-4  # by how much an action is changed by the shield, at least
 
 
 class RolloutCollector:
@@ -32,8 +34,9 @@ class RolloutCollector:
     """
 
     def __init__(
-        self, stage: CurriculumStage, policy: Policy, steps: int, first: int, central: bool
-    ) -> None:
+        self, stage: CurriculumStage, policy: Policy, steps: int, first: int, central: bool,
+        taught: bool = False,
+    ) -> None:  # fmt: skip
         """Begin the training cases `first`, `first + 1`, ... in the worlds of `stage`.
 
         Args:
@@ -42,8 +45,10 @@ class RolloutCollector:
             steps: T.
             first: the first case number within the training split; 2 E of them are used.
             central: keep the true state as well, for central critics.
+            taught: keep what the safety shield would do as well.
         """
-        self.stage, self.policy, self.steps, self.central = stage, policy, steps, central
+        self.stage, self.policy, self.steps = stage, policy, steps
+        self.central, self.taught = central, taught
         scenario, worlds = stage.scenario, stage.worlds
         self.world = World(scenario, worlds)
         self.state = policy.initial_state(worlds, scenario)
@@ -165,6 +170,12 @@ class RolloutCollector:
             ("next", "agents", "terminated"): torch.from_numpy(terminated & ended[:, None]),
             ("next", "agents", "team_reward"): torch.from_numpy(team.copy()),
         }
+        if self.taught:
+            wanted = decision.mean.clamp(-1.0, 1.0)
+            safe = shielded(decision.tracks, wanted.numpy(), self.stage.scenario, Shield())
+            found["agents", "safe_action"] = torch.from_numpy(safe)
+            unsafe = (found["agents", "safe_action"] - wanted).abs().amax(-1) > UNSAFE
+            found["agents", "unsafe"] = unsafe & decision.levels[LOCAL].decided
         for name, level in decision.levels.items():
             at = level_key(name)
             found[(*at, "action")] = level.action

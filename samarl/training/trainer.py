@@ -143,7 +143,12 @@ class Trainer:
         for stage in self.stages:
             collectors.append(
                 RolloutCollector(
-                    stage, self.policy, self.config.rollout, first, self.algorithm.central
+                    stage,
+                    self.policy,
+                    self.config.rollout,
+                    first,
+                    self.algorithm.central,
+                    self.algorithm.taught,
                 )
             )
             first += 2 * stage.worlds

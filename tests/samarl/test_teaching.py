@@ -1,0 +1,76 @@
+"""What the policy is taught besides its own experience, and how much each level's own counts."""
+
+from collections import defaultdict
+
+import numpy as np
+import torch
+
+from samarl.agents.shield import Shield, shielded
+from samarl.algorithms.advantages import streams
+from samarl.policies.policy import LOCAL
+from samarl.training.collector import RolloutCollector
+from samarl.training.curriculum import CurriculumStage
+from tests import learning
+
+
+def test_the_shield_is_asked_about_what_the_policy_would_do_without_noise() -> None:
+    policy, scenario = learning.policy("flat", gain=30.0), learning.crowded()
+    going = RolloutCollector(
+        CurriculumStage(16, scenario=scenario), policy, 1, 0, True, taught=True
+    )
+    for _ in range(20):
+        decision = going.decision
+        wanted = decision.mean.clamp(-1.0, 1.0).numpy()
+        steps = going.collect().steps
+        safe = steps["agents", "safe_action"][:, 0].numpy()
+        np.testing.assert_array_equal(safe, shielded(decision.tracks, wanted, scenario, Shield()))
+        unsafe = steps["agents", "unsafe"][:, 0].numpy()
+        np.testing.assert_array_equal(safe[~unsafe], wanted[~unsafe])
+        if unsafe.any():
+            break
+    assert unsafe.any()
+    assert (safe[unsafe] != wanted[unsafe]).any(-1).all()
+
+
+def test_the_policy_learns_what_the_shield_would_do_where_it_is_unsafe() -> None:
+    policy, scenario = learning.policy("flat"), learning.crowded()
+    learner = learning.algorithm(
+        policy, learning_rate=3e-3, epochs=10, shield_coefficient=30.0, kept_share=0.25
+    )
+    going = RolloutCollector(
+        CurriculumStage(16, scenario=scenario), policy, 16, 0, True, taught=True
+    )
+    rollout = going.collect()
+    unsafe = rollout.steps["agents", "unsafe"][:, :-1]
+    assert unsafe.any()
+    assert not (unsafe & ~rollout.steps["agents", "active_mask"][:, :-1]).any()
+
+    def error() -> float:
+        choice, _, _ = learning.choices(policy, rollout)[LOCAL]
+        acts = streams(rollout.steps).acts.transpose(1, 2)
+        safe = rollout.steps["agents", "safe_action"][:, :-1].transpose(1, 2)[acts]
+        wrong = (choice.mean - safe)[unsafe.transpose(1, 2)[acts]]
+        return float(wrong.square().sum(-1).mean())
+
+    before = error()
+    learner.update([rollout])
+    assert error() < 0.7 * before
+
+
+def test_every_decision_counts_the_same_whatever_its_level() -> None:
+    policy = learning.policy("hierarchical")
+    learner = learning.algorithm(
+        policy, minibatches=1, critic_coefficient=0.0, action_limit_penalty=0.0,
+        entropy_coefficient=0.0, clip_epsilon=0.5,
+    )  # fmt: skip
+    rollout = learning.collector(policy, 6, 12).collect()
+    statistics: dict[str, list[float]] = defaultdict(list)
+    prepared = learner.prepare([rollout], statistics)
+    acts = prepared[0][LOCAL].where
+    kept = acts & (torch.rand(acts.shape) < 0.3)  # else the advantages add up to nothing
+    every = torch.arange(len(rollout.steps))
+    loss = learner._loss(rollout, prepared[0], kept, every, statistics, [])
+    # Before anything has moved all ratios are 1: the objective is minus the advantage.
+    total = sum(float(x.advantage[x.where & kept].sum()) for x in prepared[0].values())
+    assert abs(float(loss) + total / int(kept.sum())) < 1e-4
+    assert abs(total) > 1.0
