@@ -45,6 +45,7 @@ class PPOConfig:
     kept_share: float = required(0.01, 1.0)  # of the samples, those of the largest advantages
     action_limit_penalty: float = required(0.0, 10.0)  # of commands beyond the robots' limits ...
     action_limit_slack: float = required(0.0, 10.0)  # ... by more than so many deviations
+    path_penalty: float = required(0.0, 100.0)  # taken off the reward per metre driven
     shield_coefficient: float = required(0.0, 100.0)  # of acting as the shield would, where unsafe
     std_start: float = required(0.01, 10.0)  # cap of the exploration noise ...
     std_end: float = required(0.01, 10.0)  # ... falls linearly to this
@@ -96,8 +97,11 @@ class PPO(Algorithm):
         """What the critics are given, [B, T + 1, ...]."""
 
     def _reward(self, rollout: Rollout, level: str) -> Tensor:
-        """What a level is paid, [S, T, N]."""
-        return rollout.steps[("next", *level_key(level), "reward")][:, :-1]
+        """What a level is paid, [S, T, N], less what it costs to drive so far."""
+        paid = rollout.steps[("next", *level_key(level), "reward")][:, :-1]
+        agents = rollout.steps["agents"]
+        driven = agents["speed"][:, 1:] * agents["active_mask"][:, :-1] * rollout.scenario.time_step
+        return paid - self.config.path_penalty * driven
 
     def set_progress(self, share: float) -> None:
         """Learning rate and exploration fall linearly."""

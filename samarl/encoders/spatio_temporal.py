@@ -19,8 +19,9 @@ from torch.nn import functional
 from mrsan import ConfigurationError
 from mrsan.scenario import required
 from samarl.encoders.encoder import ENCODERS, Encoder, State, frame_numbers
+from samarl.encoders.frame_attention import frame_attention, frame_shares, proximity_convolution
 from samarl.encoders.windowed_attention import windowed_attention
-from samarl.observations.features import NEAR_NOW, NEAR_SOON, POSITION
+from samarl.observations.features import LENGTH_SCALE, NEAR_NOW, NEAR_SOON, POSITION
 from samarl.observations.frames import Frames
 
 _MASKED = -1e9
@@ -48,36 +49,12 @@ def nearness(others: Tensor, known: Tensor, heads: int) -> Tensor:
     return torch.where(known.unsqueeze(-1), score, _MASKED)
 
 
-class HeadSums(nn.Module):
-    """Sums over the features of each head, and the way back, as products with a constant matrix.
-
-    Every operand stays contiguous in the features, which is several times as fast on a CPU as
-    broadcasting over them.
-    """
-
-    matrix: Tensor  # [D, heads], 1 where a feature belongs to a head
-
-    def __init__(self, width: int, heads: int) -> None:
-        super().__init__()
-        matrix = torch.eye(heads).repeat_interleave(width // heads, 0)
-        self.register_buffer("matrix", matrix, persistent=False)
-        self.scale = (width // heads) ** -0.5
-
-    def scores(self, query: Tensor, key: Tensor) -> Tensor:
-        """Scaled products of queries and keys [..., D] per head, [..., heads]."""
-        return (query * key) @ (self.scale * self.matrix)
-
-    def weigh(self, share: Tensor, value: Tensor) -> Tensor:
-        """Values [..., D] times the share [..., heads] of their head."""
-        return (share @ self.matrix.T) * value
-
-
 class Pool(nn.Module):
     """Attention of the robot itself over a set of agents, with a key for "nobody"."""
 
     def __init__(self, width: int, heads: int) -> None:
         super().__init__()
-        self.sums = HeadSums(width, heads)
+        self.scale = (width // heads) ** -0.5
         self.query = nn.Linear(width, width)
         self.key_value = nn.Linear(width, 2 * width)
         self.nobody = nn.Parameter(torch.zeros(2 * width))
@@ -88,20 +65,18 @@ class Pool(nn.Module):
 
         `score` [P, M, heads] is added to the attention's own, see `nearness`.
         """
-        share, value = self._attend(own, tokens, score)
-        return self.out(self.sums.weigh(share, value).sum(1))
+        return self.out(frame_attention(*self._asked(own, tokens, score)).squeeze(1))
 
     def shares(self, own: Tensor, tokens: Tensor, score: Tensor) -> Tensor:
         """The share of the attention that each of the M gets, [P, M]; "nobody" gets the rest."""
-        share, _ = self._attend(own, tokens, score)
-        return share.mean(-1)[:, 1:]
+        return frame_shares(*self._asked(own, tokens, score)).mean(1)[:, 0, 1:]
 
-    def _attend(self, own: Tensor, tokens: Tensor, score: Tensor) -> tuple[Tensor, Tensor]:
-        """Shares [P, 1 + M, heads] and values [P, 1 + M, D] of nobody and the agents."""
-        nobody = self.nobody.expand(len(tokens), 1, -1)
-        key, value = torch.cat([nobody, self.key_value(tokens)], 1).chunk(2, -1)
-        found = self.sums.scores(self.query(own).unsqueeze(1), key)
-        return torch.softmax(found + functional.pad(score, (0, 0, 1, 0)), 1), value
+    def _asked(self, own: Tensor, tokens: Tensor, score: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """The question [P, 1, D], keys and values [P, 1 + M, 2 D] and score with nobody first."""
+        kept = self.key_value(tokens)
+        kept = torch.cat([self.nobody.to(kept.dtype).expand(len(tokens), 1, -1), kept], 1)
+        query = (self.query(own) * self.scale).unsqueeze(1)
+        return query, kept, functional.pad(score, (0, 0, 1, 0))
 
 
 class SpatialTransformer(nn.Module):
@@ -112,7 +87,7 @@ class SpatialTransformer(nn.Module):
 
     def __init__(self, width: int, heads: int) -> None:
         super().__init__()
-        self.heads = heads
+        self.heads, self.scale = heads, (width // heads) ** -0.5
         self.norm = nn.LayerNorm(width)
         self.project = nn.Linear(width, 4 * width)  # query, key, value, what the graph passes on
         self.gate = nn.Linear(2 * width, width)
@@ -129,21 +104,18 @@ class SpatialTransformer(nn.Module):
         p, m, d = tokens.shape
         if m == 0:
             return tokens
-        query, key, value, passed = self.project(self.norm(tokens)).chunk(4, -1)
-        masked = torch.where(known, 0.0, _MASKED)
-        query, key, value = (
-            part.reshape(p, m, self.heads, d // self.heads).transpose(1, 2)
-            for part in (query, key, value)
+        normed, sizes = self.norm(tokens), (d, 2 * d, d)
+        query, kept, passed = (  # three products: each result is contiguous
+            functional.linear(normed, weight, bias)
+            for weight, bias in zip(
+                self.project.weight.split(sizes), self.project.bias.split(sizes), strict=True
+            )
         )
-        attention = functional.scaled_dot_product_attention(
-            query, key, value, attn_mask=masked[:, None, None, :].expand(p, self.heads, m, m)
+        masked = torch.where(known, 0.0, _MASKED).unsqueeze(-1).expand(p, m, self.heads)
+        attention = frame_attention(query * self.scale, kept, masked)
+        graph = torch.relu(
+            proximity_convolution(passed, others[..., POSITION], known, LENGTH_SCALE / 2.0)
         )
-        attention = attention.transpose(1, 2).reshape(p, m, d)
-        position = others[..., POSITION]
-        distance = (position.unsqueeze(1) - position.unsqueeze(2)).square().sum(-1)
-        distance = distance.clamp_min(1e-12).sqrt()
-        near = torch.softmax(-2.5 * distance + masked.unsqueeze(1), -1)
-        graph = torch.relu(torch.bmm(near, passed))
         gate = torch.sigmoid(self.gate(torch.cat([attention, graph], -1)))
         return tokens + torch.lerp(graph, attention, gate)
 

@@ -18,9 +18,14 @@ _MASKED = -1e9
 
 # Sums may be reordered here (vector units), unlike in the simulator; the result is still the same
 # every time on one machine, whatever the number of threads.
-_compiled = numba.njit(
+compiled = numba.njit(
     cache=True, parallel=True, error_model="numpy", fastmath={"reassoc", "contract", "nsz"}
 )
+
+
+def on_cpu(tensor: Tensor) -> bool:
+    """Whether what is compiled can work on it."""
+    return tensor.device.type == "cpu" and tensor.dtype == torch.float32
 
 
 def windowed_attention(
@@ -37,7 +42,7 @@ def windowed_attention(
     """
     if query.numel() == 0:
         return query
-    if query.device.type == "cpu" and query.dtype == torch.float32:
+    if on_cpu(query):
         result: Tensor = _OnCPU.apply(query, kept, window, allowed, bias)
         return result
     return by_torch(query, kept, window, allowed, bias)
@@ -80,7 +85,7 @@ class _OnCPU(torch.autograd.Function):
         return of_query.flatten(-2), of_kept.flatten(2), None, None, None
 
 
-@_compiled
+@compiled
 def _forward(query, kept, window, allowed, bias, share, out):
     """Arrays are [P, M, heads, d], [F, M, 2, heads, d]; the inner loops run over d alone."""
     total, agents, heads, size = query.shape
@@ -117,7 +122,7 @@ def _forward(query, kept, window, allowed, bias, share, out):
                                 gives[d] += part * value[d]
 
 
-@_compiled
+@compiled
 def _backward(query, kept, window, share, gradient, of_query, of_kept):
     total, agents, heads, size = query.shape
     frames = share.shape[3]
