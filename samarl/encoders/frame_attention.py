@@ -30,7 +30,8 @@ def frame_attention(query: Tensor, kept: Tensor, score: Tensor) -> Tensor:
         return result
     heads = score.shape[-1]
     value = kept.unflatten(-1, (2, heads, -1)).select(-3, 1)  # [P, M, heads, d]
-    return torch.einsum("phtm,pmhd->pthd", frame_shares(query, kept, score), value).flatten(-2)
+    share = frame_shares(query, kept, score).to(value.dtype)
+    return torch.einsum("phtm,pmhd->pthd", share, value).to(value.dtype).flatten(-2)
 
 
 def frame_shares(query: Tensor, kept: Tensor, score: Tensor) -> Tensor:

@@ -63,8 +63,8 @@ class HierarchicalConfig(PolicyConfig):
     waypoint_ahead: float = required(0.1, 100.0)  # where it is unmoved: so far along the route, m
     waypoint_range: float = required(0.1, 100.0)  # how far the macro level may move it, m
     waypoint_progress: float = required(0.0, 100.0)  # reward of the local level per metre
-    local_goal: bool = needed()  # the local level is told the goal as well, and paid for arriving
-    arrival_bonus: float = required(0.0, 1000.0)  # ... so much more than the task pays
+    local_goal: bool = needed()  # the local level is told the goal as well
+    arrival_bonus: float = required(0.0, 1000.0)  # of the local level, on top of the task's
 
 
 @POLICIES.register("hierarchical", HierarchicalConfig)
@@ -140,8 +140,8 @@ class HierarchicalPolicy(Policy):
     ) -> dict[str, NDArray[np.float32]]:  # fmt: skip
         """The task's reward to the macro level; the local one is paid for following waypoints.
 
-        With `local_goal` it is paid for arriving as well, by more than following waypoints for ever
-        would be worth: else it circles.
+        It is paid for arriving as well, by more than following waypoints for ever would be worth:
+        else it circles.
         """
         nearer = np.float32(self.config.waypoint_progress) * progress_to(
             state["waypoint"], before, after
@@ -172,14 +172,16 @@ class HierarchicalPolicy(Policy):
         """Take up macro actions [E, N, 2] where they are due.
 
         The waypoint is a point on the route, as far ahead as `waypoint_ahead`, moved by the macro
-        action in [-1, 1] times `waypoint_range`: zero means "along the route". Where less than
-        `waypoint_ahead` is left to the goal it is moved by so much less, or no robot would arrive.
+        action in [-1, 1] times `waypoint_range`: zero means "along the route". A local level that is
+        not told the goal could not arrive if waypoints were moved as far there: where less than
+        `waypoint_ahead` is left they are moved by so much less.
         """
         c, aim = self.config, self._route(known.ego, known.scenario)
         left = np.maximum(np.linalg.norm(aim, axis=-1, keepdims=True), np.float32(1e-6))
-        ahead = np.minimum(left, np.float32(c.waypoint_ahead))  # m
-        reach = np.float32(c.waypoint_range / c.waypoint_ahead) * ahead
-        target = aim / left * ahead + reach * np.clip(macro, -1, 1)
+        ahead, reach = np.float32(c.waypoint_ahead), np.float32(c.waypoint_range)
+        if not c.local_goal:
+            reach = reach * np.minimum(left / ahead, 1)
+        target = aim * np.minimum(ahead / left, 1) + reach * np.clip(macro, -1, 1)
         state["waypoint"][due] = to_world(target, known.ego)[due]
         once = self.waypoints is Waypoints.first
         state["clock"][due] = np.iinfo(np.int32).max if once else c.macro_steps

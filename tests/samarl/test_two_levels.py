@@ -77,6 +77,27 @@ def test_a_waypoint_stays_where_it_is_while_the_robot_moves() -> None:
 
 
 @pytest.mark.parametrize("local_goal", [False, True])
+def test_near_the_goal_waypoints_are_moved_less_unless_the_local_level_knows_the_goal(
+    local_goal: bool,
+) -> None:
+    scenario = replace(SCENARIO, fov_degrees=360.0)
+    model, world = policy(local_goal=local_goal), World(scenario)
+    with torch.no_grad():  # always as far aside as can be
+        last = model.networks[0].heads[MACRO].body[-1]
+        last.weight.zero_()
+        last.bias.copy_(torch.tensor([0.0, 1.0]))
+    world.reset([0])
+    for left, aside in ((5.0, 2.0), (0.5, 2.0 if local_goal else 0.5)):  # 2 m ahead, 2 m of reach
+        heading = world.state.robot_heading[0]
+        ahead = left * np.stack([np.cos(heading), np.sin(heading)], -1)
+        world.state.robot_goal[0] = world.state.robot_position[0] + ahead
+        state, observation = model.initial_state(1, scenario), world.observe()
+        model.act(observation, state, np.ones(1, np.bool_), scenario)
+        seen = to_body(state["waypoint"], observation.ego)
+        np.testing.assert_allclose(seen, [[[min(left, 2.0), aside]] * 2], atol=1e-3)
+
+
+@pytest.mark.parametrize("local_goal", [False, True])
 def test_without_local_goal_the_goal_changes_no_bit_of_the_local_level(local_goal: bool) -> None:
     for encoder in ("spatio_temporal", "gru"):
         model, world = policy(encoder=encoder, gain=30.0, local_goal=local_goal), World(SCENARIO, 4)
