@@ -173,10 +173,13 @@ class PPO(Algorithm):
             chosen = torch.cat([advantage[where] for advantage, _, where, _, _ in found])
             targets = torch.cat([target[valued] for _, target, _, valued, _ in found])
             values = torch.cat([value[valued] for _, _, _, valued, value in found])
-            unexplained = (targets - values).var() / targets.var().clamp_min(1e-8)
-            statistics[f"losses/{name}_explained_variance"].append(1.0 - float(unexplained))
-            mean, std = chosen.mean(), chosen.std().clamp_min(1e-4)
-            head.update(targets)
+            mean, std = chosen.new_zeros(()), chosen.new_ones(())
+            if len(chosen) > 1:  # in a short rollout the macro level may decide nothing
+                mean, std = chosen.mean(), chosen.std().clamp_min(1e-4)
+            if len(targets) > 1:
+                unexplained = (targets - values).var() / targets.var().clamp_min(1e-8)
+                statistics[f"losses/{name}_explained_variance"].append(1.0 - float(unexplained))
+                head.update(targets)
             for data, (advantage, target, where, valued, value) in zip(out, found, strict=True):
                 data[name] = Prepared(
                     where, valued, (advantage - mean) / std, head.normalise(target),

@@ -172,8 +172,8 @@ class HierarchicalPolicy(Policy):
         """Take up macro actions [E, N, 2] where they are due.
 
         The waypoint is a point on the route, as far ahead as `waypoint_ahead`, moved by the macro
-        action in [-1, 1] times `waypoint_range`: zero means "along the route". A local level that is
-        not told the goal could not arrive if waypoints were moved as far there: where less than
+        action in [-1, 1] times `waypoint_range`: zero means "along the route". A local level that
+        is not told the goal could not arrive if waypoints were moved as far there: where less than
         `waypoint_ahead` is left they are moved by so much less.
         """
         c, aim = self.config, self._route(known.ego, known.scenario)

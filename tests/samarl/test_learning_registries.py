@@ -72,7 +72,8 @@ def test_every_name_trains_and_its_checkpoint_drives_as_before(choice: str, tmp_
     before = {key: value.clone() for key, value in trainer.policy.state_dict().items()}
     trainer.algorithm.set_progress(0.0)
     for _ in range(2):
-        assert all(np.isfinite(value) for value in trainer.round().values())
+        row = trainer.round()
+        assert all(np.isfinite(value) for value in row.values()), row
     assert any(not torch.equal(v, before[k]) for k, v in trainer.policy.state_dict().items())
     trainer.save()
     loaded, card = load_policy(tmp_path / "run" / LAST)
