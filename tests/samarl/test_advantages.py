@@ -288,7 +288,7 @@ def test_who_arrives_early_is_paid_for_the_team_unless_everyone_is_for_himself(n
     assert steps["next", "agents", "team_reward"].sum().item() == pytest.approx(2 * team)
     learner = algorithm(model, name, gae_lambda=1.0, local_discount=0.9)
     zero = torch.zeros_like(steps["agents", "speed"])
-    rollout: Any = SimpleNamespace(steps=steps)
+    rollout: Any = SimpleNamespace(steps=steps, scenario=scenario)
     _, target, _, _ = learner._advantages(LOCAL, rollout, zero)
     rewards = [float(r) for r in steps["next", "agents", "reward"][0, : end + 1, 0]]
     alone = sum(0.9**k * r for k, r in enumerate(rewards)) - 0.9**end * team

@@ -1,6 +1,7 @@
 """What the policy is taught besides its own experience, and how much each level's own counts."""
 
 from collections import defaultdict
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -74,3 +75,14 @@ def test_every_decision_counts_the_same_whatever_its_level() -> None:
     total = sum(float(x.advantage[x.where & kept].sum()) for x in prepared[0].values())
     assert abs(float(loss) + total / int(kept.sum())) < 1e-4
     assert abs(total) > 1.0
+
+
+def test_a_metre_costs_what_it_should() -> None:
+    policy, scenario = learning.policy("flat"), replace(learning.SCENARIO, humans=0)
+    rollout = learning.collector(policy, 4, 12, scenario).collect()
+    free, costly = (learning.algorithm(policy, path_penalty=p) for p in (0.0, 0.5))
+    taken = (free._reward(rollout, LOCAL) - costly._reward(rollout, LOCAL)).sum(1)
+    speed = rollout.steps["agents", "speed"][:, 1:]  # nobody arrives, collides or runs out of time
+    assert not rollout.steps["next", "done"].any()
+    torch.testing.assert_close(taken, 0.5 * 0.25 * speed.sum(1))
+    assert (taken > 0.0).all()
