@@ -78,7 +78,7 @@ def test_every_decision_counts_the_same_whatever_its_level() -> None:
 
 
 def test_a_metre_costs_what_it_should() -> None:
-    policy, scenario = learning.policy("flat"), replace(learning.SCENARIO, humans=0)
+    policy, scenario = learning.policy("flat"), replace(learning.SCENARIO, humans=0, robots=1)
     rollout = learning.collector(policy, 4, 12, scenario).collect()
     free, costly = (learning.algorithm(policy, path_penalty=p) for p in (0.0, 0.5))
     taken = (free._reward(rollout, LOCAL) - costly._reward(rollout, LOCAL)).sum(1)
