@@ -56,7 +56,7 @@ lint: setup ## Check style and types
 	@$(BIN)/ruff format --check .
 	@echo "mypy ..."; $(BIN)/mypy
 
-train: setup ## Train SAMARL with the default recipe, or go on with an interrupted training (hours)
+train: setup ## Train SAMARL with the default recipe, or go on with an interrupted training (an hour)
 	@$(BIN)/samarl-train
 
 results: setup ## Rewrite results/, the table and the pictures of the README (nothing else may)

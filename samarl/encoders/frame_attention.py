@@ -9,12 +9,13 @@ from __future__ import annotations
 
 from typing import Any
 
+import numba
 import numpy as np
 import torch
 from numba import prange
 from torch import Tensor
 
-from samarl.encoders.windowed_attention import compiled, on_cpu
+from samarl.encoders.windowed_attention import FASTMATH, MASKED, compiled, on_cpu
 
 
 def frame_attention(query: Tensor, kept: Tensor, score: Tensor) -> Tensor:
@@ -55,12 +56,9 @@ def proximity_convolution(passed: Tensor, position: Tensor, known: Tensor, slope
         result: Tensor = _Convolution.apply(passed, position, known, slope)
         return result
     distance = (position.unsqueeze(1) - position.unsqueeze(2)).square().sum(-1)
-    masked = torch.where(known, 0.0, _MASKED).unsqueeze(1)
+    masked = torch.where(known, 0.0, MASKED).unsqueeze(1)
     share = torch.softmax(masked - slope * distance.clamp_min(1e-12).sqrt(), -1)
     return torch.bmm(share.to(passed.dtype), passed)
-
-
-_MASKED = -1e9
 
 
 class _Attention(torch.autograd.Function):
@@ -108,6 +106,19 @@ class _Convolution(torch.autograd.Function):
 # Frames are independent of each other, so every thread takes its own.
 
 
+@numba.njit(cache=True, error_model="numpy", fastmath=FASTMATH)
+def _softmax(scores):
+    """From scores to shares, in place."""
+    largest, norm = np.float32(-np.inf), np.float32(0.0)
+    for m in range(len(scores)):
+        largest = max(largest, scores[m])
+    for m in range(len(scores)):
+        scores[m] = np.exp(scores[m] - largest)
+        norm += scores[m]
+    for m in range(len(scores)):
+        scores[m] /= norm
+
+
 @compiled
 def _attend(query, kept, score, share, out):
     """Arrays are [P, T, heads, d], [P, M, 2, heads, d]; the inner loops run over d alone."""
@@ -117,22 +128,16 @@ def _attend(query, kept, score, share, out):
         for h in range(heads):
             for t in range(queries):
                 asks, found, gives = query[p, t, h], share[p, h, t], out[p, t, h]
-                largest = np.float32(-np.inf)
                 for m in range(tokens):
                     key = kept[p, m, 0, h]
                     product = np.float32(0.0)
                     for d in range(size):
                         product += asks[d] * key[d]
                     found[m] = product + score[p, m, h]
-                    largest = max(largest, found[m])
-                norm = np.float32(0.0)
-                for m in range(tokens):
-                    found[m] = np.exp(found[m] - largest)
-                    norm += found[m]
+                _softmax(found)
                 for d in range(size):
                     gives[d] = np.float32(0.0)
                 for m in range(tokens):
-                    found[m] /= norm
                     part, value = found[m], kept[p, m, 1, h]
                     for d in range(size):
                         gives[d] += part * value[d]
@@ -174,22 +179,16 @@ def _convolve(slope, passed, position, known, share, out):
     for p in prange(total):
         for i in range(agents):
             found, gives = share[p, i], out[p, i]
-            largest = np.float32(-np.inf)
             for j in range(agents):
                 dx = position[p, i, 0] - position[p, j, 0]
                 dy = position[p, i, 1] - position[p, j, 1]
                 found[j] = -slope * np.sqrt(max(dx * dx + dy * dy, np.float32(1e-12)))
                 if not known[p, j]:
-                    found[j] += np.float32(_MASKED)
-                largest = max(largest, found[j])
-            norm = np.float32(0.0)
-            for j in range(agents):
-                found[j] = np.exp(found[j] - largest)
-                norm += found[j]
+                    found[j] += np.float32(MASKED)
+            _softmax(found)
             for d in range(width):
                 gives[d] = np.float32(0.0)
             for j in range(agents):
-                found[j] /= norm
                 part, gift = found[j], passed[p, j]
                 for d in range(width):
                     gives[d] += part * gift[d]

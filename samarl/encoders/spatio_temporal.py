@@ -20,11 +20,9 @@ from mrsan import ConfigurationError
 from mrsan.scenario import required
 from samarl.encoders.encoder import ENCODERS, Encoder, State, frame_numbers
 from samarl.encoders.frame_attention import frame_attention, frame_shares, proximity_convolution
-from samarl.encoders.windowed_attention import windowed_attention
+from samarl.encoders.windowed_attention import MASKED, windowed_attention
 from samarl.observations.features import LENGTH_SCALE, NEAR_NOW, NEAR_SOON, POSITION
 from samarl.observations.frames import Frames
-
-_MASKED = -1e9
 
 
 @dataclass
@@ -46,7 +44,7 @@ def nearness(others: Tensor, known: Tensor, heads: int) -> Tensor:
     """
     now, soon = (others[..., k].clamp_min(1e-20).log() / 2 for k in (NEAR_NOW, NEAR_SOON))
     score = torch.stack([(now, soon)[head % 2] for head in range(heads)], -1)
-    return torch.where(known.unsqueeze(-1), score, _MASKED)
+    return torch.where(known.unsqueeze(-1), score, MASKED)
 
 
 class Pool(nn.Module):
@@ -111,7 +109,7 @@ class SpatialTransformer(nn.Module):
                 self.project.weight.split(sizes), self.project.bias.split(sizes), strict=True
             )
         )
-        masked = torch.where(known, 0.0, _MASKED).unsqueeze(-1).expand(p, m, self.heads)
+        masked = torch.where(known, 0.0, MASKED).unsqueeze(-1).expand(p, m, self.heads)
         attention = frame_attention(query * self.scale, kept, masked)
         graph = torch.relu(
             proximity_convolution(passed, others[..., POSITION], known, LENGTH_SCALE / 2.0)

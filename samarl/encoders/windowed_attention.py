@@ -14,13 +14,12 @@ import torch
 from numba import prange
 from torch import Tensor
 
-_MASKED = -1e9
+MASKED = -1e9  # score of who must get no attention
 
 # Sums may be reordered here (vector units), unlike in the simulator; the result is still the same
 # every time on one machine, whatever the number of threads.
-compiled = numba.njit(
-    cache=True, parallel=True, error_model="numpy", fastmath={"reassoc", "contract", "nsz"}
-)
+FASTMATH = {"reassoc", "contract", "nsz"}
+compiled = numba.njit(cache=True, parallel=True, error_model="numpy", fastmath=FASTMATH)
 
 
 def on_cpu(tensor: Tensor) -> bool:
@@ -53,7 +52,7 @@ def by_torch(query: Tensor, kept: Tensor, window: Tensor, allowed: Tensor, bias:
     heads = len(bias)
     key, value = kept[window].unflatten(-1, (2, heads, -1)).unbind(-3)  # [P, H, M, heads, d]
     score = (query.unflatten(-1, (heads, -1)).unsqueeze(1) * key).sum(-1) + bias.T.unsqueeze(1)
-    share = torch.softmax(torch.where(allowed.unsqueeze(-1), score, _MASKED), 1)
+    share = torch.softmax(torch.where(allowed.unsqueeze(-1), score, MASKED), 1)
     share = share * allowed.any(1)[:, None, :, None]
     return (share.unsqueeze(-1) * value).sum(1).flatten(-2)
 
@@ -96,7 +95,7 @@ def _forward(query, kept, window, allowed, bias, share, out):
             for p in range(total):
                 for h in range(heads):
                     asks, found, gives = query[p, m, h], share[p, m, h], out[p, m, h]
-                    largest = np.float32(_MASKED)
+                    largest = np.float32(MASKED)
                     for j in range(frames):
                         if allowed[p, j, m]:
                             key = kept[window[p, j], m, 0, h]

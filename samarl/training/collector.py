@@ -48,7 +48,8 @@ class RolloutCollector:
             taught: keep what the safety shield would do as well.
         """
         self.stage, self.policy, self.steps = stage, policy, steps
-        self.central, self.taught = central, taught
+        self.central = central
+        self.teacher = Shield() if taught else None
         scenario, worlds = stage.scenario, stage.worlds
         self.world = World(scenario, worlds)
         self.state = policy.initial_state(worlds, scenario)
@@ -170,9 +171,9 @@ class RolloutCollector:
             ("next", "agents", "terminated"): torch.from_numpy(terminated & ended[:, None]),
             ("next", "agents", "team_reward"): torch.from_numpy(team.copy()),
         }
-        if self.taught:
+        if self.teacher is not None:
             wanted = decision.mean.clamp(-1.0, 1.0)
-            safe = shielded(decision.tracks, wanted.numpy(), self.stage.scenario, Shield())
+            safe = shielded(decision.tracks, wanted.numpy(), self.stage.scenario, self.teacher)
             found["agents", "safe_action"] = torch.from_numpy(safe)
             unsafe = (found["agents", "safe_action"] - wanted).abs().amax(-1) > UNSAFE
             found["agents", "unsafe"] = unsafe & decision.levels[LOCAL].decided
