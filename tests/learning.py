@@ -36,7 +36,7 @@ PPO_NUMBERS: dict[str, Any] = {
     "max_gradient_norm": 1.0, "kept_share": 1.0, "action_limit_penalty": 0.01,
     "action_limit_slack": 1.0, "std_start": 1.0, "std_end": 0.1, "critic_width": 8,
     "critic_heads": 2, "critic_features": 8, "shield_coefficient": 0.0,
-    "path_penalty": 0.0,
+    "path_penalty": 0.0, "macro_std": 0.0,
 }  # fmt: skip
 
 

@@ -24,8 +24,12 @@ from samarl.algorithms.advantages import macro_advantages, step_advantages, stre
 from samarl.algorithms.algorithm import Algorithm
 from samarl.algorithms.critics import PopArtHead, SetEncoder
 from samarl.observations.frames import Frames
-from samarl.policies.policy import LOCAL, Policy, Taken
+from samarl.policies.policy import LOCAL, MACRO, Policy, Taken
 from samarl.rollout import Rollout, level_key
+
+MACRO_RISE = 0.3
+"""Share of a training in which the macro level's least noise rises: first its waypoints stay put,
+so that the local level learns to drive to them."""
 
 
 @dataclass
@@ -49,6 +53,7 @@ class PPOConfig:
     shield_coefficient: float = required(0.0, 100.0)  # of acting as the shield would, where unsafe
     std_start: float = required(0.01, 10.0)  # cap of the exploration noise ...
     std_end: float = required(0.01, 10.0)  # ... falls linearly to this
+    macro_std: float = required(0.0, 10.0)  # the macro level's is at least this, unless capped
     critic_width: int = required(8, 1024)  # of the critics' encoder
     critic_heads: int = required(1, 64)
     critic_features: int = required(8, 4096)
@@ -104,11 +109,14 @@ class PPO(Algorithm):
         return paid - self.config.path_penalty * driven
 
     def set_progress(self, share: float) -> None:
-        """Learning rate and exploration fall linearly."""
+        """Learning rate and exploration fall linearly; waypoints are first tried further apart."""
         c = self.config
         for group in self.optimiser.param_groups:
             group["lr"] = c.learning_rate * max(1.0 - share, 0.02)
-        self.policy.cap_std(c.std_start + (c.std_end - c.std_start) * share)
+        largest = c.std_start + (c.std_end - c.std_start) * share
+        for level in self.policy.levels:
+            rising = min(share / MACRO_RISE, 1.0) if level == MACRO else 0.0
+            self.policy.bound_std(level, c.macro_std * rising, largest)
 
     def optimisers(self) -> dict[str, Any]:
         """See `Algorithm.optimisers`."""

@@ -30,9 +30,9 @@ class Gaussian(nn.Module):
         return mean, self.log_std.exp().expand_as(mean)
 
     @torch.no_grad()
-    def cap_std(self, largest: float) -> None:
-        """Bring the standard deviation down to `largest` where it is above."""
-        self.log_std.clamp_(max=math.log(largest))
+    def bound_std(self, least: float, largest: float) -> None:
+        """Bring the standard deviation between the two; `largest` wins where they disagree."""
+        self.log_std.clamp_(math.log(max(least, 1e-6)), math.log(largest))
 
 
 def log_prob(action: Tensor, mean: Tensor, std: Tensor) -> Tensor:

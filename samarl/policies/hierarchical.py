@@ -30,6 +30,7 @@ from samarl.policies.flat import MEAN, STD
 from samarl.policies.heads import Gaussian, log_prob
 from samarl.policies.policy import (
     LOCAL,
+    MACRO,
     POLICIES,
     Decision,
     Known,
@@ -42,7 +43,6 @@ from samarl.policies.policy import (
 )
 from samarl.registry import needed
 
-MACRO = "macro"
 REACHED = 0.3  # m, a waypoint
 
 

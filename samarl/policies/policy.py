@@ -40,6 +40,7 @@ from samarl.registry import Registry, needed
 POLICIES: Registry[Policy] = Registry("policy")
 
 LOCAL = "local"  # the level that drives; every policy has it
+MACRO = "macro"  # the level above, which picks waypoints
 State = dict[str, Any]  # nested dicts and tuples of tensors and arrays, [E, ...] or [B, ...]
 
 
@@ -365,11 +366,10 @@ class Policy(nn.Module, ABC):
         )
         return Explanation(None, humans, robots)
 
-    def cap_std(self, largest: float) -> None:
-        """Bring the standard deviations of all levels down to `largest`."""
+    def bound_std(self, level: str, least: float, largest: float) -> None:
+        """Bring the standard deviation of a level between the two; `largest` wins."""
         for net in self.networks:
-            for head in net.heads.values():
-                head.cap_std(largest)
+            net.heads[level].bound_std(least, largest)
 
     def check(self, scenario: Scenario) -> None:
         """Refuse a scenario whose robots it cannot drive.

@@ -13,10 +13,8 @@ from mrsan.features import GOAL
 from samarl.agents.learned import Deployed
 from samarl.algorithms.action_limits import excess
 from samarl.observations.features import to_body
-from samarl.policies.policy import LOCAL
+from samarl.policies.policy import LOCAL, MACRO
 from tests.learning import SCENARIO, algorithm, choices, collector, policy
-
-MACRO = "macro"
 
 
 def test_a_robot_decides_from_its_own_observations_alone() -> None:
@@ -235,3 +233,18 @@ def test_kept_samples_are_those_of_the_largest_advantages() -> None:
     assert size[kept].min() >= size[level.where & ~kept].max()
     assert level.advantage[level.where].mean().item() == pytest.approx(0.0, abs=1e-5)
     assert level.advantage[level.where].std().item() == pytest.approx(1.0, abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("share", "macro"), [(0.0, 0.1), (0.15, 0.2), (0.3, 0.4), (0.8, 0.2), (1.0, 0.1)]
+)
+def test_waypoints_are_tried_further_apart_once_they_are_followed(
+    share: float, macro: float
+) -> None:
+    model = policy()
+    learned = model.networks[0].heads[LOCAL].log_std.exp().detach()
+    algorithm(model, std_start=0.6, std_end=0.1, macro_std=0.4).set_progress(share)
+    std = {level: head.log_std.exp() for level, head in model.networks[0].heads.items()}
+    assert std[MACRO].tolist() == pytest.approx([macro] * 2)
+    assert (std[LOCAL] <= 0.6 - 0.5 * share + 1e-6).all()
+    assert (std[LOCAL] <= learned + 1e-6).all()  # nothing raises the local level's
