@@ -60,7 +60,7 @@ train: setup ## Train SAMARL with the default recipe, or go on with an interrupt
 	@$(BIN)/samarl-train
 
 results: setup ## Rewrite results/, the table and the pictures of the README (nothing else may)
-	@$(BIN)/samarl-bench output=results
+	@$(BIN)/samarl-bench seeds=true output=results
 	@$(BIN)/python -m benchmarks.throughput --compile --output results/throughput.json
 	@$(BIN)/python -m benchmarks.latency --output results/latency.json
 	@$(BIN)/python -m benchmarks.training --output results/training_throughput.json

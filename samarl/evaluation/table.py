@@ -72,6 +72,10 @@ def rows_as_cells(
     measured = [known.heading for known in METRICS.values() if known.heading]
     header = ("method", "FOV", "humans", "robots", *measured, "paper's success %")
     lines = [_cells(row) for row in rows]
+    if any("training_seeds" in row for row in rows):
+        header += ("seeds", "success % over seeds", "social score over seeds")
+        for line, row in zip(lines, rows, strict=True):
+            line += _over_seeds(row)
     names = {(row["method"], column_of(row)) for row in rows}
     if with_settings and len(names) < len(rows):
         header += ("settings",)
@@ -90,6 +94,18 @@ def _cells(row: Row) -> list[str]:
         *(known.cell(row) for known in METRICS.values() if known.heading),
         "" if paper is None else str(paper),
     ]
+
+
+def _over_seeds(row: Row) -> list[str]:
+    """Interquartile means with their intervals; empty where only one seed was trained."""
+    if "training_seeds" not in row:
+        return ["", "", ""]
+    form = "{:.1f} [{:.1f}, {:.1f}]"
+    of_both = [
+        form.format(*(row[f"{name}_{key}"] for key in ("iqm", "iqm_low", "iqm_high")))
+        for name in ("success", "social")
+    ]
+    return [str(row["training_seeds"]), *of_both]
 
 
 def table1_as_markdown(rows: Sequence[Row]) -> str:

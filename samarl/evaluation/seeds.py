@@ -1,0 +1,39 @@
+"""Over training seeds: the interquartile mean with a bootstrap interval (Agarwal et al., 2021)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from samarl.evaluation.summary import Row
+
+_RESAMPLES = 10_000
+
+
+def interquartile_mean(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The mean of [..., S] without the lowest and the highest quarter; of all, if S < 4."""
+    cut = values.shape[-1] // 4
+    kept: NDArray[np.float64] = np.sort(values)[..., cut : values.shape[-1] - cut].mean(axis=-1)
+    return kept
+
+
+def across_seeds(rows: Sequence[Row]) -> Row:
+    """What the rows of one method in one column, each of another training seed, say together.
+
+    Args:
+        rows: one for each training seed.
+
+    Returns:
+        The number of seeds, and of success rate and social score the interquartile mean with its
+        95 % interval, seeds drawn with replacement.
+    """
+    drawn = np.random.default_rng(0).integers(len(rows), size=(_RESAMPLES, len(rows)))
+    found: Row = {"training_seeds": len(rows)}
+    for name, field in (("success", "success_rate"), ("social", "social_score")):
+        values = np.array([row[field] for row in rows])
+        low, high = np.percentile(interquartile_mean(values[drawn]), [2.5, 97.5])
+        of_all = (("iqm", interquartile_mean(values)), ("iqm_low", low), ("iqm_high", high))
+        found |= {f"{name}_{key}": round(float(value), 2) for key, value in of_all}
+    return found
