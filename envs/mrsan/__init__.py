@@ -6,6 +6,8 @@ import os
 # a machine that others use as well costs ten times the work itself.
 os.environ.setdefault("GOMP_SPINCOUNT", "1000")
 
+from importlib.metadata import version
+
 import gymnasium
 
 from mrsan.cases import Split
@@ -20,6 +22,8 @@ from mrsan.world import (
     Step,
     World,
 )
+
+__version__ = version("samarl")  # one distribution holds both packages
 
 __all__ = [
     "EGO_FEATURES",

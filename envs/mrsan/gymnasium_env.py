@@ -11,8 +11,17 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from mrsan.features import EGO_FEATURES, OTHER_FEATURES
+from mrsan.features import (
+    EGO_FEATURES,
+    HEADING_COS,
+    HEADING_SIN,
+    OTHER_FEATURES,
+    PREFERRED_SPEED,
+    RADIUS,
+    TIME,
+)
 from mrsan.metrics import Outcome, episodes_of, social_score
+from mrsan.rendering import RENDER_MODES, Renderer
 from mrsan.scenario import ConfigurationError, Scenario, overridden
 from mrsan.world import ActionError, Observation, Step, World
 
@@ -25,19 +34,24 @@ def as_spaces(scenario: Scenario) -> tuple[spaces.Dict, spaces.Box]:
     def floats(*shape: int) -> spaces.Box:
         return spaces.Box(-np.inf, np.inf, shape, np.float32)
 
+    low = np.full(len(EGO_FEATURES), -np.inf, np.float32)
+    high = -low
+    low[[HEADING_COS, HEADING_SIN]], high[[HEADING_COS, HEADING_SIN]] = -1.0, 1.0
+    low[[RADIUS, PREFERRED_SPEED, TIME]], high[TIME] = 0.0, 1.0
+
     def flags(*shape: int) -> spaces.Box:
         return spaces.Box(0, 1, shape, np.int8)
 
     features, others = len(OTHER_FEATURES), scenario.robots - 1
     entries: dict[str, spaces.Space[Any]] = {
-        "ego": floats(len(EGO_FEATURES)),
+        "ego": spaces.Box(low, high, dtype=np.float32),
         "humans": floats(scenario.humans, features),
         "humans_visible": flags(scenario.humans),
         "robots": floats(others, features),
         "robots_visible": flags(others),
     }
-    if not others:
-        del entries["robots"], entries["robots_visible"]
+    # No empty spaces: some libraries drop them on one side and not on the other.
+    entries = {key: space for key, space in entries.items() if 0 not in (space.shape or ())}
     return spaces.Dict(entries), spaces.Box(-1.0, 1.0, (scenario.action_size,), np.float32)
 
 
@@ -52,30 +66,21 @@ def robot_reward_parts(step: Step, world: int, robot: int) -> NDArray[np.float32
 
 
 def end_info(world: World, index: int, robot: int) -> dict[str, Any]:
-    """How the episode of world `index` ended for `robot`."""
+    """How the episode of world `index` ended for all, and for `robot`."""
     mask = np.arange(world.worlds) == index
     episodes = episodes_of(world.state, world.scenario, mask)
     return {
+        "is_success": bool(episodes.success[0]),
         "outcome": Outcome(episodes.outcome[0, robot]).name,
         "social_score": float(social_score(episodes)[0, robot]),
     }
-
-
-def refuse_rendering(render_mode: object) -> None:
-    """There is nothing to render with."""
-    if render_mode is not None:
-        raise ConfigurationError(
-            f"render_mode is {render_mode!r}; it must be None (samarl-render draws a case)"
-        )
 
 
 def _arrays(observation: Observation) -> dict[str, Array]:
     arrays: dict[str, Array] = observation._asdict()
     arrays["humans_visible"] = observation.humans_visible.view(np.int8)
     arrays["robots_visible"] = observation.robots_visible.view(np.int8)
-    if not observation.robots.shape[2]:
-        del arrays["robots"], arrays["robots_visible"]
-    return arrays
+    return {key: value for key, value in arrays.items() if 0 not in value.shape[2:]}
 
 
 def _single_robot(scenario: Scenario | None, overrides: dict[str, Any]) -> Scenario:
@@ -94,21 +99,24 @@ class GymnasiumEnv(gymnasium.Env[dict[str, Array], Array]):
     """One robot in one world; `gymnasium.make("mrsan/SocialNavigation-v0", humans=5)`.
 
     `reset(seed=s)` plays case `s`; without a seed the next episode of it. The `info` of a step has
-    `arrived` and `reward_parts` [5], in the order of `mrsan.RewardParts`.
+    `arrived` and `reward_parts` [5], in the order of `mrsan.RewardParts`, and that of the last
+    `is_success`, `outcome` and `social_score`. `render_mode` "rgb_array" gives pictures
+    [512, 512, 3], "human" opens a window.
     """
 
-    metadata = {"render_modes": []}  # noqa: RUF012 (as Gymnasium declares it)
+    metadata = {"render_modes": RENDER_MODES, "render_fps": 4}  # noqa: RUF012 (as Gymnasium has it)
 
     observation_space: spaces.Space[Any]
     action_space: spaces.Space[Any]
 
     def __init__(
-        self, scenario: Scenario | None = None, render_mode: None = None, **overrides: Any
+        self, scenario: Scenario | None = None, render_mode: str | None = None, **overrides: Any
     ) -> None:
         """Make a world of `scenario` (SAMARL's with one robot) with `overrides` of its fields."""
-        refuse_rendering(render_mode)
         self.scenario = _single_robot(scenario, overrides)
         self.world = World(self.scenario)
+        self._renderer = Renderer(render_mode, self.scenario)
+        self.render_mode, self.metadata = render_mode, self._renderer.metadata
         self.observation_space, self.action_space = as_spaces(self.scenario)
         self._fresh = True
 
@@ -121,6 +129,7 @@ class GymnasiumEnv(gymnasium.Env[dict[str, Array], Array]):
             seed = int(self.np_random.integers(2**31))
         self._fresh = False
         observation = self.world.reset(None if seed is None else [seed])
+        self._renderer.moved(self.world)
         return robot_observation(observation, 0, 0), {"arrived": False}
 
     def step(self, action: Array) -> tuple[dict[str, Array], float, bool, bool, dict[str, Any]]:
@@ -135,6 +144,7 @@ class GymnasiumEnv(gymnasium.Env[dict[str, Array], Array]):
                 f"action has shape {action.shape}; it must have {self.action_space.shape}"
             )
         step = self.world.step(action[None, None])
+        self._renderer.moved(self.world)
         terminated, truncated = bool(step.terminated[0]), bool(step.truncated[0])
         info: dict[str, Any] = {
             "arrived": bool(self.world.state.arrived[0, 0]),
@@ -144,6 +154,14 @@ class GymnasiumEnv(gymnasium.Env[dict[str, Array], Array]):
             info |= end_info(self.world, 0, 0)
         observation = robot_observation(step.observation, 0, 0)
         return observation, float(step.reward[0, 0]), terminated, truncated, info
+
+    def render(self) -> Array | None:
+        """The picture in mode "rgb_array", [512, 512, 3] uint8; else None."""
+        return self._renderer.frame(self.world)
+
+    def close(self) -> None:
+        """Close the window, if there is one."""
+        self._renderer.close()
 
 
 class GymnasiumVectorEnv(VectorEnv[dict[str, Array], Array, Array]):
@@ -159,15 +177,18 @@ class GymnasiumVectorEnv(VectorEnv[dict[str, Array], Array, Array]):
         num_envs: int = 1,
         scenario: Scenario | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
-        render_mode: None = None,
+        render_mode: str | None = None,
         **overrides: Any,
     ) -> None:
         """Make `num_envs` worlds of `scenario` with `overrides` of its fields."""
-        refuse_rendering(render_mode)
+        if render_mode == "human":
+            raise ConfigurationError("render_mode is 'human'; it must be None or rgb_array here")
         self.scenario = _single_robot(scenario, overrides)
         self.num_envs = num_envs
         self.autoreset_mode = AutoresetMode(autoreset_mode)
-        self.metadata = {"autoreset_mode": self.autoreset_mode, "render_modes": []}
+        self._renderer = Renderer(render_mode, self.scenario)
+        self.render_mode = render_mode
+        self.metadata = {"autoreset_mode": self.autoreset_mode, **self._renderer.metadata}
         self.single_observation_space, self.single_action_space = as_spaces(self.scenario)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
@@ -259,14 +280,24 @@ class GymnasiumVectorEnv(VectorEnv[dict[str, Array], Array, Array]):
         reward = step.reward[:, 0].astype(np.float64)
         return self._batch(observation), reward, step.terminated, step.truncated, infos
 
+    def render(self) -> tuple[Array, ...] | None:
+        """A picture of every world in mode "rgb_array", [512, 512, 3] uint8 each; else None."""
+        if self.render_mode is None:
+            return None
+        return tuple(self._renderer.picture(self.world, e) for e in range(self.num_envs))
+
     def _endings(self, done: Array) -> dict[str, Any]:
         """Outcome and social score of the worlds that ended, in Gymnasium's vector form."""
         episodes = episodes_of(self.world.state, self.scenario, done)
         outcome = np.full(self.num_envs, None, dtype=object)
         outcome[done] = [Outcome(value).name for value in episodes.outcome[:, 0]]
+        success = np.zeros(self.num_envs, np.bool_)
+        success[done] = episodes.success
         score = np.zeros(self.num_envs)
         score[done] = social_score(episodes)[:, 0]
         return {
+            "is_success": success,
+            "_is_success": done,
             "outcome": outcome,
             "_outcome": done,
             "social_score": score,

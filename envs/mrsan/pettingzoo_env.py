@@ -12,10 +12,10 @@ from pettingzoo import ParallelEnv
 from mrsan.gymnasium_env import (
     as_spaces,
     end_info,
-    refuse_rendering,
     robot_observation,
     robot_reward_parts,
 )
+from mrsan.rendering import RENDER_MODES, Renderer
 from mrsan.scenario import Scenario, overridden
 from mrsan.world import ActionError, Observation, World
 
@@ -39,23 +39,27 @@ class PettingZooEnv(ParallelEnv[str, dict[str, Array], Array]):
 
     metadata: ClassVar[dict[str, Any]] = {
         "name": "mrsan_v0",
-        "render_modes": [],
+        "render_modes": RENDER_MODES,
+        "render_fps": 4,
         "is_parallelizable": True,
     }
 
     def __init__(
-        self, scenario: Scenario | None = None, render_mode: None = None, **overrides: Any
+        self, scenario: Scenario | None = None, render_mode: str | None = None, **overrides: Any
     ) -> None:
         """Make one world of `scenario` (SAMARL's by default) with `overrides` of its fields."""
-        refuse_rendering(render_mode)
         self.scenario = overridden(scenario, overrides)
         self.world = World(self.scenario)
-        self.render_mode = None
+        self._renderer = Renderer(render_mode, self.scenario)
+        self.render_mode = render_mode
+        self.metadata = {**type(self).metadata, **self._renderer.metadata}  # type: ignore[misc]
         self.possible_agents = [f"robot_{i}" for i in range(self.scenario.robots)]
         self.agents: list[str] = []
         observation, action = as_spaces(self.scenario)
         self.observation_spaces = dict.fromkeys(self.possible_agents, observation)
         self.action_spaces = dict.fromkeys(self.possible_agents, action)
+        numbers = 8 * self.scenario.robots + 6 * self.scenario.humans
+        self.state_space = spaces.Box(-np.inf, np.inf, (numbers,), np.float32)
         self._fresh = True
 
     def observation_space(self, agent: str) -> spaces.Space[Any]:
@@ -75,6 +79,7 @@ class PettingZooEnv(ParallelEnv[str, dict[str, Array], Array]):
         self._fresh = False
         observation = self.world.reset(None if seed is None else [seed])
         self.agents = list(self.possible_agents)
+        self._renderer.moved(self.world)
         return self._split(observation), {agent: {"arrived": False} for agent in self.agents}
 
     def step(
@@ -105,6 +110,7 @@ class PettingZooEnv(ParallelEnv[str, dict[str, Array], Array]):
             elif not self.world.state.arrived[0, i]:
                 raise ActionError(f"action of {agent} is missing; it is still on its way")
         step = self.world.step(joint)
+        self._renderer.moved(self.world)
         terminated, truncated = bool(step.terminated[0]), bool(step.truncated[0])
         arrived = self.world.state.arrived[0]
         infos: dict[str, dict[str, Any]] = {
@@ -122,6 +128,32 @@ class PettingZooEnv(ParallelEnv[str, dict[str, Array], Array]):
             dict.fromkeys(agents, truncated),
             infos,
         )
+
+    def render(self) -> Array | None:
+        """The picture in mode "rgb_array", [512, 512, 3] uint8; else None."""
+        return self._renderer.frame(self.world)
+
+    def close(self) -> None:
+        """Close the window, if there is one."""
+        self._renderer.close()
+
+    def state(self) -> Array:
+        """The true state of everybody, flat: see `mrsan.World`.
+
+        Returns:
+            [8 N + 6 M] of each robot position, velocity, heading, goal and whether it has arrived,
+            then of each human whether it is there, position, velocity and radius (zero if not).
+        """
+        s, e = self.world.state, 0
+        robots = (s.robot_position[e], s.robot_velocity[e], s.robot_heading[e, :, None],
+                  s.robot_goal[e], s.arrived[e, :, None])  # fmt: skip
+        there = s.human_present[e, :, None]
+        humans = np.concatenate(
+            [there, s.human_position[e], s.human_velocity[e], s.human_radius[e, :, None]], axis=1
+        )
+        return np.concatenate(
+            [np.concatenate(robots, axis=1).ravel(), (humans * there).ravel()]
+        ).astype(np.float32)
 
     def _split(self, observation: Observation) -> dict[str, dict[str, Array]]:
         return {

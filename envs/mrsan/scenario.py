@@ -18,6 +18,10 @@ class ConfigurationError(ValueError):
     """A number or name that cannot be used; the message says which, and what would be right."""
 
 
+class UnknownFieldError(ConfigurationError, TypeError):
+    """A keyword that is no field; a `TypeError` too, which libraries that try keywords expect."""
+
+
 class Crowd(Enum):
     """How the people move."""
 
@@ -327,7 +331,8 @@ def overridden(scenario: Scenario | None, overrides: dict[str, Any]) -> Scenario
     """`scenario` (None: SAMARL's) with some of its fields changed.
 
     Raises:
-        ConfigurationError: it is no scenario, or has no such field, or not with such a value.
+        ConfigurationError: it is no scenario, or has no such field (then it is a `TypeError` as
+            well), or not with such a value.
     """
     if not isinstance(scenario, Scenario | None):
         raise ConfigurationError(
@@ -336,7 +341,8 @@ def overridden(scenario: Scenario | None, overrides: dict[str, Any]) -> Scenario
     fields = [f.name for f in dataclasses.fields(Scenario)]
     for name, value in overrides.items():
         if name not in fields:
-            raise ConfigurationError(
-                f"{name} is {value!r}; it must be a field of Scenario: {', '.join(fields)}"
+            raise UnknownFieldError(
+                f"unexpected keyword argument '{name}' ({value!r}); it must be a field of "
+                f"Scenario: {', '.join(fields)}"
             )
     return dataclasses.replace(scenario or Scenario(), **overrides)

@@ -54,6 +54,7 @@ class TorchRLEnv(EnvBase):
         super().__init__(device=device, batch_size=torch.Size([worlds]))
         self.scenario = overridden(scenario, overrides)
         self.world = World(self.scenario, worlds)
+        self.group_map = {"agents": [f"robot_{i}" for i in range(self.scenario.robots)]}
         self._make_specs()
         self._set_seed(int(np.random.default_rng().integers(2**31)) if seed is None else seed)
 

@@ -43,10 +43,10 @@ def test_enums_may_be_named() -> None:
         Scenario(crowd="stil")  # type: ignore[arg-type]
 
 
-def test_there_is_nothing_to_render_with() -> None:
+def test_a_mode_of_rendering_that_is_not_there() -> None:
     gymnasium.make("mrsan/SocialNavigation-v0", render_mode=None).close()
-    with pytest.raises(ConfigurationError, match="render_mode is 'human'"):
-        PettingZooEnv(render_mode="human")  # type: ignore[arg-type]
+    with pytest.raises(ConfigurationError, match="render_mode is 'ansi'; it must be None or one"):
+        PettingZooEnv(render_mode="ansi")
 
 
 def test_a_crowd_that_is_pushed_hard_stays_finite() -> None:
