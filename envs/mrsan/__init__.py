@@ -10,6 +10,10 @@ from importlib.metadata import version
 
 import gymnasium
 
+from mrsan.compile_cache import ensure_compile_cache
+
+ensure_compile_cache()  # before anything is compiled
+
 from mrsan.cases import Split
 from mrsan.features import EGO_FEATURES, OTHER_FEATURES
 from mrsan.metrics import Episodes, Outcome, social_score

@@ -1,8 +1,11 @@
 """A compiled kernel that lies on disk is used again only while its sources are the same."""
 
+import os
 import subprocess
 import sys
 from pathlib import Path
+
+import pytest
 
 HELPER = "from mrsan.kernels import function\n\n@function\ndef helper(x):\n    return x + {}\n"
 MIDDLE = "from mrsan.kernels import function\nfrom helper import helper\n\n"
@@ -38,3 +41,39 @@ def test_a_change_two_imports_away_compiles_a_kernel_anew(tmp_path: Path) -> Non
     assert played(1) == "1 0\n"
     assert played(1) == "1 1\n"
     assert played(25) == "25 0\n"
+
+
+NOWHERE = """
+import os, sys
+from numba.core.caching import _CacheLocator
+
+allowed, ensure = sys.argv[1], _CacheLocator.ensure_cache_path
+
+def refuse(self):
+    if not self.get_cache_path().startswith(allowed):
+        raise PermissionError(self.get_cache_path())
+    ensure(self)
+
+_CacheLocator.ensure_cache_path = refuse
+import mrsan
+from mrsan.kernels.step import advance
+print(advance.serial._cache.cache_path)
+"""
+
+
+@pytest.mark.parametrize("taken", [False, True])
+def test_where_nothing_can_be_written_kernels_lie_in_a_private_temporary_folder(
+    taken: bool, tmp_path: Path
+) -> None:
+    if taken:  # somebody else may have put code there
+        folder = tmp_path / f"mrsan-kernels-{os.getuid()}"
+        folder.mkdir()
+        folder.chmod(0o777)
+    done = subprocess.run(
+        [sys.executable, "-c", NOWHERE, str(tmp_path)], capture_output=True, text=True, check=True,
+        env={**os.environ, "TMPDIR": str(tmp_path), "NUMBA_CACHE_DIR": ""},
+    )  # fmt: skip
+    (used,) = {path for path in tmp_path.glob("mrsan-kernels-*") if path.stat().st_mode & 0o77 == 0}
+    assert done.stdout.startswith(str(used))
+    assert done.stderr.count("compiled kernels are kept in") == 1
+    assert len(done.stderr.splitlines()) == 1
