@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import samarl
+from mrsan import ConfigurationError
 
 
 @contextlib.contextmanager
@@ -25,6 +26,29 @@ def unfinished(path: Path) -> Iterator[Path]:
         os.replace(part, path)
     finally:
         part.unlink(missing_ok=True)
+
+
+def check_writable(path: Path, field: str) -> None:
+    """Find out before long work whether a file can be written where it shall lie.
+
+    Args:
+        path: of the file.
+        field: that names it, for the error.
+
+    Raises:
+        ConfigurationError: it cannot.
+    """
+    part = path.with_name(path.name + ".part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        part.touch()
+        part.unlink()
+        if path.is_dir():
+            raise IsADirectoryError("it is a folder")
+    except OSError as error:
+        raise ConfigurationError(
+            f"{field} is {str(path)!r}, where nothing can be written ({error.strerror or error})"
+        ) from error
 
 
 def write_atomically(path: Path, text: str) -> None:

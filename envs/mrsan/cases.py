@@ -23,3 +23,9 @@ class Split(Enum):
         if not 0 <= index < CASES_PER_SPLIT:
             raise ValueError(f"case index is {index}; it must lie in [0, 2^40)")
         return self.value * CASES_PER_SPLIT + index
+
+    @classmethod
+    def of(cls, number: int) -> tuple[Split, int]:
+        """The split in which a case number lies, and its place there; the inverse of `case`."""
+        value, index = divmod(number, CASES_PER_SPLIT)
+        return cls(value), index

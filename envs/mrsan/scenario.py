@@ -120,8 +120,8 @@ class Scenario:
     """
 
     # Who is there.
-    robots: int = number(3, 1, 16)
-    humans: int = number(10, 0, 64)
+    robots: int = number(3, 1, 16)  # how many
+    humans: int = number(10, 0, 64)  # how many at most
     humans_min: int | None = number(
         None, 0, 64
     )  # drawn per episode up to `humans`; null: always all

@@ -32,7 +32,7 @@ def build_agent(config: Mapping[str, Any], scenario: Scenario) -> Agent:
     values = dict(config)
     shield = _shield(values.pop("shield", False))
     target = values.pop("_target_", None)
-    agent_class = _find_class(target)
+    agent_class = find_class(target)
     if not (isinstance(agent_class, type) and issubclass(agent_class, Agent)):
         raise ConfigurationError(f"agent._target_ is {target!r}; it must be a subclass of Agent")
     if inspect.isabstract(agent_class):
@@ -65,7 +65,7 @@ def _default(field: dataclasses.Field) -> Any:
     return dataclasses.field(default=MISSING if missing else field.default)
 
 
-def _find_class(target: Any) -> Any:
+def find_class(target: Any) -> Any:
     """What an import path leads to (Hydra's own `get_class` logs its errors on stderr as well)."""
     module, _, name = str(target).rpartition(".")
     try:

@@ -29,6 +29,7 @@ from samarl.evaluation.table import (
     table1_as_markdown,
 )
 from samarl.files import (
+    check_writable,
     code_version,
     find_folder,
     machine,
@@ -36,6 +37,10 @@ from samarl.files import (
     write_json,
 )
 from samarl.policies.checkpoint import other_seeds
+
+STATUS = """\
+(same: the committed row again; close: within its 95 % intervals, as processors round differently;
+ DIFFERS: outside of them; other: the committed row is of another command; new: there is none)"""
 
 
 @dataclass
@@ -70,6 +75,8 @@ def bench(config: DictConfig) -> None:
         raise ConfigurationError(
             f"jobs is {config.jobs}; it must be 1 or more, or -1 for all cores"
         )
+    output = Path(config.output)
+    check_writable(output / "table1.json", "output")
     commit = code_version()
     plugins = list(config.plugins)
     agents = [(name, load_agent(name)) for name in names]
@@ -80,8 +87,6 @@ def bench(config: DictConfig) -> None:
             others = other_seeds(str(agent.get("checkpoint"))) if config.seeds else []
             variants = [agent, *({**agent, "checkpoint": other} for other in others)]
             tasks.append(delayed(_row)(name, variants, scenario, evaluation, commit, plugins))
-    output = Path(config.output)
-    output.mkdir(parents=True, exist_ok=True)
     os.environ.setdefault("PYTHONWARNINGS", "ignore:resource_tracker")  # when it is interrupted
     with parallel_config("loky", n_jobs=config.jobs, inner_max_num_threads=1):
         played = Parallel(return_as="generator")(tasks)
@@ -95,6 +100,7 @@ def bench(config: DictConfig) -> None:
     print(rows_as_markdown(rows), "\n")
     for row in rows:
         print(compare(row, known))
+    print(STATUS)
     write_json(output / "table1.json", rows)
     write_atomically(output / "table1.md", _page(rows, commit))
     print(f"\nwritten to {output}/table1.json and table1.md")

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import difflib
 import functools
+import hashlib
+import io
 import os
+import re
 import shlex
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NoReturn
 
 import hydra
@@ -16,10 +20,12 @@ from hydra.core.config_store import ConfigStore
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
-from omegaconf.errors import OmegaConfBaseException
+from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
 from yaml import YAMLError
 
+import samarl
 from mrsan import ActionError, ConfigurationError
+from samarl.commands.help import help_text
 from samarl.configuration import first, import_plugins, register_schemas
 from samarl.files import find_folder
 
@@ -45,6 +51,13 @@ def run_command(task: Callable[[DictConfig], Any], config_name: str, **schemas: 
         config_name: the primary file in `conf/`.
         **schemas: dataclasses that the configuration names in its defaults.
     """
+    if "--version" in sys.argv[1:]:
+        print(f"samarl {samarl.__version__}")
+        return
+    os.environ["SAMARL_SWEEP"] = _sweep_name(sys.argv[1:])
+    for stream in (sys.stdout, sys.stderr):  # a terminal may know only ASCII
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")
     os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra raises instead of printing; it is said below.
     if os.getcwd() not in sys.path:
         sys.path.append(os.getcwd())  # a user's own agents live where the command is run
@@ -52,6 +65,12 @@ def run_command(task: Callable[[DictConfig], Any], config_name: str, **schemas: 
     register_schemas()
     for name, schema in schemas.items():
         ConfigStore.instance().store(name=name, node=schema)
+    if {"--help", "-h"} & set(sys.argv[1:]):
+        try:
+            print(help_text(config_name, sys.argv[1:]))
+        except (HydraException, OmegaConfBaseException, ConfigurationError) as error:
+            _fail(error)
+        return
     decorate = hydra.main(
         version_base="1.3", config_path=str(find_folder("conf")), config_name=config_name
     )
@@ -68,9 +87,11 @@ def run_command(task: Callable[[DictConfig], Any], config_name: str, **schemas: 
         except BrokenPipeError:
             _leave_quietly()
         except (ConfigurationError, ActionError, OmegaConfBaseException, OSError) as error:
-            with contextlib.suppress(OSError):  # the folder made for this run, if it is empty
-                os.rmdir(HydraConfig.get().runtime.output_dir)
+            _remove_empty_folder()
             _fail(error)
+        except KeyboardInterrupt:
+            _remove_empty_folder()
+            raise
 
     try:
         decorate(checked)()
@@ -82,9 +103,17 @@ def run_command(task: Callable[[DictConfig], Any], config_name: str, **schemas: 
         if not str(error).startswith("Config group override"):
             raise
         _fail(error)
-    except KeyboardInterrupt:
-        print("interrupted", file=sys.stderr)
+    except KeyboardInterrupt as interruption:
+        print("; ".join(["interrupted", *map(str, interruption.args)]), file=sys.stderr)
         sys.exit(130)
+
+
+def _sweep_name(words: Sequence[str]) -> str:
+    """A folder for a sweep: what is swept, and a digest that tells it from other sweeps."""
+    settings = sorted(w for w in words if "=" in w and not w.startswith(("hydra", "evaluation.b")))
+    swept = [w.partition("=")[0].rpartition(".")[2] for w in settings if "," in w or "(" in w]
+    digest = hashlib.sha256("\n".join(settings).encode()).hexdigest()[:8]
+    return "-".join([*(re.sub(r"\W+", "_", key) for key in swept[:4]), digest])
 
 
 def command_line(program: str) -> str:
@@ -103,11 +132,40 @@ def _refuse_unknown_keys(config: DictConfig, path: str) -> None:
     known = {f.name for f in dataclasses.fields(kind)} if dataclasses.is_dataclass(kind) else None
     for key in map(str, config):
         if known is not None and key not in known:
-            choices = ", ".join(sorted(known))
-            raise ConfigurationError(f"{path}{key} is not known; it must be one of {choices}")
+            raise ConfigurationError(_not_known(path, key, known))
         node = config._get_node(key)
         if isinstance(node, DictConfig) and not node._is_none():
             _refuse_unknown_keys(node, f"{path}{key}.")
+
+
+def _not_known(path: str, key: str, known: Iterable[str]) -> str:
+    """What to say of a field that is not there: the one that is probably meant, or all."""
+    names = sorted(name for name in known if not name.startswith("_"))
+    meant = [name for name in names if name.startswith(key)]
+    meant += [name for name in names if "".join(word[:1] for word in name.split("_")) == key]
+    meant += difflib.get_close_matches(key, names)
+    if meant:
+        return f"{path}{key} is not known; did you mean {path}{meant[0]}?"
+    return f"{path}{key} is not known; it must be one of {', '.join(names)}"
+
+
+def _unknown_key(error: BaseException | None) -> str | None:
+    """The same, where the error comes from a field that Hydra or OmegaConf does not find."""
+    while error is not None:
+        parent = getattr(error, "parent_node", None)
+        if isinstance(error, ConfigKeyError | ConfigAttributeError) and isinstance(
+            parent, DictConfig
+        ):
+            path = str(error.full_key).rpartition(".")[0]
+            return _not_known(f"{path}." if path else "", str(error.key), map(str, parent))
+        error = error.__cause__
+    return None
+
+
+def _remove_empty_folder() -> None:
+    """The folder that was made for this run, if nothing was written into it."""
+    with contextlib.suppress(OSError):
+        os.rmdir(HydraConfig.get().runtime.output_dir)
 
 
 def _leave_quietly() -> NoReturn:
@@ -118,6 +176,9 @@ def _leave_quietly() -> NoReturn:
 
 def _fail(error: Exception) -> NoReturn:
     """Say in one line what is wrong and leave with exit code 2."""
+    if unknown := _unknown_key(error):
+        print(f"error: {unknown}", file=sys.stderr)
+        sys.exit(2)
     message = str(error).split("Config search path:")[0]
     if error.__cause__ and str(error.__cause__) not in message:
         message += f"\n{error.__cause__}"

@@ -11,18 +11,20 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import MISSING, DictConfig, OmegaConf
 
 from mrsan import ConfigurationError, Scenario, Split
+from mrsan.cases import CASES_PER_SPLIT
 from mrsan.scenario import check_numbers, number
 from samarl.agents import build_agent
 from samarl.commands.cli import chosen_agent, run_command
 from samarl.configuration import load_agent
 from samarl.evaluation.recording import Recording, record_episode
+from samarl.files import check_writable
 
 
 @dataclass
 class Render:
     """Schema of `conf/render.yaml`."""
 
-    case: int = number(MISSING, 0, 10**9)
+    case: int = number(MISSING, 0, len(Split) * CASES_PER_SPLIT - 1)
     split: Split = Split.test
     output: str = MISSING
     scenario: Any = MISSING
@@ -42,8 +44,12 @@ def render(config: DictConfig) -> None:
     scenario = OmegaConf.to_object(config.scenario)
     assert isinstance(scenario, Scenario)
     check_numbers(Render(case=config.case, split=config.split), "render")
+    split, index = config.split, config.case
+    if index >= CASES_PER_SPLIT:  # a number as episodes.jsonl has it
+        split, index = Split.of(index)
     path = Path(config.output)
     save = _writer(path)
+    check_writable(path, "output")
     agents: list[tuple[str, Any]] = [
         (HydraConfig.get().runtime.choices.agent, chosen_agent(config))
     ]
@@ -52,9 +58,9 @@ def render(config: DictConfig) -> None:
     recordings = []
     for name, agent_config in agents:
         agent = build_agent(agent_config, scenario)
-        recording = record_episode(agent, scenario, config.split.case(config.case))
+        recording = record_episode(agent, scenario, split.case(index))
         title = (
-            f"{name}, {config.split.name} case {config.case}: {scenario.fov_degrees:g}° view, "
+            f"{name}, {split.name} case {index}: {scenario.fov_degrees:g}° view, "
             f"{scenario.humans} humans, {scenario.robots} robots"
         )
         recordings.append((recording, title))

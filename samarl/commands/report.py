@@ -15,7 +15,7 @@ from samarl.agents import Agent, build_agent
 from samarl.commands.cli import run_command
 from samarl.configuration import available_agents, load_agent, scenario_of
 from samarl.evaluation.recording import Recording, record_episode
-from samarl.files import find_folder
+from samarl.files import check_writable, find_folder
 
 
 @dataclass
@@ -46,6 +46,8 @@ def report(config: DictConfig) -> None:
     for case in config.cases:
         if not 0 <= case < 10**9:
             raise ConfigurationError(f"cases has {case}; each must lie in [0, 1e+09]")
+    output = Path(config.output)
+    check_writable(output / "index.html", "output")
     scenarios = [scenario_of(OmegaConf.to_container(column)) for column in config.columns]
     methods = _methods(config.agents, results)
     drivers = list(_drivers(methods, scenarios))
@@ -54,14 +56,13 @@ def report(config: DictConfig) -> None:
         (name, case, record_episode(agent, scenario, config.split.case(case)))
         for name, agent, scenario, case in tqdm(plays, "episodes", unit="episode", disable=None)
     ]
-    output = Path(config.output)
     files = build_site(output, results, recordings, config.split.name)
     size = sum(file.stat().st_size for file in files)
     print(f"written to {output}/index.html: {len(files)} files, {size / 1e6:.2f} MB")
 
 
 def _methods(names: list[str] | None, results: Path) -> dict[str, dict[str, Any]]:
-    """The configurations of the agents; every policy that is shipped is one.
+    """The configurations of the agents; every policy that is shipped is one, of one seed each.
 
     A policy that no agent names is driven as the first agent with a checkpoint says.
     """
@@ -69,6 +70,7 @@ def _methods(names: list[str] | None, results: Path) -> dict[str, dict[str, Any]
     for name in available_agents() if names is None else names:
         config = load_agent(name)
         shipped = sorted((results / "checkpoints").glob("*.safetensors"))
+        shipped = [path for path in shipped if "_seed" not in path.stem]
         if "checkpoint" not in config or not shipped:
             methods[name] = config
         for path in shipped if "checkpoint" in config else ():

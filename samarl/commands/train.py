@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import signal
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -51,16 +52,25 @@ def train(config: DictConfig) -> None:
     if config.resume is not None:
         config = begun_as(config)
     trainer = build_trainer(config, command_line("samarl-train"))
-    if trainer.steps_done:
+    if trainer.steps_done >= trainer.config.steps:
+        print(
+            f"this run is finished; for more: samarl-train resume={trainer.run_dir.folder} "
+            f"trainer.steps={2 * trainer.config.steps}"
+        )
+    elif trainer.steps_done:
         print(f"going on at step {trainer.steps_done} of {trainer.config.steps}")
-    trainer.run()
+    try:
+        trainer.run()
+    except KeyboardInterrupt:
+        again = shlex.join(["samarl-train", f"resume={trainer.run_dir.folder}"])
+        raise KeyboardInterrupt(f"go on with: {again}") from None
     print(
         f"written to {trainer.run_dir.folder}: best validation success {100 * trainer.best:.1f} %"
     )
 
 
 def begun_as(config: DictConfig) -> DictConfig:
-    """The configuration of the run in the folder `config.resume`, with `FREE` from `config`.
+    """The configuration of the run in `config.resume`, with what may change from `config`.
 
     Raises:
         ConfigurationError: the folder holds no run, or other settings were given as well.
@@ -68,15 +78,18 @@ def begun_as(config: DictConfig) -> DictConfig:
     from samarl.training.run_dir import read_progress
     from samarl.training.trainer import FREE
 
-    free = [*(f"trainer.{name}" for name in FREE), "plugins"]
-    for override in HydraConfig.get().overrides.task:
-        if override.partition("=")[0] not in ("resume", *free):
+    free = [*(f"trainer.{name}" for name in FREE), "trainer.steps", "plugins"]
+    given = {o.partition("=")[0]: o for o in HydraConfig.get().overrides.task}
+    for name, override in given.items():
+        if name not in ("resume", *free):
             raise ConfigurationError(
                 f"resume is {config.resume!r} beside {override}; a run goes on with its own "
                 f"settings, beside it there may only be {', '.join(free)}"
             )
     own = read_progress(Path(config.resume))["configuration"]
     own["trainer"] |= {name: config.trainer[name] for name in FREE}
+    if "trainer.steps" in given:
+        own["trainer"]["steps"] = config.trainer.steps
     plain = OmegaConf.create({**OmegaConf.to_container(config), **own})  # type: ignore[dict-item]
     return OmegaConf.merge(plain, {"run_dir": config.resume})  # type: ignore[return-value]
 

@@ -20,7 +20,7 @@ class Evaluation:
 
     split: Split = Split.test
     first_case: int = number(0, 0, 10**9)  # within the split
-    cases: int = number(500, 1, 10**6)
+    cases: int = number(500, 1, 10**6)  # how many
     batch: int = number(128, 1, 10**5)  # worlds side by side; the result does not depend on it
 
     def __post_init__(self) -> None:

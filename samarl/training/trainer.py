@@ -312,7 +312,10 @@ class Trainer:
         tensors, progress = self.run_dir.load()
         begun_with = self.made.get("init_from", progress["made"].get("init_from"))
         same = begun_with == progress["made"].get("init_from")
-        if progress["configuration"] != self.configuration or not same:
+        known = progress["configuration"]
+        steps = max(known["trainer"]["steps"], self.config.steps)  # more of them may be asked for
+        known = {**known, "trainer": {**known["trainer"], "steps": steps}}
+        if known != self.configuration or not same:
             raise ConfigurationError(
                 f"{self.run_dir.folder} holds a run with another configuration; choose another "
                 f"run_dir, or go on with its own: resume={self.run_dir.folder}"

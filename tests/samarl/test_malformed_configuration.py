@@ -241,7 +241,7 @@ def test_every_malformed_configuration_ends_in_one_line(
             ["agent=nobody"],
             "Could not find 'agent/nobody'; Available options in 'agent'; model_pred",
         ),
-        (["scenario.robotz=3"], "Key 'robotz' not in 'Scenario'"),
+        (["scenario.robotz=3"], "scenario.robotz is not known; did you mean scenario.robots?"),
         (["scenario.crowd=orcas"], "expected one of [orca, social_force, still]"),
         (["scenario.reward.progress=inf"], "scenario.reward.progress is inf; it must lie in"),
     ],

@@ -96,6 +96,11 @@ def test_a_killed_run_goes_on_bit_for_bit(tmp_path: Path) -> None:
     events = EventAccumulator(str(cut / "run/tensorboard")).Reload()
     assert [event.step for event in events.Scalars("charts/success")] == list(range(128, 1025, 128))
 
+    process = start_with(whole, "resume=run", "trainer.steps=1152")  # a finished run may go on
+    said, errors = process.communicate(timeout=240)
+    assert process.returncode == 0, errors
+    assert "going on at step 1024 of 1152" in said
+
     process = start(cut, "algorithm.epochs=3")  # another run may not go on in this folder
     _, errors = process.communicate(timeout=240)
     assert process.returncode == 2
@@ -138,7 +143,7 @@ def test_a_stopped_run_saves_and_says_so_in_one_line(how: signal.Signals, tmp_pa
     process.send_signal(how)
     _, errors = process.communicate(timeout=60)
     assert process.returncode == 130
-    assert errors == "interrupted\n"
+    assert errors == "interrupted; go on with: samarl-train resume=run\n"
     assert (tmp_path / "run/state.safetensors").exists()
     assert (tmp_path / "run/last.safetensors").exists()
 

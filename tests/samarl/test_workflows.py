@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
+import samarl
 from mrsan import Outcome
 from samarl.evaluation.summary import row_fields
 
@@ -17,10 +18,10 @@ COMMANDS = ("evaluate", "bench", "render", "report")
 
 
 def run(
-    command: str, *arguments: str, cwd: Path, code: int = 0
+    command: str, *arguments: str, cwd: Path, code: int = 0, **variables: str
 ) -> subprocess.CompletedProcess[str]:
     """`python -m samarl.commands.<command> <arguments>`, which must end with `code`."""
-    environment = os.environ | {"NUMBA_NUM_THREADS": "1", "COLUMNS": "200"}
+    environment = os.environ | {"NUMBA_NUM_THREADS": "1", "COLUMNS": "200", **variables}
     environment.pop("HYDRA_FULL_ERROR", None)
     done = subprocess.run(
         [sys.executable, "-m", f"samarl.commands.{command}", *arguments],
@@ -62,7 +63,8 @@ def test_a_sweep_gathers_a_table_and_goes_on_where_it_stopped(tmp_path: Path) ->
     sweep = ["-m", "agent=straight", "scenario.fov_degrees=90,360", "scenario.robots=2,3",
              "evaluation.cases=4"]  # fmt: skip
     first = run("evaluate", *sweep, cwd=tmp_path)
-    folder = tmp_path / "outputs/sweep"
+    (folder,) = (tmp_path / "outputs/sweep").iterdir()
+    assert folder.name.startswith("fov_degrees-robots-")
     cells = sorted(folder.glob("**/row.json"))
     assert len(cells) == 4
     assert "finished before" not in first.stdout
@@ -85,6 +87,8 @@ def test_a_sweep_gathers_a_table_and_goes_on_where_it_stopped(tmp_path: Path) ->
     # Other cases are another question: nothing that was finished answers it.
     other = run("evaluate", *sweep[:-1], "evaluation.cases=5", cwd=tmp_path)
     assert "finished before" not in other.stdout
+    assert len(list((tmp_path / "outputs/sweep").iterdir())) == 2  # a table of its own
+    assert (folder / "table.md").read_text() == table
 
 
 def test_the_bench_writes_table_1_in_the_documented_form(tmp_path: Path) -> None:
@@ -149,6 +153,9 @@ def test_render_draws_a_case(tmp_path: Path) -> None:
     assert len(picture) > 10_000
     run("render", "agent=straight", "case=3", "scenario.robots=2", "output=case.gif", cwd=tmp_path)
     assert (tmp_path / "case.gif").read_bytes().startswith(b"GIF89a")
+    run("render", "agent=straight", f"case={2**41 + 3}", "scenario.robots=2", "output=same.png",
+        cwd=tmp_path)  # fmt: skip
+    assert (tmp_path / "same.png").read_bytes() == picture  # the number of episodes.jsonl
     run("render", "agent=straight", "against=straight", "case=3", "output=two.png", cwd=tmp_path)
     with Image.open(tmp_path / "two.png") as two, Image.open(tmp_path / "case.png") as one:
         assert two.width > 1.7 * one.width  # the same agent twice, of one perhaps another policy
@@ -194,9 +201,12 @@ def test_an_agent_of_ones_own_is_one_class_and_one_yaml(tmp_path: Path) -> None:
     assert done.stderr == "error: agent.throttle is 2.0; it must lie in [0, 1]\n"
 
 
-@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize("command", [*COMMANDS, "train"])
 def test_help_is_quick_to_say(command: str, tmp_path: Path) -> None:
-    """Every number is shown, and nothing that takes seconds to import is imported."""
+    """Every number is shown with its range, and nothing that takes seconds to import is imported.
+
+    But by that of training, which has ranges of what needs torch.
+    """
     code = (
         "import sys\nfrom runpy import run_module\n"
         f"sys.argv = ['samarl-{command}', '--help']\n"
@@ -210,10 +220,57 @@ def test_help_is_quick_to_say(command: str, tmp_path: Path) -> None:
     )
     assert done.returncode == 0, done.stderr
     assert f"samarl-{command}" in done.stdout
-    assert "heavy: none" in done.stdout
-    if command != "bench":  # whose scenarios are its columns
-        assert "fov_degrees: 360" in done.stdout
+    assert "heavy: none" in done.stdout or command == "train"
+    lines = {line.strip().partition("  ")[0]: line for line in done.stdout.splitlines()}
+    expected = {
+        "evaluate": ("fov_degrees: 360.0", "# centred on the heading (0, 360]"),
+        "render": ("time_horizon: 5.0", "be safe, s [0.01, 100]"),
+        "report": ("agents: null", "# a list of names to record; null: all of conf/agent/"),
+        "bench": ("cases: 500", "# how many [1, 1e+06]"),
+        "train": ("waypoint_range: 1.5", "may move it from there, m [0.1, 100]"),
+    }
+    setting, meaning = expected[command]
+    assert lines[setting].endswith(meaning)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_help_is_of_what_is_chosen(tmp_path: Path) -> None:
+    done = run("train", "algorithm=ippo", "encoder=gru", "--help", cwd=tmp_path)
+    assert "name: ippo" in done.stdout
+    assert "# of the embeddings and of the hidden state [8, 1024]" in done.stdout
+    (tmp_path / "conf/agent").mkdir(parents=True)
+    (tmp_path / "conf/agent/slow.yaml").write_text(
+        "_target_: samarl.agents.planners.perimeter.Perimeter\nradius: 7.0  # of mine\n"
+    )
+    done = run("evaluate", "--config-dir", "conf", "agent=slow", "--help", cwd=tmp_path)
+    assert "  radius: 7.0  " in done.stdout
+    assert run("bench", "--version", cwd=tmp_path).stdout == f"samarl {samarl.__version__}\n"
+
+
+@pytest.mark.parametrize(
+    ("given", "meant"),
+    [("scenario.fov", "scenario.fov_degrees"), ("evaluation.case", "evaluation.cases"),
+     ("+scenario.reward.progres", "scenario.reward.progress"), ("agnt", "agent"),
+     ("agent.max_neighbours", "agent.max_neighbors")],
+)  # fmt: skip
+def test_a_mistaken_name_gets_the_right_one(given: str, meant: str, tmp_path: Path) -> None:
+    done = run("evaluate", f"{given}=1", cwd=tmp_path, code=2)
+    assert done.stderr == f"error: {given.lstrip('+')} is not known; did you mean {meant}?\n"
+
+
+def test_what_cannot_be_written_is_refused_before_anything_is_played(tmp_path: Path) -> None:
+    (tmp_path / "taken").write_text("a file")
+    for command, output in (("render", "taken/case.png"), ("bench", "taken"), ("report", "taken")):
+        done = run(command, f"output={output}", cwd=tmp_path, code=2)
+        assert "where nothing can be written" in done.stderr
+        assert done.stderr.startswith("error: output is 'taken")
+        assert len(done.stderr.splitlines()) == 1
+
+
+def test_an_ascii_terminal_is_enough(tmp_path: Path) -> None:
+    done = run("evaluate", "agent=straight", "evaluation.cases=2", "hydra.run.dir=here",
+               cwd=tmp_path, PYTHONIOENCODING="ascii")  # fmt: skip
+    assert "| straight | 360? |" in done.stdout
 
 
 @pytest.mark.parametrize("command", COMMANDS)

@@ -1,0 +1,201 @@
+"""`--help`: every setting with its default, its range, its unit and what it means.
+
+Nothing is written twice: ranges and meanings come from the dataclasses that check the settings and
+from the comments in `conf/`.
+"""
+
+from __future__ import annotations
+
+import ast
+import dataclasses
+import inspect
+import io
+import itertools
+import re
+import tokenize
+from collections.abc import Sequence
+from enum import Enum
+from pathlib import Path
+from typing import Any
+
+from hydra import compose, initialize_config_dir
+from hydra.core.global_hydra import GlobalHydra
+from omegaconf import DictConfig, OmegaConf
+
+from mrsan import Reward, Scenario
+from samarl.agents.build import find_class
+from samarl.evaluation.runner import Evaluation
+from samarl.files import find_folder
+
+_WIDTH = 42  # of the settings; what they mean stands beside them
+_GROUPS = "Groups (choose with group=name; help of a choice: group=name --help):"
+Meanings = dict[str, str]  # by the path of a setting, such as scenario.reward.arrival
+
+
+def help_text(config_name: str, words: Sequence[str]) -> str:
+    """What `--help` prints.
+
+    Args:
+        config_name: the primary file in `conf/`.
+        words: the command line; settings on it are composed, so that help is of what they choose.
+    """
+    folder = find_folder("conf").resolve()
+    settings = [word for word in words if re.match(r"[\w.+~/@]+=", word)]
+    for option, own in itertools.pairwise(words):
+        if option in ("--config-dir", "-cd"):
+            settings.append(f"hydra.searchpath=[file://{Path(own).resolve()}]")
+    with initialize_config_dir(str(folder), version_base="1.3"):
+        config = compose(config_name, settings, return_hydra_config=True)
+        loader = GlobalHydra.instance().config_loader()
+        choices = {
+            group: str(choice) for group, choice in config.hydra.runtime.choices.items()
+            if not group.startswith("hydra/")
+        }  # fmt: skip
+        options = {group: loader.get_group_options(group) for group in choices}
+    described = OmegaConf.to_container(config.hydra.help)
+    assert isinstance(described, dict)
+    config = OmegaConf.masked_copy(config, [str(key) for key in config if key != "hydra"])
+    meanings = comments_in_yaml(folder / f"{config_name}.yaml")
+    for group, choice in choices.items():
+        of_files = _comments_of_choice(folder / group, choice)
+        meanings |= {f"{group}.{path}": text for path, text in of_files.items()}
+        if group == "policy":  # holds its encoder
+            encoder = _comments_of_choice(folder / "encoder", choices["encoder"])
+            meanings |= {f"policy.encoder.{path}": text for path, text in encoder.items()}
+    for path, cls in _classes(config).items():
+        for name, text in meanings_in_class(cls).items():
+            key = f"{path}.{name}"
+            note, limits = text
+            meanings[key] = " ".join(filter(None, [meanings.get(key, note), limits]))
+    groups = [
+        f"{group}: {', '.join(name for name in names if name != 'schema')}"
+        for group, names in options.items()
+    ]
+    return "\n".join(
+        [
+            described["header"].strip(), "",
+            *([_GROUPS, *groups, ""] if groups else []),
+            "Settings (change with path.of.setting=value; see the examples):",
+            annotated(_shortened(config), meanings), described["footer"].strip(),
+        ]
+    )  # fmt: skip
+
+
+def _shortened(config: DictConfig) -> str:
+    """The settings as YAML; of what a curriculum trains on only what is not as by default."""
+    content: Any = OmegaConf.to_container(config, enum_to_str=True)
+    default = OmegaConf.to_container(OmegaConf.structured(Scenario), enum_to_str=True)
+    assert isinstance(default, dict)
+    for stage in content.get("curriculum", {}).get("stages", []):
+        scenario = stage["scenario"]
+        stage["scenario"] = {k: v for k, v in scenario.items() if v != default[k]}
+    return OmegaConf.to_yaml(OmegaConf.create(content))
+
+
+def annotated(yaml: str, meanings: Meanings) -> str:
+    """The lines of a YAML document, each with what its setting means."""
+    lines: list[str] = []
+    path: list[tuple[int, str]] = []  # the keys above, each with its indentation
+    for line in yaml.splitlines():
+        found = re.match(r"( *(?:- )?)([\w-]+):", line)
+        if found:
+            indent = len(found[1])
+            path = [(depth, key) for depth, key in path if depth < indent]
+            path.append((indent, found[2]))
+        meaning = meanings.get(".".join(key for _, key in path), "") if found else ""
+        lines.append(f"{line:<{_WIDTH}}  # {meaning}" if meaning else line)
+    return "\n".join(lines)
+
+
+def comments_in_yaml(path: Path) -> Meanings:
+    """The comments at the ends of the lines of a YAML file, by the path of their key."""
+    found: Meanings = {}
+    above: list[tuple[int, str]] = []
+    for line in path.read_text(encoding="utf-8").splitlines():
+        match = re.match(r"( *)(\w+):(?! \{)[^#]*(?:# (.*))?$", line)
+        if match:
+            above = [(depth, key) for depth, key in above if depth < len(match[1])]
+            above.append((len(match[1]), match[2]))
+            if match[3]:
+                found[".".join(key for _, key in above)] = match[3]
+    return found
+
+
+def meanings_in_class(cls: type) -> dict[str, tuple[str, str]]:
+    """Of each field of a dataclass the comment behind it, and the range or the choices."""
+    found: dict[str, tuple[str, str]] = {}
+    notes: dict[str, str] = {}
+    for base in reversed(cls.__mro__[:-1]):
+        if dataclasses.is_dataclass(base):
+            notes |= _comments_behind_fields(base)
+    for field in dataclasses.fields(cls):
+        limits, default = "", field.default
+        if "low" in field.metadata:
+            bracket = "(" if field.metadata["above"] else "["
+            limits = f"{bracket}{field.metadata['low']:g}, {field.metadata['high']:g}]"
+        elif isinstance(default, Enum):
+            limits = " | ".join(type(default).__members__)
+        found[field.name] = (notes.get(field.name, ""), limits)
+    return found
+
+
+def _comments_behind_fields(cls: type) -> Meanings:
+    try:
+        source = inspect.cleandoc("\n" + inspect.getsource(cls))
+    except (OSError, TypeError):
+        return {}
+    comments = {
+        token.start[0]: token.string.lstrip("# ")
+        for token in tokenize.generate_tokens(io.StringIO(source).readline)
+        if token.type == tokenize.COMMENT
+    }
+    (tree,) = ast.parse(source).body
+    assert isinstance(tree, ast.ClassDef)
+    return {
+        node.target.id: comments[line]
+        for node in tree.body
+        if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name)
+        for line in range(node.lineno, (node.end_lineno or 0) + 1)
+        if line in comments
+    }
+
+
+def _comments_of_choice(folder: Path, choice: str) -> Meanings:
+    """The comments of a file of a group, and of those that it is based on."""
+    path = folder / f"{choice}.yaml"
+    if not path.is_file():
+        return {}
+    content: Any = OmegaConf.load(path)
+    based_on = content.get("defaults", [])
+    found: Meanings = {}
+    for base in based_on:
+        if isinstance(base, str) and base != "_self_":
+            found |= _comments_of_choice(folder, base)
+    return found | comments_in_yaml(path)
+
+
+def _classes(config: DictConfig) -> dict[str, Any]:
+    """The dataclasses that check the settings, by the path of what they check."""
+    classes: dict[str, Any] = {}
+    if "scenario" in config:
+        classes |= {"scenario": Scenario, "scenario.reward": Reward}
+    if "evaluation" in config:
+        classes["evaluation"] = Evaluation
+    if "agent" in config:
+        classes["agent"] = find_class(config.agent._target_)
+    if "trainer" in config:
+        # Only here: they take seconds to import, for which help of other commands does not wait.
+        from samarl.algorithms import ALGORITHMS
+        from samarl.encoders import ENCODERS
+        from samarl.policies.policy import POLICIES
+        from samarl.training.curriculum import CurriculumStage
+        from samarl.training.trainer import TrainerConfig
+
+        classes |= {
+            "trainer": TrainerConfig, "curriculum.stages": CurriculumStage,
+            "curriculum.stages.scenario": Scenario, "curriculum.stages.scenario.reward": Reward,
+            "algorithm": ALGORITHMS[config.algorithm.name].config,
+            "policy": POLICIES[config.policy.name].config,
+            **dict.fromkeys(("encoder", "policy.encoder"), ENCODERS[config.encoder.name].config),
+        }  # fmt: skip
+    return classes
