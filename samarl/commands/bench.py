@@ -20,7 +20,7 @@ from samarl.agents import build_agent
 from samarl.commands.cli import run_command
 from samarl.configuration import available_agents, import_plugins, load_agent, scenario_of
 from samarl.evaluation.runner import Evaluation, run_cases
-from samarl.evaluation.seeds import across_seeds
+from samarl.evaluation.seeds import across_seeds, other_seeds
 from samarl.evaluation.summary import Row, read_rows, summarise
 from samarl.evaluation.table import (
     column_name,
@@ -36,7 +36,6 @@ from samarl.files import (
     write_atomically,
     write_json,
 )
-from samarl.policies.checkpoint import other_seeds
 
 STATUS = """\
 (same: the committed row again; close: within its 95 % intervals, as processors round differently;

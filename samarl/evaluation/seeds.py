@@ -8,8 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from samarl.evaluation.summary import Row
+from samarl.files import find_folder
 
 _RESAMPLES = 10_000
+
+
+def other_seeds(name: str) -> list[str]:
+    """The shipped policies that differ from the one of this name by their training seed alone."""
+    shipped = find_folder("results") / "checkpoints"
+    return sorted(path.stem for path in shipped.glob(f"{name}_seed*.safetensors"))
 
 
 def interquartile_mean(values: NDArray[np.float64]) -> NDArray[np.float64]:

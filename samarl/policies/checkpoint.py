@@ -88,12 +88,6 @@ def find_policy(name: str, field: str = "checkpoint") -> Path:
     )
 
 
-def other_seeds(name: str) -> list[str]:
-    """The shipped policies that differ from the one of this name by their training seed alone."""
-    shipped = find_folder("results") / "checkpoints"
-    return sorted(path.stem for path in shipped.glob(f"{name}_seed*.safetensors"))
-
-
 def load_policy(path: Path) -> tuple[Policy, PolicyCard]:
     """Read a policy and its card.
 
