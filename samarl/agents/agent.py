@@ -40,6 +40,10 @@ class Agent(ABC):
             digest.update(Path(file).read_bytes())
         return digest.hexdigest()[:16]
 
+    def caution(self) -> str | None:
+        """What a user should know before it is played in this scenario, in one line."""
+        return None
+
     @abstractmethod
     def act(self, observation: Observation) -> NDArray[np.float32]:
         """The action of every robot, [E, N, A] in [-1, 1]."""

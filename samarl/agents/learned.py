@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -86,6 +88,15 @@ class Learned(Agent):
         """A digest of the code and of the weights."""
         return f"{super().version()}.{self.card.sha256[:16]}"
 
+    def caution(self) -> str | None:
+        """The view is none of those it was trained for, nor between them."""
+        views = sorted(_values(self.card.made.get("configuration"), "fov_degrees"))
+        here = self.scenario.fov_degrees
+        if not views or views[0] <= here <= views[-1]:
+            return None
+        trained = " to ".join(f"{view:g}" for view in sorted({views[0], views[-1]}))
+        return f"{self.checkpoint} was trained for a view of {trained} degrees; here it is {here:g}"
+
     def reset(self, worlds: NDArray[np.bool_]) -> None:
         """Forget the worlds [E] in which an episode begins."""
         self._deployed.reset(worlds)
@@ -97,3 +108,16 @@ class Learned(Agent):
     def explain(self) -> Explanation | None:
         """Its waypoints and its attention."""
         return self._deployed.explain()
+
+
+def _values(tree: Any, key: str) -> Iterator[float]:
+    """All numbers under `key` in a nested structure of a card."""
+    if isinstance(tree, dict):
+        for name, value in tree.items():
+            if name == key:
+                yield float(value)
+            else:
+                yield from _values(value, key)
+    elif isinstance(tree, list):
+        for value in tree:
+            yield from _values(value, key)

@@ -102,6 +102,10 @@ class Shielded(Agent):
         """A digest of the code of both."""
         return f"{super().version()}.{self.agent.version()}"
 
+    def caution(self) -> str | None:
+        """That of the agent."""
+        return self.agent.caution()
+
     def act(self, observation: Observation) -> NDArray[np.float32]:
         """What the agent does, [E, N, A], as far as the shield lets it pass."""
         action = self.agent.act(observation)

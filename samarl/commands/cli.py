@@ -25,6 +25,7 @@ from yaml import YAMLError
 
 import samarl
 from mrsan import ActionError, ConfigurationError
+from samarl.agents import Agent
 from samarl.commands.help import help_text
 from samarl.configuration import first, import_plugins, register_schemas
 from samarl.files import find_folder
@@ -41,6 +42,12 @@ def chosen_agent(config: DictConfig) -> DictConfig:
             )
         agent.checkpoint = config.checkpoint
     return agent
+
+
+def say_caution(agent: Agent) -> None:
+    """Say what a user should know of an agent in its scenario, if there is anything."""
+    if caution := agent.caution():
+        print(f"note: {caution}", file=sys.stderr)
 
 
 def run_command(task: Callable[[DictConfig], Any], config_name: str, **schemas: type) -> None:

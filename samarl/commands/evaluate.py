@@ -12,7 +12,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from mrsan import Episodes, Outcome, Scenario, social_score
 from samarl.agents import build_agent
-from samarl.commands.cli import chosen_agent, command_line, run_command
+from samarl.commands.cli import chosen_agent, command_line, run_command, say_caution
 from samarl.evaluation.runner import Evaluation, run_cases
 from samarl.evaluation.summary import Row, summarise
 from samarl.evaluation.table import rows_as_markdown
@@ -46,6 +46,7 @@ def evaluate(config: DictConfig) -> Row:
             print(f"finished before: {folder}")
             row: Row = known["row"]
             return row
+    say_caution(agent)
     name = str(hydra.runtime.choices.agent)
     episodes = run_cases(agent, scenario, evaluation.numbers(), evaluation.batch, name)
     command = command_line("samarl-evaluate")

@@ -267,6 +267,15 @@ def test_what_cannot_be_written_is_refused_before_anything_is_played(tmp_path: P
         assert len(done.stderr.splitlines()) == 1
 
 
+def test_a_policy_outside_of_its_views_says_so(tmp_path: Path) -> None:
+    words = ["agent=samarl_narrow", "evaluation.cases=1", "scenario.time_limit=1"]
+    done = run("evaluate", *words, "scenario.fov_degrees=120", cwd=tmp_path)
+    said = "note: samarl_narrow was trained for a view of 90 degrees; here it is 120\n"
+    assert done.stderr.endswith(said)
+    done = run("evaluate", *words, "scenario.fov_degrees=90", cwd=tmp_path)
+    assert "note:" not in done.stderr
+
+
 def test_an_ascii_terminal_is_enough(tmp_path: Path) -> None:
     done = run("evaluate", "agent=straight", "evaluation.cases=2", "hydra.run.dir=here",
                cwd=tmp_path, PYTHONIOENCODING="ascii")  # fmt: skip
