@@ -271,7 +271,7 @@ def test_a_policy_outside_of_its_views_says_so(tmp_path: Path) -> None:
     words = ["agent=samarl_narrow", "evaluation.cases=1", "scenario.time_limit=1"]
     done = run("evaluate", *words, "scenario.fov_degrees=120", cwd=tmp_path)
     said = "note: samarl_narrow was trained for a view of 90 degrees; here it is 120\n"
-    assert done.stderr.endswith(said)
+    assert said in done.stderr
     done = run("evaluate", *words, "scenario.fov_degrees=90", cwd=tmp_path)
     assert "note:" not in done.stderr
 
