@@ -15,7 +15,7 @@ GOMP_SPINCOUNT ?= 1000
 export GOMP_SPINCOUNT
 
 .DEFAULT_GOAL := help
-.PHONY: help setup bench test test-browser lint train results pictures report latency throughput soak wheel check-wheel clean
+.PHONY: help setup bench test test-browser lint train results pictures report docs latency throughput soak wheel check-wheel clean
 
 help: ## List what can be made
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -76,6 +76,10 @@ pictures: report ## Draw the pictures of the README: a case that plays, and the 
 
 report: setup ## Build pages for the browser from results/, with replays, in results/report/
 	@$(BIN)/samarl-report
+
+docs: setup ## Build the documentation, with the Python API, in outputs/docs/
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
+	@echo "written to outputs/docs/index.html"
 
 latency: setup ## Measure how long one decision takes
 	@$(BIN)/python -m benchmarks.latency

@@ -30,7 +30,7 @@ class PettingZooEnv(ParallelEnv[str, dict[str, Array], Array]):
     the team's bonus. `reset(seed=s)` plays case `s`; without a seed the next episode of it. The
     infos of a step have `arrived` and `reward_parts` [5], in the order of `mrsan.RewardParts`.
 
-    Example:
+    Examples:
         >>> env = PettingZooEnv(humans=5)
         >>> observations, infos = env.reset(seed=7)
         >>> observations["robot_0"]["humans"].shape

@@ -28,7 +28,7 @@ class TorchRLEnv(EnvBase):
     and `truncated` (time limit) [E, 1]. `reset(TensorDict({"case": numbers}, [E]))` plays those
     cases; without it a world goes on to the next episode of its case. Partial resets use `_reset`.
 
-    Example:
+    Examples:
         >>> env = TorchRLEnv(Scenario(), worlds=64)
         >>> env.rollout(10, break_when_any_done=False)["agents", "observation", "ego"].shape
         torch.Size([64, 10, 3, 11])

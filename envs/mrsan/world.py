@@ -102,7 +102,7 @@ class Step(NamedTuple):
 class World:
     """E independent worlds, stepped together.
 
-    Example:
+    Examples:
         >>> world = World(Scenario(humans=5), worlds=2)
         >>> observation = world.reset(cases=[0, 1])
         >>> step = world.step(np.zeros((2, 3, 3), np.float32))

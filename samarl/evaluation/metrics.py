@@ -89,7 +89,7 @@ def metric_fields() -> list[str]:
 def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
     """The 95 % confidence interval of a rate (Wilson, 1927), as shares.
 
-    Example:
+    Examples:
         >>> low, high = wilson_interval(450, 500)
         >>> round(low, 3), round(high, 3)
         (0.871, 0.923)

@@ -1,0 +1,31 @@
+"""What the pages of `make docs` need besides the files of this folder."""
+
+import re
+from pathlib import Path
+from typing import Any
+
+from mkdocs.structure.files import File, Files
+
+ROOT = Path(__file__).parents[1]
+
+
+def on_files(files: Files, config: Any) -> Files:
+    """The committed table is a page too."""
+    table = (ROOT / "results/table1.md").read_text(encoding="utf-8")
+    files.append(File.generated(config, "table1.md", content=table))
+    return files
+
+
+def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
+    """What lies outside of the pages is named, not linked to; it must be there."""
+
+    def named(match: re.Match[str]) -> str:
+        text, target = match[1], match[2].partition("#")[0]
+        if target == "../results/table1.md":
+            return f"[{text}](table1.md)"
+        if not (ROOT / "docs" / target).exists():
+            raise FileNotFoundError(f"{page.file.src_path} links to {target}, which is not there")
+        path = (ROOT / "docs" / target).resolve().relative_to(ROOT)
+        return f"`{path}`" if text.strip("`") == str(path) else f"{text} (`{path}`)"
+
+    return re.sub(r"\[([^\]]+)\]\((\.\./[^)]+)\)", named, markdown)
