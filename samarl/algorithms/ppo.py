@@ -49,7 +49,7 @@ class PPOConfig:
     kept_share: float = required(0.01, 1.0)  # of the samples, those of the largest advantages
     action_limit_penalty: float = required(0.0, 10.0)  # of commands beyond the robots' limits ...
     action_limit_slack: float = required(0.0, 10.0)  # ... by more than so many deviations
-    path_penalty: float = required(0.0, 100.0)  # taken off the reward per metre driven
+    path_penalty: float = required(0.0, 100.0)  # off the reward per metre, falls linearly to 0
     shield_coefficient: float = required(0.0, 100.0)  # of acting as the shield would, where unsafe
     std_start: float = required(0.01, 10.0)  # cap of the exploration noise ...
     std_end: float = required(0.01, 10.0)  # ... falls linearly to this
@@ -88,6 +88,7 @@ class PPO(Algorithm):
         )
         self.loss = _torchrl_loss(config)
         self.taught = config.shield_coefficient > 0.0
+        self.path_penalty = config.path_penalty
         self.to(policy.device)
         self.optimiser = torch.optim.Adam(
             [*policy.parameters(), *self.parameters()], lr=config.learning_rate, eps=1e-5
@@ -106,11 +107,15 @@ class PPO(Algorithm):
         paid = rollout.steps[("next", *level_key(level), "reward")][:, :-1]
         agents = rollout.steps["agents"]
         driven = agents["speed"][:, 1:] * agents["active_mask"][:, :-1] * rollout.scenario.time_step
-        return paid - self.config.path_penalty * driven
+        return paid - self.path_penalty * driven
 
     def set_progress(self, share: float) -> None:
-        """Learning rate and exploration fall linearly; waypoints are first tried further apart."""
+        """Learning rate, exploration and what a metre costs fall linearly.
+
+        The noise of the macro level rises first: then its waypoints can be followed.
+        """
         c = self.config
+        self.path_penalty = c.path_penalty * (1.0 - share)
         for group in self.optimiser.param_groups:
             group["lr"] = c.learning_rate * max(1.0 - share, 0.02)
         largest = c.std_start + (c.std_end - c.std_start) * share

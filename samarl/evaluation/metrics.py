@@ -30,6 +30,7 @@ class Metric:
     form: str  # how its values are printed, as of `str.format`
     decimals: int  # to which they are rounded in the files
     measure: Measure
+    detail: bool = False  # its column stands in the report only, not in what is printed
 
     def of(self, episodes: Episodes) -> dict[str, Value]:
         """Its fields of a row, rounded."""
@@ -57,7 +58,7 @@ METRICS: dict[str, Metric] = {}  # by the first field, in the order of a row
 
 
 def metric(
-    *fields: str, heading: str, form: str = "{:.1f}", decimals: int = 2
+    *fields: str, heading: str, form: str = "{:.1f}", decimals: int = 2, detail: bool = False
 ) -> Callable[[Measure], Measure]:
     """Make a function of the episode records known as a metric.
 
@@ -66,6 +67,7 @@ def metric(
         heading: of its column in the tables; empty: only in the files.
         form: how a cell shows the values, as of `str.format`.
         decimals: to which the files round them.
+        detail: show its column in the report only.
 
     Raises:
         ValueError: another metric has a field of this name.
@@ -75,7 +77,7 @@ def metric(
         for name in fields:
             if name in metric_fields():
                 raise ValueError(f"metric field {name!r} is there already; name it otherwise")
-        METRICS[fields[0]] = Metric(fields, heading, form, decimals, measure)
+        METRICS[fields[0]] = Metric(fields, heading, form, decimals, measure, detail)
         return measure
 
     return register
@@ -121,7 +123,7 @@ def _social(episodes: Episodes) -> tuple[float, float, float]:
     return mean, max(mean - half, 0.0), min(mean + half, 100.0)
 
 
-@metric("collision_rate", heading="")
+@metric("collision_rate", heading="collision %", detail=True)
 def _collision(episodes: Episodes) -> float:
     return _percent(episodes.hit_human | episodes.hit_robot)
 
@@ -153,20 +155,20 @@ def _time_to_goal(episodes: Episodes) -> Value:
     return _mean(episodes.time[episodes.outcome == Outcome.arrived])
 
 
-@metric("closest_human", heading="", decimals=3)
+@metric("closest_human", heading="nearest m", form="{:.2f}", decimals=3, detail=True)
 def _closest_human(episodes: Episodes) -> Value:
     """Median over robots and episodes in which there was a human, m."""
     met = episodes.closest_human[np.isfinite(episodes.closest_human)]
     return float(np.median(met)) if met.size else None
 
 
-@metric("close_share", heading="")
+@metric("close_share", heading="close %", detail=True)
 def _close_share(episodes: Episodes) -> float:
     """Share of a robot's steps within personal space, %."""
     return _percent(episodes.close_share)
 
 
-@metric("jerk", heading="")
+@metric("jerk", heading="jerk m/s³", detail=True)
 def _jerk(episodes: Episodes) -> float:
     """Mean norm, m/s^3."""
     return float(episodes.jerk.mean())

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from samarl.evaluation.metrics import METRICS
+from samarl.evaluation.metrics import METRICS, Metric
 from samarl.evaluation.summary import Row
 
 Column = tuple[float, int, int]  # field of view in degrees, humans, robots
@@ -61,17 +61,19 @@ def rows_as_markdown(rows: Sequence[Row], with_settings: bool = False) -> str:
 
 
 def rows_as_cells(
-    rows: Sequence[Row], with_settings: bool = False
+    rows: Sequence[Row], with_settings: bool = False, details: bool = False
 ) -> tuple[tuple[str, ...], list[list[str]]]:
     """The header, and the cells of each row with what is measured of it.
 
     Args:
         rows: the rows.
         with_settings: say what else was set on the command line, where that tells rows apart.
+        details: show all that is measured.
     """
-    measured = [known.heading for known in METRICS.values() if known.heading]
+    shown = [known for known in METRICS.values() if known.heading and (details or not known.detail)]
+    measured = [known.heading for known in shown]
     header = ("method", "FOV", "humans", "robots", *measured, "paper's success %")
-    lines = [_cells(row) for row in rows]
+    lines = [_cells(row, shown) for row in rows]
     if any("training_seeds" in row for row in rows):
         header += ("seeds", "success % over seeds", "social score over seeds")
         for line, row in zip(lines, rows, strict=True):
@@ -84,14 +86,14 @@ def rows_as_cells(
     return header, lines
 
 
-def _cells(row: Row) -> list[str]:
+def _cells(row: Row, shown: Sequence[Metric]) -> list[str]:
     paper = PAPER_SUCCESS.get(column_of(row), {}).get(PAPER_NAME.get(row["method"], ""))
     return [
         row["method"],
         f"{row['fov_degrees']:g}°",
         str(row["humans"]),
         str(row["robots"]),
-        *(known.cell(row) for known in METRICS.values() if known.heading),
+        *(known.cell(row) for known in shown),
         "" if paper is None else str(paper),
     ]
 

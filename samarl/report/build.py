@@ -27,6 +27,7 @@ from samarl.report.figures import (
     read_curve,
     sweep_figures,
 )
+from samarl.report.leaderboard import GROUPS, is_best, ranked
 from samarl.report.replays import as_replay
 from samarl.report.style import PALETTE, save_figure
 
@@ -45,6 +46,12 @@ class Table:
     def key(self) -> str:
         """The name as part of an address."""
         return slug(self.name)
+
+    @property
+    def episodes(self) -> str:
+        """How many cases a row is of: one number, or the fewest and the most."""
+        counts = sorted({row["episodes"] for row in self.rows})
+        return " to ".join(str(count) for count in sorted({counts[0], counts[-1]}))
 
 
 @dataclass
@@ -93,6 +100,10 @@ def build_site(
         "grid_of": grid_of,
         "column_name": column_name,
         "rows_as_cells": rows_as_cells,
+        "groups": GROUPS,
+        "ranked": ranked,
+        "is_best": is_best,
+        "cards": _copy_cards(results / "checkpoints", site),
     }
 
     def write(name: str, **content: Any) -> None:
@@ -116,7 +127,8 @@ def build_site(
         write("sweeps.html", sweeps=sweeps, pictures=pictures)
     if recordings:
         write("replays.html", replays=_write_replays(recordings, split, site))
-    write_atomically(site / _MARK, (_TEMPLATES / _MARK).read_text(encoding="utf-8"))
+    for script in _TEMPLATES.glob("*.js"):
+        write_atomically(site / script.name, script.read_text(encoding="utf-8"))
     if output.exists():
         shutil.rmtree(output)
     site.replace(output)
@@ -156,6 +168,14 @@ def _draw_runs(runs: dict[str, list[Curve]], site: Path) -> dict[str, list[Pictu
         figure = draw_curves(runs, column)
         pictures[kind].append(_save(figure, f"curve-{column}", curve_title(column), site))
     return pictures
+
+
+def _copy_cards(checkpoints: Path, site: Path) -> set[str]:
+    """The cards of the policies, for those who want to know how one was made; their names."""
+    cards = sorted(checkpoints.glob("*.json"))
+    for card in cards:
+        write_atomically(site / "cards" / card.name, card.read_text(encoding="utf-8"))
+    return {card.stem for card in cards}
 
 
 def _save(figure: Figure, name: str, title: str, site: Path) -> Picture:

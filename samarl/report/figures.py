@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from samarl.evaluation.summary import Row
 from samarl.evaluation.table import Column, column_name, column_of, grid_of, settings_of
+from samarl.report.leaderboard import ranked
 from samarl.report.style import COLOURS, INK, STYLE
 
 Curve = dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]  # column: steps, values
@@ -140,7 +141,7 @@ def draw_bars(rows: Sequence[Row], title: str) -> Figure:
 def draw_table(rows: Sequence[Row]) -> Figure:
     """Success with its interval and social score of every method, a panel for each column."""
     grid = grid_of(rows)
-    methods = sorted(grid.ours, key=lambda name: _best(grid.ours[name]))
+    methods = [entry.name for entry in reversed(ranked(rows))]  # the first stands on top
     place = np.arange(len(methods))
     with rc_context({**STYLE, "axes.grid.axis": "x"}):
         figure = Figure(
@@ -165,10 +166,6 @@ def draw_table(rows: Sequence[Row]) -> Figure:
         figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=2,
                       fontsize=8)  # fmt: skip
     return figure
-
-
-def _best(rows: Sequence[Row | None]) -> float:
-    return max((row["success_rate"] for row in rows if row is not None), default=0.0)
 
 
 def settings_labels(rows: Sequence[Row]) -> list[str]:
