@@ -8,6 +8,7 @@ import json
 import os
 import platform
 import subprocess
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -38,11 +39,10 @@ def check_writable(path: Path, field: str) -> None:
     Raises:
         ConfigurationError: it cannot.
     """
-    part = path.with_name(path.name + ".part")
+    folder = next(parent for parent in path.absolute().parents if parent.exists())
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        part.touch()
-        part.unlink()
+        with tempfile.TemporaryFile(dir=folder):  # the folders below it can be made
+            pass
         if path.is_dir():
             raise IsADirectoryError("it is a folder")
     except OSError as error:

@@ -1,5 +1,6 @@
 """The report: whole pages from whatever there is, and a viewer that plays in a real browser."""
 
+import html
 import json
 import re
 import shutil
@@ -25,10 +26,11 @@ from samarl.files import find_folder
 from samarl.policies.checkpoint import save_policy
 from samarl.report.build import build_site, slug
 from samarl.report.figures import draw_curves, draw_table, read_curve, settings_labels
+from samarl.report.leaderboard import GROUPS, is_best, ranked
 from samarl.report.replays import as_replay
 from tests.small import small_policy
 
-VOID = {"meta", "link", "input", "img", "br", "circle", "path", "rect"}
+VOID = {"meta", "link", "input", "img", "br", "wbr", "circle", "path", "rect"}
 FLAGS = [
     "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
     "--disable-background-networking", "--disable-component-update", "--disable-sync",
@@ -145,6 +147,37 @@ def test_whatever_is_in_the_results_is_shown(site: Path) -> None:
     assert "position_noise=0.2" in (site / "figures/noise-90-10h-3r.svg").read_text()
 
 
+def test_methods_stand_in_groups_best_first_and_say_what_they_are(site: Path) -> None:
+    index = (site / "index.html").read_text()
+    rows = json.loads((find_folder("results") / "table1.json").read_text())
+    entries = ranked(rows)
+    shown = re.findall(r'<tr data-name="([^"]+)"><th scope="row">(?!paper)', index)
+    assert shown == [entry.name for entry in entries]
+    groups = {entry.name: entry.group for entry in entries}
+    assert [*dict.fromkeys(groups.values())] == ["learned", "ablation", "planner"]
+    assert (groups["samarl"], groups["orca"], groups["samarl_flat"]) == (
+        "learned", "planner", "ablation",
+    )  # fmt: skip
+    for group in GROUPS:
+        means = [entry.success for entry in entries if entry.group == group]
+        assert means == sorted(means, reverse=True)
+    best = {(column_of(row), row["success_rate"]) for row in rows if is_best(row, rows)}
+    assert len(best) == 4
+    assert index.count('class="best"') >= 4
+    named = {entry.name: entry for entry in entries}
+    assert named["samarl_unshielded"].checkpoint == "samarl"
+    assert named["samarl_narrow"].checkpoint == "samarl_narrow"
+    assert html.escape(named["perimeter"].about, quote=False) in index
+    assert rows[0]["command"] in index
+    assert f"{rows[0]['episodes']} cases" in index
+
+
+def test_all_that_is_measured_has_a_column(site: Path) -> None:
+    index = (site / "index.html").read_text()
+    for known in METRICS.values():
+        assert f'<th scope="col">{known.heading}</th>' in index
+
+
 def test_a_curve_is_the_mean_of_its_seeds_and_their_range(site: Path) -> None:
     curves = [read_curve(site.parent / f"results/curves/fast_seed{k}.csv") for k in range(2)]
     steps, values = curves[0]["validation/success_90_10h_3r"]  # with gaps
@@ -175,7 +208,7 @@ def test_rows_of_another_version_are_shown(tmp_path: Path, monkeypatch: pytest.M
     table.write_text(json.dumps(rows))
     shown = index_of(tmp_path / "results", tmp_path / "site")
     for method in (row["method"] for row in rows):
-        assert f'<th scope="row">{method}</th>' in shown
+        assert f'<tr data-name="{method}">' in shown
     table.write_text(json.dumps([row | {"unheard_of": 1.0} for row in rows]))
     assert index_of(tmp_path / "results", tmp_path / "site") == shown
     table.write_text(json.dumps(rows))
@@ -322,6 +355,21 @@ def test_every_page_opens_and_fits(
         assert background == ("rgb(22, 22, 22)" if scheme == "dark" else "rgb(255, 255, 255)")
         picture = page.screenshot(path=tmp_path / f"{path.stem}.png", full_page=True)
         assert len(picture) > 10_000
+
+
+def test_a_heading_sorts_its_column_in_every_group(page: Page, site: Path) -> None:
+    page.goto((site / "index.html").as_uri())
+    names = "rows => rows.map(row => row.dataset.name)"
+    before = page.eval_on_selector_all("tr[data-name]", names)
+    heading = page.get_by_role("button", name="360° view, 10 people, 3 robots")
+    values = "cells => cells.map(cell => Number(cell.dataset.value))"
+    cells = "tbody:nth-of-type(3) tr[data-name] td:nth-of-type(4)"
+    for click, reverse in enumerate((True, False)):
+        heading.click()
+        found = page.eval_on_selector_all(cells, values)
+        assert found == sorted(found, reverse=reverse), click
+    assert page.get_attribute("thead th:last-of-type", "aria-sort") == "ascending"
+    assert sorted(page.eval_on_selector_all("tr[data-name]", names)) == sorted(before)
 
 
 def test_a_replay_plays_pauses_scrubs_and_ends(page: Page, site: Path) -> None:

@@ -175,7 +175,7 @@ def test_every_metric_gives_its_fields(name: str) -> None:
     assert known.cell(one)[0].isdigit()
     assert known.cell({**one, **dict.fromkeys(known.fields)}) == "-"
     assert known.cell({}) == ""
-    header, lines = rows_as_cells([one])
+    header, lines = rows_as_cells([one], details=True)
     assert (known.heading in header) == bool(known.heading)
     if known.heading:
         assert lines[0][header.index(known.heading)] == known.cell(one)
