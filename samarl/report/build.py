@@ -21,6 +21,7 @@ from samarl.evaluation.table import column_name, grid_of, rows_as_cells
 from samarl.files import code_version, write_atomically
 from samarl.report.figures import (
     Curve,
+    baselines,
     curve_title,
     draw_curves,
     draw_table,
@@ -32,6 +33,14 @@ from samarl.report.replays import as_replay
 from samarl.report.style import PALETTE, save_figure
 
 _TEMPLATES = Path(__file__).parent / "site"
+KINDS = {  # of curves: the first whose pattern is found in the name of the column
+    "How well it does": "success|score",
+    "Statistics of the policy and of its updates": (
+        "kl|clip_fraction|entropy|effective|explained|gradient|epochs|unsafe"
+    ),
+    "Speed": "charts/",
+    "Losses": "",
+}
 _MARK = "viewer.js"  # an earlier report has it
 
 
@@ -115,7 +124,8 @@ def build_site(
     }
     write("index.html", tables=tables, headlines=headlines)
     if runs:
-        write("curves.html", **_draw_runs(runs, site), runs=runs)
+        rows = [row for table in tables for row in table.rows]
+        write("curves.html", pictures=_draw_runs(runs, rows, site), runs=runs)
     if sweeps:
         pictures = {
             sweep.name: [
@@ -159,13 +169,15 @@ def read_runs(folder: Path) -> dict[str, list[Curve]]:
     return runs
 
 
-def _draw_runs(runs: dict[str, list[Curve]], site: Path) -> dict[str, list[Picture]]:
-    """Figures of all columns: how well it does, and in `losses` everything else."""
+def _draw_runs(
+    runs: dict[str, list[Curve]], rows: Sequence[Row], site: Path
+) -> dict[str, list[Picture]]:
+    """Figures of all columns by what they tell of."""
     columns = list(dict.fromkeys(c for curves in runs.values() for curve in curves for c in curve))
-    pictures: dict[str, list[Picture]] = {"scores": [], "losses": []}
+    pictures: dict[str, list[Picture]] = {kind: [] for kind in KINDS}
     for column in tqdm(columns, "curves", unit="figure", disable=None):
-        kind = "scores" if re.search("success|score", column) else "losses"
-        figure = draw_curves(runs, column)
+        kind = next(kind for kind, pattern in KINDS.items() if re.search(pattern, column))
+        figure = draw_curves(runs, column, baselines(rows, column))
         pictures[kind].append(_save(figure, f"curve-{column}", curve_title(column), site))
     return pictures
 

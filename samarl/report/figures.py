@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 from samarl.evaluation.summary import Row
 from samarl.evaluation.table import Column, column_name, column_of, grid_of, settings_of
 from samarl.report.leaderboard import ranked
-from samarl.report.style import COLOURS, INK, STYLE
+from samarl.report.style import COLOURS, INK, MUTED, STYLE
 
 Curve = dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]  # column: steps, values
+_BASELINES = ("model_predictive", "perimeter")  # planners that curves are compared with
 _POINTS = 200  # more do not show
 _LIGHT_TEXT, _DARK_TEXT = "#FDFDFD", "#111111"  # on the colours of a heat map, in any mode
 
@@ -44,8 +45,27 @@ def _number(text: str | None) -> float:
         return math.nan
 
 
-def draw_curves(runs: dict[str, list[Curve]], column: str) -> Figure:
-    """One column of all runs: the mean of a run's seeds as a line, their range as a band."""
+def baselines(rows: Sequence[Row], column: str) -> dict[str, float]:
+    """What planners reach on the test cases of the column that a validation curve is of, %."""
+    found = re.fullmatch(r"validation/(success|social_score)_([\d.]+)_(\d+)h_(\d+)r", column)
+    if not found:
+        return {}
+    key = {"success": "success_rate", "social_score": "social_score"}[found[1]]
+    place = (float(found[2]), int(found[3]), int(found[4]))
+    return {row["method"]: row[key] for row in rows
+            if row["method"] in _BASELINES and column_of(row) == place}  # fmt: skip
+
+
+def draw_curves(
+    runs: dict[str, list[Curve]], column: str, levels: Mapping[str, float] | None = None
+) -> Figure:
+    """One column of all runs: the mean of a run's seeds as a line, their range as a band.
+
+    Args:
+        runs: the curves of each run's seeds.
+        column: which to draw.
+        levels: drawn as horizontal lines, by their names.
+    """
     with rc_context(STYLE):
         figure = Figure(figsize=(4.6, 3.0), layout="constrained")
         axes = figure.add_subplot()
@@ -60,19 +80,33 @@ def draw_curves(runs: dict[str, list[Curve]], column: str) -> Figure:
             grid = grid[np.linspace(0, len(grid) - 1, min(len(grid), _POINTS)).astype(int)]
             values = scale * np.stack([np.interp(grid, *curve) for curve in found])
             colour, dashes = COLOURS[i % len(COLOURS)], "--" if i >= len(COLOURS) else "-"
-            seeds = f" ({len(found)} seeds)" if len(found) > 1 else ""
+            seeds = f" ({len(found)} seeds)" if len(found) > 1 else " (1 seed)"
             axes.plot(grid, values.mean(0), dashes, color=colour, linewidth=1.5, label=name + seeds)
             if len(found) > 1:
                 axes.fill_between(
                     grid, values.min(0), values.max(0), color=colour, alpha=0.18, linewidth=0
                 )
+        for dots, (name, level) in zip(
+            ((1, 1), (3, 2), (5, 1)), (levels or {}).items(), strict=False
+        ):
+            axes.axhline(level, color=MUTED, linewidth=1.2, linestyle=(0, dots), label=name)
         axes.set_title(curve_title(column), loc="left")
+        axes.set_ylabel(_unit(column))
         axes.set_xlabel("world steps")
         axes.xaxis.set_major_formatter(EngFormatter(sep=""))
         if "success" in column or "score" in column:
             axes.set_ylim(-2, 102)
         axes.legend(fontsize=8, loc="best")
     return figure
+
+
+def _unit(column: str) -> str:
+    """What stands at the axis of a column's values."""
+    if "success" in column:
+        return "success %"
+    if "score" in column:
+        return "social score"
+    return column.rpartition("/")[2].replace("_", " ")
 
 
 def curve_title(column: str) -> str:
