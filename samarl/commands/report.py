@@ -12,7 +12,7 @@ from tqdm import tqdm
 
 from mrsan import ConfigurationError, Scenario, Split
 from samarl.agents import Agent, build_agent
-from samarl.commands.cli import run_command
+from samarl.commands.cli import command_line, run_command
 from samarl.configuration import available_agents, load_agent, scenario_of
 from samarl.evaluation.recording import Recording, record_episode
 from samarl.files import check_writable, find_folder
@@ -56,7 +56,9 @@ def report(config: DictConfig) -> None:
         (name, case, record_episode(agent, scenario, config.split.case(case)))
         for name, agent, scenario, case in tqdm(plays, "episodes", unit="episode", disable=None)
     ]
-    files = build_site(output, results, recordings, config.split.name)
+    files = build_site(
+        output, results, recordings, config.split.name, command_line("samarl-report")
+    )
     size = sum(file.stat().st_size for file in files)
     print(f"written to {output}/index.html: {len(files)} files, {size / 1e6:.2f} MB")
 

@@ -72,7 +72,11 @@ class Picture:
 
 
 def build_site(
-    output: Path, results: Path, recordings: Sequence[tuple[str, int, Recording]], split: str
+    output: Path,
+    results: Path,
+    recordings: Sequence[tuple[str, int, Recording]],
+    split: str,
+    command: str = "samarl-report",
 ) -> list[Path]:
     """Build all pages in a new folder that takes the place of an earlier report.
 
@@ -81,6 +85,7 @@ def build_site(
         results: tables in `*.json`, learning curves in `curves/*.csv`, sweeps in `sweeps/*.json`.
         recordings: each with the method's name and the place of its case in the split.
         split: its name.
+        command: what made the pages, for their foot.
 
     Returns:
         All files of the report.
@@ -106,6 +111,7 @@ def build_site(
     environment.globals |= {
         "pages": {page: title for page, title in pages.items() if there[page]},
         "commit": code_version(),
+        "command": command,
         "grid_of": grid_of,
         "column_name": column_name,
         "rows_as_cells": rows_as_cells,

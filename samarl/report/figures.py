@@ -86,10 +86,9 @@ def draw_curves(
                 axes.fill_between(
                     grid, values.min(0), values.max(0), color=colour, alpha=0.18, linewidth=0
                 )
-        for dots, (name, level) in zip(
-            ((1, 1), (3, 2), (5, 1)), (levels or {}).items(), strict=False
-        ):
-            axes.axhline(level, color=MUTED, linewidth=1.2, linestyle=(0, dots), label=name)
+        for i, (name, level) in enumerate((levels or {}).items()):
+            dots = (0, (1 + 2 * i, 1 + i))
+            axes.axhline(level, color=MUTED, linewidth=1.2, linestyle=dots, label=name)
         axes.set_title(curve_title(column), loc="left")
         axes.set_ylabel(_unit(column))
         axes.set_xlabel("world steps")

@@ -25,7 +25,7 @@ from samarl.evaluation.table import column_of
 from samarl.files import find_folder
 from samarl.policies.checkpoint import save_policy
 from samarl.report.build import build_site, slug
-from samarl.report.figures import draw_curves, draw_table, read_curve, settings_labels
+from samarl.report.figures import baselines, draw_curves, draw_table, read_curve, settings_labels
 from samarl.report.leaderboard import GROUPS, is_best, ranked
 from samarl.report.replays import as_replay
 from tests.small import small_policy
@@ -187,6 +187,21 @@ def test_a_curve_is_the_mean_of_its_seeds_and_their_range(site: Path) -> None:
     np.testing.assert_allclose(axes.lines[0].get_ydata(), 60.0)
     low, high = axes.collections[0].get_paths()[0].get_extents().get_points()[:, 1]
     assert (low, high) == (pytest.approx(50.0), pytest.approx(70.0))
+
+
+def test_a_validation_curve_has_the_planners_of_its_column(site: Path) -> None:
+    rows = json.loads((find_folder("results") / "table1.json").read_text())
+    levels = baselines(rows, "validation/social_score_360_10h_5r")
+    of_column = {r["method"]: r for r in rows if column_of(r) == (360.0, 10, 5)}
+    names = ("model_predictive", "perimeter")
+    assert levels == {name: of_column[name]["social_score"] for name in names}
+    assert baselines(rows, "charts/success") == {}
+    axes = draw_curves({}, "validation/social_score_360_10h_5r", levels).axes[0]
+    assert [line.get_ydata()[0] for line in axes.lines] == list(levels.values())
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("world steps", "social score")
+    page = (site / "curves.html").read_text()
+    assert "samarl-report results=results" in html.unescape(page)
+    assert page.index("curve-charts-success") < page.index("<summary>Losses</summary>")
 
 
 def test_settings_tell_rows_apart() -> None:
