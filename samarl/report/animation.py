@@ -1,8 +1,9 @@
-"""One episode as a moving picture, a frame for each step."""
+"""One episode as a moving picture, smooth between its steps."""
 
 from __future__ import annotations
 
 import importlib
+import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -15,18 +16,17 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Wedge
 from numpy.typing import NDArray
-from PIL import Image
+from PIL import Image, ImageColor
 from tqdm import tqdm
 
 from mrsan import ConfigurationError, Outcome
-from mrsan.scenario import Scenario
 from samarl.evaluation.recording import Recording
 from samarl.files import unfinished
 from samarl.report.style import COLOURS, CONTACT, INK, MUTED, STYLE
 
 _GIF_COLOURS = 64
 _DPI = {".gif": 80, ".mp4": 140}
-_SHOWN_VIEW = 3.0  # m, how far the wedge of the field of view is drawn
+_FRAMES_PER_SECOND = {".gif": 10.0, ".mp4": 20.0}  # at least
 _HOLD_SECONDS = 1.5  # the last frame stays
 
 
@@ -41,13 +41,16 @@ def save_animation(recordings: Sequence[tuple[Recording, str]], path: Path) -> N
         ConfigurationError: there is no encoder for .mp4.
     """
     write = {".gif": _write_gif, ".mp4": _write_mp4}[path.suffix]
+    seconds = recordings[0][0].scenario.time_step
+    between = math.ceil(_FRAMES_PER_SECOND[path.suffix] * seconds)  # frames for each step
     figure = Figure(figsize=(6.0 * len(recordings), 6.4), dpi=_DPI[path.suffix],
                     layout="constrained")  # fmt: skip
-    count = max(len(recording.robot_position) for recording, _ in recordings)
-    pictures = tqdm(_frames(figure, recordings, count), total=count, desc=path.name, unit="frame",
-                    disable=None)  # fmt: skip
+    steps = max(len(recording.robot_position) for recording, _ in recordings) - 1
+    times = np.arange(steps * between + 1) / between
+    pictures = tqdm(_frames(figure, recordings, times), total=len(times), desc=path.name,
+                    unit="frame", disable=None)  # fmt: skip
     with unfinished(path) as part:
-        write(part, iter(pictures), recordings[0][0].scenario)
+        write(part, iter(pictures), seconds / between)
 
 
 def video_encoder() -> Any:
@@ -65,7 +68,7 @@ def video_encoder() -> Any:
         ) from error
 
 
-def _write_gif(path: Path, pictures: Iterator[NDArray[np.uint8]], scenario: Scenario) -> None:
+def _write_gif(path: Path, pictures: Iterator[NDArray[np.uint8]], seconds: float) -> None:
     # One palette for all frames, without dithering: then what stands still costs nothing.
     images: list[Image.Image] = []
     palette: Image.Image | None = None
@@ -73,19 +76,30 @@ def _write_gif(path: Path, pictures: Iterator[NDArray[np.uint8]], scenario: Scen
         image = Image.fromarray(picture)
         if palette is None:
             sample = image.copy()
-            sample.paste(CONTACT, (0, 0, image.width // 10, image.height // 10))  # is seen later
+            for i, colour in enumerate((*COLOURS, CONTACT, *_tints(CONTACT))):  # seen later
+                side = image.height // 12
+                sample.paste(colour, (0, i * side, side, (i + 1) * side))
             palette = sample.quantize(_GIF_COLOURS, dither=Image.Dither.NONE)
         images.append(image.quantize(palette=palette, dither=Image.Dither.NONE))
-    duration = [round(1000 * scenario.time_step)] * len(images)
+    # A GIF counts in hundredths of a second; rounded so that the whole takes as long as it should.
+    shown_until = np.rint(100 * seconds * np.arange(1, len(images) + 1))
+    duration = [10 * int(d) for d in np.diff(shown_until, prepend=0)]
     duration[-1] += round(1000 * _HOLD_SECONDS)
     images[0].save(path, "GIF", save_all=True, append_images=images[1:], duration=duration, loop=0)
 
 
-def _write_mp4(path: Path, pictures: Iterator[NDArray[np.uint8]], scenario: Scenario) -> None:
+def _tints(colour: str) -> Iterator[str]:
+    """What a colour looks like where it is faint, over white."""
+    for share in (0.1, 0.2):
+        mixed = (255 - share * (255 - value) for value in ImageColor.getrgb(colour))
+        yield "#" + "".join(f"{round(value):02x}" for value in mixed)
+
+
+def _write_mp4(path: Path, pictures: Iterator[NDArray[np.uint8]], seconds: float) -> None:
     first = next(pictures)
     height, width = first.shape[:2]
     writer = video_encoder().write_frames(
-        str(path), (width, height), fps=1 / scenario.time_step, codec="libx264",
+        str(path), (width, height), fps=1 / seconds, codec="libx264",
         macro_block_size=2, output_params=["-f", "mp4", "-movflags", "+faststart"],
     )  # fmt: skip
     writer.send(None)
@@ -98,20 +112,20 @@ def _write_mp4(path: Path, pictures: Iterator[NDArray[np.uint8]], scenario: Scen
 
 
 def _frames(
-    figure: Figure, recordings: Sequence[tuple[Recording, str]], count: int
+    figure: Figure, recordings: Sequence[tuple[Recording, str]], times: NDArray[np.float64]
 ) -> Iterator[NDArray[np.uint8]]:
-    """The pictures [height, width, 3] of `count` states; the last of an episode stays."""
+    """The pictures [height, width, 3] at `times` in steps; the last of an episode stays."""
     canvas = FigureCanvasAgg(figure)
     with rc_context(STYLE):
         stages = figure.subplots(1, len(recordings), squeeze=False)[0]
         for axes, (recording, title) in zip(stages, recordings, strict=True):
             _draw_stage(axes, recording, title)
-        for t in range(count):
+        for time in times:
             drawn: list[Artist] = []
             for axes, (recording, _) in zip(stages, recordings, strict=True):
-                drawn += _draw_state(axes, recording, min(t, len(recording.robot_position) - 1))
+                drawn += _draw_state(axes, recording, min(time, len(recording.robot_position) - 1))
             canvas.draw()
-            if t == 0:
+            if time == 0:
                 figure.set_layout_engine("none")  # it has settled
             yield np.asarray(canvas.buffer_rgba())[..., :3].copy()
             for artist in drawn:
@@ -122,8 +136,10 @@ def _draw_stage(axes: Axes, recording: Recording, title: str) -> None:
     """What does not move: the frame, and the goals."""
     axes.set_title(title, fontsize=9.5)
     axes.set_aspect("equal")
+    marks = "; diamonds: waypoints" if recording.waypoint is not None else ""
     axes.set_xlabel(
-        "x (m)\nfilled: in view of a driving robot; rings: personal space; diamonds: waypoints",
+        f"x (m)\nfilled: people in view of a driving robot{marks}\n"
+        "rings: personal space, red when entered",
         fontsize=8,
     )
     axes.set_ylabel("y (m)")
@@ -143,9 +159,13 @@ def _draw_stage(axes: Axes, recording: Recording, title: str) -> None:
         axes.plot(*goal, marker="*", markersize=14, color=_colour(i), markeredgecolor="white")
 
 
-def _draw_state(axes: Axes, recording: Recording, t: int) -> list[Artist]:
-    scenario = recording.scenario
+def _draw_state(axes: Axes, recording: Recording, time: float) -> list[Artist]:
+    """Everything that moves, at a time in steps; between two steps it moves evenly."""
+    scenario, t = recording.scenario, int(time)
     seen = (recording.humans_seen[t] & recording.driving[t][:, None]).any(0)
+    robots, humans = (_between(p, time) for p in (recording.robot_position,
+                                                  recording.human_position))  # fmt: skip
+    headings = _between(np.unwrap(recording.robot_heading, axis=0), time)
     drawn: list[Artist] = []
 
     def disc(centre: NDArray, radius: float, **look: Any) -> None:
@@ -153,36 +173,47 @@ def _draw_state(axes: Axes, recording: Recording, t: int) -> list[Artist]:
 
     zone = scenario.reward.discomfort_distance
     for j in np.flatnonzero(recording.human_present[t]):
-        human = recording.human_position[t, j]
         radius = float(recording.human_radius[j])
-        disc(human, radius + zone, color=MUTED, alpha=0.1, linewidth=0)
-        disc(human, radius, facecolor=MUTED if seen[j] else "white", edgecolor=MUTED, zorder=2)
-    for i, robot in enumerate(recording.robot_position[t]):
+        apart = np.linalg.norm(robots - humans[j], axis=-1) - radius - scenario.robot_radius
+        near = bool((apart[recording.driving[t]] < zone).any())
+        disc(humans[j], radius + zone, color=CONTACT if near else MUTED,
+             alpha=0.2 if near else 0.1, linewidth=0)  # fmt: skip
+        disc(humans[j], radius, facecolor=MUTED if seen[j] else "white", edgecolor=MUTED, zorder=2)
+    for i, (robot, heading) in enumerate(zip(robots, headings, strict=True)):
         colour, radius = _colour(i), scenario.robot_radius
-        heading = float(recording.robot_heading[t, i])
-        drawn += axes.plot(*recording.robot_position[: t + 1, i].T, color=colour, linewidth=1.4)
+        way = np.concatenate([recording.robot_position[: t + 1, i], robot[None]])
+        drawn += axes.plot(*way.T, color=colour, linewidth=1.4)
         if recording.driving[t, i]:
-            half = scenario.fov_degrees / 2
-            towards = np.degrees(heading)
-            reach = min(_SHOWN_VIEW, scenario.sensing_range)
+            half, towards = scenario.fov_degrees / 2, np.degrees(heading)
             if half < 180:
-                wedge = Wedge((robot[0], robot[1]), reach, towards - half, towards + half,
-                              color=colour, alpha=0.09, linewidth=0)  # fmt: skip
+                wedge = Wedge((robot[0], robot[1]), scenario.sensing_range, towards - half,
+                              towards + half, color=colour, alpha=0.07, linewidth=0)  # fmt: skip
                 drawn.append(axes.add_patch(wedge))
             if recording.waypoint is not None:
                 waypoint = recording.waypoint[min(t, len(recording.waypoint) - 1), i]
                 drawn += axes.plot(*np.stack([robot, waypoint]).T, ":", color=colour, linewidth=1)
                 drawn += axes.plot(*waypoint, "D", color=colour, markersize=5)
         disc(robot, radius, facecolor=colour, edgecolor="white", zorder=4)
-        nose = robot + 1.5 * radius * np.array([np.cos(heading), np.sin(heading)])
-        drawn += axes.plot(*np.stack([robot, nose]).T, color=INK, linewidth=1.6, zorder=5)
+        number = axes.text(robot[0], robot[1], str(i), color="white", fontsize=7, zorder=6,
+                           ha="center", va="center", clip_on=True)  # fmt: skip
+        drawn.append(number)
+        nose = np.array([np.cos(heading), np.sin(heading)])
+        ends = np.stack([robot + radius * nose, robot + 1.6 * radius * nose])
+        drawn += axes.plot(*ends.T, color=INK, linewidth=1.6, zorder=5)
         collided = recording.episodes.outcome[0, i] in (Outcome.hit_human, Outcome.hit_robot)
-        if collided and t == len(recording.robot_position) - 1:
+        if collided and time >= len(recording.robot_position) - 1:
             drawn += axes.plot(*robot, "x", color=CONTACT, markersize=16, markeredgewidth=2.5,
-                               zorder=6)  # fmt: skip
-    clock = f"{t * scenario.time_step:.2f} s"
+                               zorder=7)  # fmt: skip
+    clock = f"{time * scenario.time_step:.1f} s"
     drawn.append(axes.text(0.02, 0.98, clock, transform=axes.transAxes, va="top", fontsize=11))
     return drawn
+
+
+def _between(series: NDArray, time: float) -> NDArray:
+    """A state of [T + 1, ...] at a time in steps."""
+    t = int(time)
+    following = series[min(t + 1, len(series) - 1)]
+    return series[t] + (time - t) * (following - series[t])
 
 
 def _colour(i: int) -> str:

@@ -10,7 +10,7 @@ import pytest
 import torch
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
-from PIL import Image
+from PIL import Image, ImageColor
 
 from mrsan import ConfigurationError, Observation, Scenario, World
 from samarl.agents import Agent, build_agent
@@ -20,6 +20,7 @@ from samarl.evaluation.recording import record_episode
 from samarl.policies.checkpoint import save_policy
 from samarl.report.animation import _draw_state, save_animation
 from samarl.report.replays import as_replay
+from samarl.report.style import COLOURS
 from samarl.report.trajectories import save_trajectories
 from tests.small import small_policy
 
@@ -138,18 +139,25 @@ def test_the_shares_are_those_that_the_pool_uses() -> None:
     torch.testing.assert_close(by_hand, pool(own, tokens, masked), atol=1e-5, rtol=0)
 
 
-def test_animations_have_a_frame_for_each_state(tmp_path: Path) -> None:
+def test_animations_are_smooth_and_as_fast_as_the_episode(tmp_path: Path) -> None:
     recording = record_episode(build_agent(STRAIGHT, SCENARIO), SCENARIO, 3)
-    frames = len(recording.robot_position)
+    steps = len(recording.robot_position) - 1
     shorter = replace(recording, robot_position=recording.robot_position[:-3])
     save_animation([(recording, "one"), (shorter, "two")], tmp_path / "case.gif")
     with Image.open(tmp_path / "case.gif") as picture:
-        assert picture.n_frames == frames  # type: ignore[attr-defined]
-        assert picture.info["duration"] == 250
+        assert picture.n_frames == 3 * steps + 1  # type: ignore[attr-defined]
+        seconds = 0.0
+        for number in range(3 * steps):
+            picture.seek(number)
+            seconds += picture.info["duration"] / 1000
+        assert seconds == pytest.approx(0.25 * steps, abs=0.01)
+        pixels = np.asarray(picture.convert("RGB"), int).reshape(-1, 3)
+        for colour in COLOURS[: SCENARIO.robots]:  # of all robots, in so few colours
+            assert np.abs(pixels - ImageColor.getrgb(colour)).max(1).min() < 8
     save_animation([(recording, "a title")], tmp_path / "case.mp4")
     pictures = imageio_ffmpeg.read_frames(str(tmp_path / "case.mp4"))
-    assert next(pictures)["fps"] == 4
-    assert sum(1 for _ in pictures) == frames
+    assert next(pictures)["fps"] == 20
+    assert sum(1 for _ in pictures) == 5 * steps + 1
     assert sorted(file.name for file in tmp_path.iterdir()) == ["case.gif", "case.mp4"]
 
 
