@@ -39,7 +39,9 @@ def save_trajectories(recordings: Sequence[tuple[Recording, str]], path: Path) -
             strict=True,
         ):
             draw_trajectories(axes, recording, title)
-        figure.legend(handles=_legend(), loc="outside lower center", ncols=5, fontsize=8,
+        key = _legend([recording for recording, _ in recordings])
+        columns = min(len(key), 5 * len(recordings))
+        figure.legend(handles=key, loc="outside lower center", ncols=columns, fontsize=8,
                       handletextpad=0.4, columnspacing=1.2)  # fmt: skip
     save_figure(figure, path)
 
@@ -108,15 +110,28 @@ def _draw_robot(axes: Axes, recording: Recording, i: int, every: int) -> None:
         )
 
 
-def _legend() -> list[Line2D]:
+def _legend(recordings: Sequence[Recording]) -> list[Line2D]:
+    """What is drawn, and only that."""
     plain: dict[str, Any] = {"linestyle": "none", "color": "black"}
-    return [
-        Line2D([], [], marker="o", markerfacecolor="white", markersize=9, label="robot, at second",
-               **plain),
-        Line2D([], [], marker="*", markersize=10, label="its goal", **plain),
-        Line2D([], [], color="#999999", linewidth=1.2, label="human (later is darker)"),
-        Line2D([], [], marker="o", linestyle="none", color="#777777", markersize=9,
-               label="human at the end"),
-        Line2D([], [], marker="x", linestyle="none", color=CONTACT, markersize=9,
-               markeredgewidth=2, label="contact"),
-    ]  # fmt: skip
+    robots = max(recording.robot_position.shape[1] for recording in recordings)
+    key = [
+        Line2D([], [], color=COLOURS[i % len(COLOURS)], linewidth=2, label=f"robot {i}")
+        for i in range(robots)
+    ]
+    key += [
+        Line2D([], [], marker="$3$", markersize=6, label="seconds since the start", **plain),
+        Line2D([], [], marker="*", markersize=10, label="goal", **plain),
+    ]
+    if any(recording.human_position.shape[1] for recording in recordings):
+        key += [
+            Line2D([], [], color="#999999", linewidth=1.2, label="human (later is darker)"),
+            Line2D([], [], marker="o", linestyle="none", color="#777777", markersize=9,
+                   label="human at the end"),
+        ]  # fmt: skip
+    outcomes = [outcome for recording in recordings for outcome in recording.episodes.outcome[0]]
+    if {Outcome.hit_human, Outcome.hit_robot} & {Outcome(value) for value in outcomes}:
+        key.append(
+            Line2D([], [], marker="x", linestyle="none", color=CONTACT, markersize=9,
+                   markeredgewidth=2, label="contact")
+        )  # fmt: skip
+    return key
