@@ -46,7 +46,7 @@ bench: setup ## Play every planner in every column of Table I and compare with r
 	@$(BIN)/samarl-bench
 
 test: setup ## Run the tests on all cores
-	@$(BIN)/pytest -n auto --maxprocesses 8
+	@$(BIN)/pytest -n auto --maxprocesses 8 --durations 20
 
 test-browser: setup ## Test the report in a headless Chromium, which must be installed
 	@$(BIN)/pytest -m browser

@@ -90,6 +90,7 @@ class Shielded(Agent):
         s = self.scenario
         self._tracks = self._tracker.initial(worlds, s.robots, s.humans)
         self._is_init = np.ones(worlds, np.bool_)
+        self._replaced = np.zeros((worlds, s.robots), np.bool_)
 
     def reset(self, worlds: NDArray[np.bool_]) -> None:
         """Forget what was remembered of the worlds [E] in which an episode begins."""
@@ -113,11 +114,13 @@ class Shielded(Agent):
             self._begin(len(action))
         known = self._tracker.update(observation, self._tracks, self._is_init)
         self._is_init = np.zeros(len(action), np.bool_)
-        return shielded(known, action, self.scenario, self.shield)
+        checked = shielded(known, action, self.scenario, self.shield)
+        self._replaced = (checked != action).any(-1)
+        return checked
 
     def explain(self) -> Explanation | None:
-        """What the agent had in mind."""
-        return self.agent.explain()
+        """What the agent had in mind, and where the shield stepped in."""
+        return (self.agent.explain() or Explanation())._replace(shielded=self._replaced)
 
 
 @kernel

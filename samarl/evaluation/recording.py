@@ -36,6 +36,7 @@ class Recording:
     waypoint: Floats | None  # [T, N, 2] where each robot drives to, in the world frame
     human_attention: Floats | None  # [T, N, M] shares
     robot_attention: Floats | None  # [T, N, N] shares
+    shielded: Bools | None  # [T, N] the safety shield replaced the action
     episodes: Episodes  # the record of this one episode
 
 
@@ -48,14 +49,14 @@ def record_episode(agent: Agent, scenario: Scenario, case: int) -> Recording:
     frames, thoughts = [_frame(state, observation)], []
     while not state.done[0]:
         action = agent.act(observation)
-        thoughts.append(agent.explain() or Explanation(None, None, None))
+        thoughts.append(agent.explain() or Explanation())
         observation = world.step(action).observation
         frames.append(_frame(state, observation))
     position, heading, humans, present, driving, humans_seen, robots_seen = (
         np.stack(part) for part in zip(*frames, strict=True)
     )
     met = present.any(0)
-    waypoint, human_attention, robot_attention = (
+    waypoint, human_attention, robot_attention, stepped_in = (
         None if part[0] is None else np.concatenate(part) for part in zip(*thoughts, strict=True)
     )
     return Recording(
@@ -73,6 +74,7 @@ def record_episode(agent: Agent, scenario: Scenario, case: int) -> Recording:
         waypoint=waypoint,
         human_attention=None if human_attention is None else human_attention[..., met],
         robot_attention=None if robot_attention is None else _of_all(robot_attention),
+        shielded=stepped_in,
         episodes=episodes_of(state, scenario, np.ones(1, np.bool_)),
     )
 

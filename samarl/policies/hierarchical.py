@@ -155,7 +155,7 @@ class HierarchicalPolicy(Policy):
     @torch.no_grad()
     def explain(self, decision: Decision, state: State) -> Explanation:
         """See `Policy.explain`; with the waypoints."""
-        attention = super().explain(decision, state) or Explanation(None, None, None)
+        attention = super().explain(decision, state) or Explanation()
         return attention._replace(waypoint=state["waypoint"].copy())
 
     def _ablated(self, macro: NDArray[np.float32]) -> NDArray[np.float32]:

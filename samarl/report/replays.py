@@ -36,6 +36,7 @@ def as_replay(recording: Recording) -> dict[str, Any]:
         "waypoints": None if recording.waypoint is None else _points(recording.waypoint),
         "humanAttention": _percent(recording.human_attention),
         "robotAttention": _percent(recording.robot_attention),
+        "shielded": _steps_of(recording.shielded),
         "drivingSteps": recording.driving.sum(0).tolist(),
         "outcomes": [Outcome(value).name for value in episodes.outcome[0]],
     }
@@ -66,6 +67,11 @@ def _switches(seen: NDArray[np.bool_]) -> list[list[list[int]]]:
         [np.flatnonzero(changed[:, i, k]).tolist() for k in range(seen.shape[2])]
         for i in range(seen.shape[1])
     ]
+
+
+def _steps_of(happened: NDArray[np.bool_] | None) -> list[list[int]] | None:
+    """[T, N] as the steps at which it happened to each."""
+    return None if happened is None else [np.flatnonzero(one).tolist() for one in happened.T]
 
 
 def _percent(shares: NDArray[np.float32] | None) -> list[list[list[int]]] | None:

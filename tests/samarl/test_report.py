@@ -251,7 +251,19 @@ def test_a_replay_says_what_the_recording_says() -> None:
         for i, of_robot in enumerate(replay["humansSeen"]):
             seen = [sum(step <= t for step in switches) % 2 == 1 for switches in of_robot]
             assert seen == recording.humans_seen[t, i].tolist()
-    assert replay["waypoints"] is replay["humanAttention"] is None
+    assert replay["waypoints"] is replay["humanAttention"] is replay["shielded"] is None
+
+
+def test_a_replay_says_when_the_shield_stepped_in() -> None:
+    scenario = Scenario()
+    guarded = record_episode(build_agent({**STRAIGHT, "shield": True}, scenario), scenario, 2**41)
+    assert guarded.shielded is not None
+    assert guarded.shielded.any()
+    assert not guarded.shielded.all()
+    steps = as_replay(guarded)["shielded"]
+    assert [(i, t) for i, at in enumerate(steps) for t in at] == [
+        (i, t) for t, i in sorted(zip(*guarded.shielded.nonzero(), strict=True), key=lambda p: p[1])
+    ]
 
 
 def test_a_policy_is_shown_as_its_own_agent_drives_it() -> None:

@@ -126,6 +126,16 @@ def test_the_bench_refuses_what_it_cannot_play(tmp_path: Path, arguments: list[s
     assert len(done.stderr.splitlines()) == 1
 
 
+def test_the_bench_plays_a_policy_in_its_own_views(tmp_path: Path) -> None:
+    words = ["agents=[samarl_narrow]", "evaluation.cases=1", "output=mine"]
+    done = run("bench", *words, cwd=tmp_path)
+    rows = json.loads((tmp_path / "mine/table1.json").read_text())
+    assert {row["fov_degrees"] for row in rows} == {90.0}
+    assert "not played in views that they were not trained for: samarl_narrow" in done.stdout
+    done = run("bench", *words, "columns=[{fov_degrees: 120}]", cwd=tmp_path, code=2)
+    assert done.stderr.startswith("error: columns has nothing to play: samarl_narrow was trained")
+
+
 def test_a_mistake_is_one_line_and_exit_code_2(tmp_path: Path) -> None:
     done = run("evaluate", "scenario.fov_degrees=400", cwd=tmp_path, code=2)
     assert done.stderr == "error: scenario.fov_degrees is 400.0; it must lie in (0, 360]\n"
@@ -245,17 +255,6 @@ def test_help_is_of_what_is_chosen(tmp_path: Path) -> None:
     done = run("evaluate", "--config-dir", "conf", "agent=slow", "--help", cwd=tmp_path)
     assert "  radius: 7.0  " in done.stdout
     assert run("bench", "--version", cwd=tmp_path).stdout == f"samarl {samarl.__version__}\n"
-
-
-@pytest.mark.parametrize(
-    ("given", "meant"),
-    [("scenario.fov", "scenario.fov_degrees"), ("evaluation.case", "evaluation.cases"),
-     ("+scenario.reward.progres", "scenario.reward.progress"), ("agnt", "agent"),
-     ("agent.max_neighbours", "agent.max_neighbors")],
-)  # fmt: skip
-def test_a_mistaken_name_gets_the_right_one(given: str, meant: str, tmp_path: Path) -> None:
-    done = run("evaluate", f"{given}=1", cwd=tmp_path, code=2)
-    assert done.stderr == f"error: {given.lstrip('+')} is not known; did you mean {meant}?\n"
 
 
 def test_what_cannot_be_written_is_refused_before_anything_is_played(tmp_path: Path) -> None:

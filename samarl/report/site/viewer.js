@@ -182,16 +182,19 @@ function drawSide({ canvas, episode }) {
   robots.forEach((robot, i) => { // fields of view
     const view = (episode.fov * Math.PI) / 180, heading = between(episode.headings[i], t);
     const [x, y] = place(robot);
-    if (episode.fov >= 360 && i !== me) return;
+    if (episode.fov >= 360) {
+      if (i === me) disc(robot, episode.range, { stroke: colourOf(i), width: 1, dash: [6, 4] });
+      return;
+    }
     const reach = i === me ? episode.range : 4 * episode.radius; // of the others the direction only
     pen.beginPath();
-    if (episode.fov < 360) pen.moveTo(x, y);
+    pen.moveTo(x, y);
     pen.arc(x, y, reach * scale, -heading - view / 2, -heading + view / 2);
     pen.closePath();
-    pen.globalAlpha = i !== me ? 0.2 : episode.fov < 360 ? 0.13 : 0.07;
+    pen.globalAlpha = i === me ? 0.13 : 0.2;
     pen.fillStyle = colourOf(i);
     pen.fill();
-    pen.globalAlpha = i === me && episode.fov < 360 ? 0.5 : 0;
+    pen.globalAlpha = i === me ? 0.5 : 0;
     pen.strokeStyle = colourOf(i);
     pen.lineWidth = 1;
     pen.stroke();
@@ -211,6 +214,20 @@ function drawSide({ canvas, episode }) {
     line([robots[me], towards], colours.attention, 1 + percent / 8);
     pen.globalAlpha = 1;
   });
+  const arrow = (path, colour) => { // where it is in a second, as it moves now
+    const from = between(path, t), to = between(path, Math.min(t + 1, episode.last));
+    const speed = [0, 1].map((axis) => (to[axis] - from[axis]) / (Math.min(t + 1, episode.last) - t || 1));
+    const tip = [0, 1].map((axis) => from[axis] + speed[axis] / episode.step);
+    if (distance(from, tip) < 0.1) return;
+    const angle = Math.atan2(speed[1], speed[0]);
+    line([from, tip], colour, 1.5);
+    for (const side of [-2.6, 2.6]) {
+      line([tip, [tip[0] + 0.16 * Math.cos(angle + side), tip[1] + 0.16 * Math.sin(angle + side)]], colour, 1.5);
+    }
+  };
+  episode.humans.forEach((path, j) => { if (isPresent(episode, j, k)) arrow(path, colours.muted); });
+  episode.robots.forEach((path, i) => { if (driving(i)) arrow(path, colourOf(i)); });
+
   others.filter((o) => o.kind === "human").forEach(({ number, seen }) => {
     disc(humans[number], episode.radii[number], seen
       ? { fill: colours.muted, stroke: colours.ink, width: 1 }
@@ -242,6 +259,7 @@ function drawSide({ canvas, episode }) {
     disc(robot, episode.radius, known ? { fill: colour }
       : { fill: colours.panel, stroke: colour, dash: [3, 3] });
     if (i === me) disc(robot, episode.radius + 0.12, { stroke: colours.ink, width: 2 });
+    if (steppedIn(episode, i, k)) disc(robot, episode.radius + 0.25, { stroke: colours.contact, width: 3 });
     write(String(i), place(robot), known ? colours.page : colour);
     if (t === episode.last && episode.outcomes[i].startsWith("hit")) {
       const [x, y] = place(robot), arm = 11;
@@ -261,8 +279,67 @@ function drawSide({ canvas, episode }) {
     const [x, y] = place(kind === "human" ? humans[number] : robots[number]);
     write(`${percent} %`, [x, y - episode.radius * scale - 9], colours.attention);
   });
+  const corner = [middle[0] - half + 0.3, middle[1] - half + 0.3];
+  line([corner, [corner[0] + 2, corner[1]]], colours.ink, 2);
+  const [labelX, labelY] = place([corner[0] + 1, corner[1]]);
+  write("2 m", [labelX, labelY - 9], colours.ink);
   canvas.dataset.time = state.time.toFixed(3);
   canvas.dataset.step = k;
+}
+
+const steppedIn = (episode, robot, k) => Boolean(episode.shielded?.[robot].includes(k));
+
+// How near the chosen robot is to the nearest person at each of its steps, surface to surface, m.
+function nearest(episode, robot) {
+  const steps = [...Array(Math.min(episode.drivingSteps[robot], episode.last) + 1).keys()];
+  return steps.map((t) => Math.min(...episode.humans.map((path, j) => isPresent(episode, j, t)
+    ? distance(path[t], episode.robots[robot][t]) - episode.radii[j] - episode.radius : Infinity)));
+}
+
+// Over the slider: that distance, and what happens to the chosen robot.
+const STRIP_METRES = 3;
+
+function drawStrip() {
+  const canvas = element("strip"), ratio = devicePixelRatio || 1;
+  const width = canvas.clientWidth, height = canvas.clientHeight;
+  if (canvas.width !== Math.round(width * ratio)) {
+    canvas.width = Math.round(width * ratio);
+    canvas.height = Math.round(height * ratio);
+  }
+  const pen = canvas.getContext("2d");
+  pen.setTransform(ratio, 0, 0, ratio, 0, 0);
+  pen.clearRect(0, 0, width, height);
+  const x = (t) => (t / state.steps) * (width - 2) + 1;
+  const y = (metres) => (height - 2) * (1 - Math.min(Math.max(metres, 0), STRIP_METRES) / STRIP_METRES) + 1;
+  pen.fillStyle = colours.panel;
+  pen.fillRect(0, 0, width, height);
+  pen.globalAlpha = 0.18;
+  pen.fillStyle = colours.contact;
+  pen.fillRect(0, y(state.shown[0].zone), width, height);
+  pen.globalAlpha = 1;
+  state.shown.forEach((episode, side) => {
+    const found = nearest(episode, state.robot);
+    pen.beginPath();
+    found.forEach((metres, t) => (t ? pen.lineTo(x(t), y(metres)) : pen.moveTo(x(t), y(metres))));
+    pen.strokeStyle = colourOf(state.robot);
+    pen.lineWidth = 1.6;
+    pen.setLineDash(side ? [4, 3] : []);
+    pen.stroke();
+    pen.setLineDash([]);
+    (episode.shielded?.[state.robot] || []).forEach((t) => {
+      pen.fillStyle = colours.contact;
+      pen.fillRect(x(t) - 1, side ? height - 5 : 0, 2, 5);
+    });
+    const end = found.length - 1, mark = episode.outcomes[state.robot];
+    pen.fillStyle = mark.startsWith("hit") ? colours.contact : colours.ink;
+    pen.font = "12px system-ui, sans-serif";
+    pen.textAlign = end > 0.9 * state.steps ? "right" : "left";
+    if (mark === "arrived" || mark.startsWith("hit")) {
+      pen.fillText(mark === "arrived" ? "★" : "✕", x(end), side ? height - 8 : 14);
+    }
+  });
+  pen.fillStyle = colours.ink;
+  pen.fillRect(x(state.time) - 0.75, 0, 1.5, height);
 }
 
 const seconds = (episode, steps) => `${(steps * episode.step).toFixed(2)} s`;
@@ -285,13 +362,14 @@ function describe({ episode, outcome, sight, canvas, name }) {
     const all = others.filter((o) => o.kind === kind);
     return `${all.filter((o) => o.seen).length} of ${all.length} ${kind}s`;
   };
+  const shield = steppedIn(episode, state.robot, k) ? " The shield steps in." : "";
   const attended = others.filter((o) => o.percent >= 1).sort((a, b) => b.percent - a.percent);
   const attention = episode.humanAttention
     ? ` Attends to ${attended.slice(0, 3).map((o) => `${o.kind} ${o.number} ${o.percent} %`).join(", ") || "nobody"}.`
     : "";
   const texts = [
     [outcome, `${ended}Robots: ${robots.join(", ")}.`],
-    [sight, `Robot ${state.robot} sees ${count("human")}, ${count("robot")}.${attention}`],
+    [sight, `Robot ${state.robot} sees ${count("human")}, ${count("robot")}.${shield}${attention}`],
   ];
   for (const [where, text] of texts) if (where.textContent !== text) where.textContent = text;
   if (!state.playing) {
@@ -305,6 +383,7 @@ function draw() {
   const shown = sides.filter((side) => side.episode);
   shown.forEach(drawSide);
   shown.forEach(describe);
+  drawStrip();
   element("time").value = Math.floor(state.time);
   const text = seconds(state.shown[0], state.time);
   element("time").setAttribute("aria-valuetext", text);
@@ -465,6 +544,8 @@ function key(event) {
 element("play").onclick = () => play(!state.playing);
 element("back").onclick = () => step(-1);
 element("forward").onclick = () => step(1);
+element("strip").onclick = (event) =>
+  seek(Math.round((event.offsetX / event.target.clientWidth) * state.steps));
 element("time").oninput = (event) => seek(Number(event.target.value));
 element("choice").onsubmit = (event) => event.preventDefault();
 element("choice").onchange = () => { offer(); show(); };
@@ -486,7 +567,11 @@ readColours();
 const wanted = Object.fromEntries(new URLSearchParams(location.hash.slice(1)));
 state.time = Math.max(0, Math.trunc(wanted.step)) || 0;
 state.robot = Math.max(0, Math.trunc(wanted.robot)) || 0;
+// At first SAMARL beside ORCA where both see all round; or the two that succeed most often.
 const successes = (method) => entries.filter((e) => e.method === method && e.success).length;
-const [best, second = ""] = different(entries, "method").sort((a, b) => successes(b) - successes(a));
-offer({ left: best, right: second, ...wanted });
+const ranking = different(entries, "method").sort((a, b) => successes(b) - successes(a));
+const [best, second = ""] = [...["samarl", "orca"].filter((m) => ranking.includes(m)),
+  ...ranking.filter((m) => !["samarl", "orca"].includes(m))];
+const column = different(entries, "column").find((name) => name.startsWith("360°"));
+offer({ column, left: best, right: second, ...wanted });
 show();
