@@ -19,7 +19,7 @@ from mrsan import Reward, Scenario
 from samarl.commands import evaluate
 from samarl.evaluation.runner import Evaluation
 
-CHUNKS, CHUNK = 10, 100
+CHUNKS, CHUNK = 10, 40
 OWNERS = {"scenario": Scenario, "scenario.reward": Reward, "evaluation": Evaluation}
 FIELDS = [
     (f"{path}.{f.name}", f)

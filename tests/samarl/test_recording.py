@@ -140,7 +140,8 @@ def test_the_shares_are_those_that_the_pool_uses() -> None:
 
 
 def test_animations_are_smooth_and_as_fast_as_the_episode(tmp_path: Path) -> None:
-    recording = record_episode(build_agent(STRAIGHT, SCENARIO), SCENARIO, 3)
+    scenario = replace(SCENARIO, time_limit=1.5)
+    recording = record_episode(build_agent(STRAIGHT, scenario), scenario, 3)
     steps = len(recording.robot_position) - 1
     shorter = replace(recording, robot_position=recording.robot_position[:-3])
     save_animation([(recording, "one"), (shorter, "two")], tmp_path / "case.gif")

@@ -128,7 +128,8 @@ def test_the_bench_refuses_what_it_cannot_play(tmp_path: Path, arguments: list[s
 
 def test_the_bench_plays_a_policy_in_its_own_views(tmp_path: Path) -> None:
     words = ["agents=[samarl_narrow]", "evaluation.cases=1", "output=mine"]
-    done = run("bench", *words, cwd=tmp_path)
+    columns = "[{fov_degrees: 90, robots: 1}, {fov_degrees: 360, robots: 1}]"
+    done = run("bench", *words, f"columns={columns}", cwd=tmp_path)
     rows = json.loads((tmp_path / "mine/table1.json").read_text())
     assert {row["fov_degrees"] for row in rows} == {90.0}
     assert "not played in views that they were not trained for: samarl_narrow" in done.stdout
@@ -161,7 +162,8 @@ def test_render_draws_a_case(tmp_path: Path) -> None:
     picture = (tmp_path / "case.png").read_bytes()
     assert picture.startswith(b"\x89PNG\r\n")
     assert len(picture) > 10_000
-    run("render", "agent=straight", "case=3", "scenario.robots=2", "output=case.gif", cwd=tmp_path)
+    run("render", "agent=straight", "case=3", "scenario.time_limit=1", "output=case.gif",
+        cwd=tmp_path)  # fmt: skip
     assert (tmp_path / "case.gif").read_bytes().startswith(b"GIF89a")
     run("render", "agent=straight", f"case={2**41 + 3}", "scenario.robots=2", "output=same.png",
         cwd=tmp_path)  # fmt: skip
