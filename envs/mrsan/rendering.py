@@ -16,7 +16,8 @@ _SIZE = 512  # pixels a side
 _FINE = 2  # drawn so many times larger and then reduced, which smooths the edges
 _MARGIN = 1.5  # m around the circle on which robots start
 _VIEW = 3.0  # m, how far the view of a robot is outlined at most
-_COLOURS = ["#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000"]
+# Okabe and Ito's, which colour-blind readers tell apart.
+ROBOT_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 _PERSON, _ZONE, _GRID, _INK = "#8C8C8C", "#F0F0F0", "#E4E4E4", "#222222"
 
 
@@ -87,7 +88,7 @@ class _Drawing:
         return np.asarray(self.image.reduce(_FINE))
 
     def _robot(self, state: Any, index: int, i: int, where: NDArray[np.float32]) -> None:
-        scenario, colour = self.scenario, _COLOURS[i % len(_COLOURS)]
+        scenario, colour = self.scenario, ROBOT_COLOURS[i % len(ROBOT_COLOURS)]
         goal, radius = state.robot_goal[index, i], scenario.robot_radius
         for turn in (0.0, np.pi / 2):
             arm = 0.8 * radius * np.array([np.cos(turn), np.sin(turn)])

@@ -117,7 +117,8 @@ def run_command(task: Callable[[DictConfig], Any], config_name: str, **schemas: 
 
 def _sweep_name(words: Sequence[str]) -> str:
     """A folder for a sweep: what is swept, and a digest that tells it from other sweeps."""
-    settings = sorted(w for w in words if "=" in w and not w.startswith(("hydra", "evaluation.b")))
+    aside = ("hydra", "evaluation.batch")  # what leaves the figures as they are
+    settings = sorted(w for w in words if "=" in w and not w.startswith(aside))
     swept = [w.partition("=")[0].rpartition(".")[2] for w in settings if "," in w or "(" in w]
     digest = hashlib.sha256("\n".join(settings).encode()).hexdigest()[:8]
     return "-".join([*(re.sub(r"\W+", "_", key) for key in swept[:4]), digest])

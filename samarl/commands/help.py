@@ -6,14 +6,14 @@ from the comments in `conf/`.
 
 from __future__ import annotations
 
+import argparse
 import ast
 import dataclasses
 import inspect
 import io
-import itertools
 import re
 import tokenize
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from enum import Enum
 from pathlib import Path
 from typing import Any
@@ -41,9 +41,11 @@ def help_text(config_name: str, words: Sequence[str]) -> str:
     """
     folder = find_folder("conf").resolve()
     settings = [word for word in words if re.match(r"[\w.+~/@]+=", word)]
-    for option, own in itertools.pairwise(words):
-        if option in ("--config-dir", "-cd"):
-            settings.append(f"hydra.searchpath=[file://{Path(own).resolve()}]")
+    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+    parser.add_argument("--config-dir", "-cd", type=Path)
+    own = parser.parse_known_args(words)[0].config_dir
+    if own is not None:
+        settings.append(f"hydra.searchpath=[file://{own.resolve()}]")
     with initialize_config_dir(str(folder), version_base="1.3"):
         config = compose(config_name, settings, return_hydra_config=True)
         loader = GlobalHydra.instance().config_loader()
@@ -59,9 +61,6 @@ def help_text(config_name: str, words: Sequence[str]) -> str:
     for group, choice in choices.items():
         of_files = _comments_of_choice(folder / group, choice)
         meanings |= {f"{group}.{path}": text for path, text in of_files.items()}
-        if group == "policy":  # holds its encoder
-            encoder = _comments_of_choice(folder / "encoder", choices["encoder"])
-            meanings |= {f"policy.encoder.{path}": text for path, text in encoder.items()}
     for path, cls in _classes(config).items():
         for name, text in meanings_in_class(cls).items():
             key = f"{path}.{name}"
@@ -94,15 +93,9 @@ def _shortened(config: DictConfig) -> str:
 
 def annotated(yaml: str, meanings: Meanings) -> str:
     """The lines of a YAML document, each with what its setting means."""
-    lines: list[str] = []
-    path: list[tuple[int, str]] = []  # the keys above, each with its indentation
-    for line in yaml.splitlines():
-        found = re.match(r"( *(?:- )?)([\w-]+):", line)
-        if found:
-            indent = len(found[1])
-            path = [(depth, key) for depth, key in path if depth < indent]
-            path.append((indent, found[2]))
-        meaning = meanings.get(".".join(key for _, key in path), "") if found else ""
+    lines = []
+    for line, path in _lines_with_paths(yaml):
+        meaning = meanings.get(path, "")
         lines.append(f"{line:<{_WIDTH}}  # {meaning}" if meaning else line)
     return "\n".join(lines)
 
@@ -110,15 +103,22 @@ def annotated(yaml: str, meanings: Meanings) -> str:
 def comments_in_yaml(path: Path) -> Meanings:
     """The comments at the ends of the lines of a YAML file, by the path of their key."""
     found: Meanings = {}
-    above: list[tuple[int, str]] = []
-    for line in path.read_text(encoding="utf-8").splitlines():
-        match = re.match(r"( *)(\w+):(?! \{)[^#]*(?:# (.*))?$", line)
-        if match:
-            above = [(depth, key) for depth, key in above if depth < len(match[1])]
-            above.append((len(match[1]), match[2]))
-            if match[3]:
-                found[".".join(key for _, key in above)] = match[3]
+    for line, key in _lines_with_paths(path.read_text(encoding="utf-8")):
+        comment = re.match(r" *[\w-]+:(?! \{)[^#]*# (.*)$", line)
+        if comment:
+            found[key] = comment[1]
     return found
+
+
+def _lines_with_paths(yaml: str) -> Iterator[tuple[str, str]]:
+    """Each line of a YAML document with the path of its key; empty where it has none."""
+    above: list[tuple[int, str]] = []  # the keys above, each with its indentation
+    for line in yaml.splitlines():
+        found = re.match(r"( *(?:- )?)([\w-]+):", line)
+        if found:
+            above = [(depth, key) for depth, key in above if depth < len(found[1])]
+            above.append((len(found[1]), found[2]))
+        yield line, ".".join(key for _, key in above) if found else ""
 
 
 def meanings_in_class(cls: type) -> dict[str, tuple[str, str]]:
@@ -196,6 +196,6 @@ def _classes(config: DictConfig) -> dict[str, Any]:
             "curriculum.stages.scenario": Scenario, "curriculum.stages.scenario.reward": Reward,
             "algorithm": ALGORITHMS[config.algorithm.name].config,
             "policy": POLICIES[config.policy.name].config,
-            **dict.fromkeys(("encoder", "policy.encoder"), ENCODERS[config.encoder.name].config),
+            "encoder": ENCODERS[config.encoder.name].config,
         }  # fmt: skip
     return classes

@@ -15,6 +15,7 @@ from samarl.agents import Agent, build_agent
 from samarl.commands.cli import command_line, run_command
 from samarl.configuration import available_agents, load_agent, scenario_of
 from samarl.evaluation.recording import Recording, record_episode
+from samarl.evaluation.seeds import without_seed
 from samarl.files import check_writable, find_folder
 
 
@@ -72,7 +73,7 @@ def _methods(names: list[str] | None, results: Path) -> dict[str, dict[str, Any]
     for name in available_agents() if names is None else names:
         config = load_agent(name)
         shipped = sorted((results / "checkpoints").glob("*.safetensors"))
-        shipped = [path for path in shipped if "_seed" not in path.stem]
+        shipped = [path for path in shipped if without_seed(path.stem) == path.stem]
         if "checkpoint" not in config or not shipped:
             methods[name] = config
         for path in shipped if "checkpoint" in config else ():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 
 import numpy as np
@@ -13,10 +14,15 @@ from samarl.files import find_folder
 _RESAMPLES = 10_000
 
 
+def without_seed(name: str) -> str:
+    """What a policy or a curve is called whatever its training seed: `NAME_seedK` is NAME."""
+    return re.sub(r"_seed\d+$", "", name)
+
+
 def other_seeds(name: str) -> list[str]:
     """The shipped policies that differ from the one of this name by their training seed alone."""
-    shipped = find_folder("results") / "checkpoints"
-    return sorted(path.stem for path in shipped.glob(f"{name}_seed*.safetensors"))
+    shipped = (find_folder("results") / "checkpoints").glob("*.safetensors")
+    return sorted(path.stem for path in shipped if without_seed(path.stem) == name != path.stem)
 
 
 def interquartile_mean(values: NDArray[np.float64]) -> NDArray[np.float64]:

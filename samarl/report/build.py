@@ -16,6 +16,7 @@ from tqdm import tqdm
 
 from mrsan import ConfigurationError
 from samarl.evaluation.recording import Recording
+from samarl.evaluation.seeds import without_seed
 from samarl.evaluation.summary import Row, read_rows
 from samarl.evaluation.table import column_name, grid_of, rows_as_cells
 from samarl.files import code_version, write_atomically
@@ -171,7 +172,7 @@ def read_runs(folder: Path) -> dict[str, list[Curve]]:
     for path in sorted(folder.glob("*.csv")):
         curve = read_curve(path)
         if curve:
-            runs.setdefault(re.sub(r"_seed\d+$", "", path.stem), []).append(curve)
+            runs.setdefault(without_seed(path.stem), []).append(curve)
     return runs
 
 

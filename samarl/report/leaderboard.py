@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from markupsafe import Markup, escape
 
+from samarl.configuration import available_agents, load_agent
 from samarl.evaluation.summary import Row
 from samarl.evaluation.table import column_of, grid_of
 from samarl.files import find_folder
@@ -53,9 +53,8 @@ def is_best(row: Row, rows: Sequence[Row]) -> bool:
 
 def _entry(name: str, rows: list[Row | None]) -> Entry:
     """What the file of the agent says of itself; a stranger is a planner as far as one knows."""
-    path = find_folder("conf") / "agent" / f"{name}.yaml"
-    about = _comment(path)
-    checkpoint = _checkpoint(path)
+    about = _comment(find_folder("conf") / "agent" / f"{name}.yaml")
+    checkpoint = load_agent(name).get("checkpoint") if name in available_agents() else None
     group = "planner" if checkpoint is None else "learned"
     return Entry(name, "ablation" if about.startswith("An ablation") else group, about, checkpoint,
                  rows)  # fmt: skip
@@ -67,14 +66,3 @@ def _comment(path: Path) -> str:
         return ""
     lines = path.read_text(encoding="utf-8").splitlines()
     return " ".join(line.lstrip("# ") for line in lines[:3] if line.startswith("#"))
-
-
-def _checkpoint(path: Path) -> str | None:
-    """The policy that an agent's file names, or that the one it is based on names."""
-    if not path.is_file():
-        return None
-    text = path.read_text(encoding="utf-8")
-    if found := re.search(r"^checkpoint: (\S+)", text, re.MULTILINE):
-        return found[1]
-    base = re.search(r"^ *- (?!_self_)(\w+)$", text, re.MULTILINE)
-    return _checkpoint(path.with_name(f"{base[1]}.yaml")) if base else None

@@ -9,18 +9,13 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 from PIL import Image
 
+from mrsan.rendering import ROBOT_COLOURS
 from samarl.files import unfinished
 
-# Each with what stands for it on a dark page. The series are Okabe and Ito's, which colour-blind
-# readers tell apart.
+_DARK_SERIES = ("#4FA8E0", "#FF8B3D", "#2CC79B", "#E79CC6", "#F2B632", "#8CD0F7", "#FFFFFF")
+# Each with what stands for it on a dark page.
 PALETTE = {
-    "series-0": ("#0072B2", "#4FA8E0"),
-    "series-1": ("#D55E00", "#FF8B3D"),
-    "series-2": ("#009E73", "#2CC79B"),
-    "series-3": ("#CC79A7", "#E79CC6"),
-    "series-4": ("#E69F00", "#F2B632"),
-    "series-5": ("#56B4E9", "#8CD0F7"),
-    "series-6": ("#000000", "#FFFFFF"),
+    **{f"series-{i}": pair for i, pair in enumerate(zip(ROBOT_COLOURS, _DARK_SERIES, strict=True))},
     "ink": ("#222222", "#E8E8E8"),
     "muted": ("#666666", "#A6A6A6"),
     "grid": ("#E4E4E4", "#3A3A3A"),
@@ -29,7 +24,7 @@ PALETTE = {
     "page": ("#FFFFFF", "#161616"),
     "panel": ("#F5F5F5", "#222222"),
 }
-COLOURS = tuple(light for name, (light, _) in PALETTE.items() if name.startswith("series"))
+COLOURS = ROBOT_COLOURS
 INK, MUTED, GRID, CONTACT = (PALETTE[name][0] for name in ("ink", "muted", "grid", "contact"))
 
 STYLE: Any = {

@@ -1,80 +1,29 @@
-"""The report: whole pages from whatever there is, and a viewer that plays in a real browser."""
+"""The report: whole pages from whatever there is."""
 
 import html
 import json
 import re
-import shutil
-import subprocess
-import sys
-import time
-from collections.abc import Iterator
 from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
 import pytest
-from playwright.sync_api import Browser, ConsoleMessage, Page, sync_playwright
 
 from mrsan import Scenario
 from samarl.agents import build_agent
 from samarl.commands.report import _methods
 from samarl.configuration import available_agents, load_agent
 from samarl.evaluation.metrics import METRICS, Metric
-from samarl.evaluation.recording import Recording, record_episode
+from samarl.evaluation.recording import record_episode
 from samarl.evaluation.table import column_of
 from samarl.files import find_folder
-from samarl.policies.checkpoint import save_policy
 from samarl.report.build import build_site, slug
 from samarl.report.figures import baselines, draw_curves, draw_table, read_curve, settings_labels
 from samarl.report.leaderboard import GROUPS, is_best, ranked
 from samarl.report.replays import as_replay
-from tests.small import small_policy
+from tests.reporting import STRAIGHT, recorded, report
 
 VOID = {"meta", "link", "input", "img", "br", "wbr", "circle", "path", "rect"}
-FLAGS = [
-    "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
-    "--disable-background-networking", "--disable-component-update", "--disable-sync",
-]  # fmt: skip
-STRAIGHT = {"_target_": "samarl.agents.planners.straight.Straight"}
-
-
-def report(*arguments: str, cwd: Path, code: int = 0) -> subprocess.CompletedProcess[str]:
-    done = subprocess.run(
-        [sys.executable, "-m", "samarl.commands.report", *arguments],
-        cwd=cwd,
-        capture_output=True,
-        text=True,
-    )
-    assert done.returncode == code, done.stderr
-    return done
-
-
-@pytest.fixture(scope="module")
-def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A report of a table, a run of two seeds and one of one, two sweeps and a policy."""
-    folder = tmp_path_factory.mktemp("report")
-    results = folder / "results"
-    for name in ("curves", "sweeps", "checkpoints"):
-        (results / name).mkdir(parents=True)
-    table = json.loads((find_folder("results") / "table1.json").read_text())
-    (results / "table1.json").write_text(json.dumps(table))
-    (results / "not_rows.json").write_text('{"worlds": 512}')
-    (results / "sweeps/views.json").write_text(json.dumps(table))
-    noisy = [
-        row | {"command": f"{row['command']} scenario.position_noise={noise}"}
-        for row in table[:2]
-        for noise in (0.1, 0.2)
-    ]
-    (results / "sweeps/noise.json").write_text(json.dumps(noisy))
-    for name, value in (("fast_seed0", 0.5), ("fast_seed1", 0.7), ("slow", 0.2)):
-        lines = [f"{1000 * k},{k},{value},{value if k % 2 else ''},{value}" for k in range(1, 6)]
-        header = "steps,seconds,charts/success,validation/success_90_10h_3r,losses/macro_critic"
-        (results / f"curves/{name}.csv").write_text("\n".join([header, *lines]))
-    save_policy(results / "checkpoints/mine.safetensors", small_policy(), "hierarchical", {})
-    done = report("results=results", "agents=[straight,perimeter,samarl]", "cases=[0,3]",
-                  "output=site", cwd=folder)  # fmt: skip
-    assert "written to site/index.html" in done.stdout
-    return folder / "site"
 
 
 class Reader(HTMLParser):
@@ -235,11 +184,6 @@ def test_rows_of_another_version_are_shown(tmp_path: Path, monkeypatch: pytest.M
     assert after.replace(column, "").replace("<td></td>", "") == shown.replace("<td></td>", "")
 
 
-def recorded() -> Recording:
-    scenario = Scenario(fov_degrees=90.0)
-    return record_episode(build_agent(STRAIGHT, scenario), scenario, 2**41)
-
-
 def test_a_replay_says_what_the_recording_says() -> None:
     recording = recorded()
     replay = as_replay(recording)
@@ -310,180 +254,3 @@ def test_a_mistake_is_one_line(tmp_path: Path, argument: str, message: str) -> N
     assert len(done.stderr.splitlines()) == 1
     assert (tmp_path / "full/mine.txt").exists()
     assert not (tmp_path / "site").exists()
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with sync_playwright() as playwright:
-        names = ("chromium", "chromium-browser", "google-chrome")
-        path = next(filter(None, map(shutil.which, names)), playwright.chromium.executable_path)
-        if not Path(path).exists():
-            pytest.fail(
-                "there is no Chromium to test the report with; install one: "
-                "apt-get install chromium, or playwright install chromium"
-            )
-        chromium = playwright.chromium.launch(executable_path=path, args=FLAGS)
-        yield chromium
-        chromium.close()
-
-
-@pytest.fixture
-def page(browser: Browser) -> Iterator[Page]:
-    """A page that may not complain and may not ask for anything but files."""
-    complaints: list[str] = []
-
-    def hear(message: ConsoleMessage) -> None:
-        if message.type in ("error", "warning"):
-            complaints.append(message.text)
-
-    page = browser.new_page(viewport={"width": 1200, "height": 900})
-    page.on("console", hear)
-    page.on("pageerror", lambda error: complaints.append(str(error)))
-    page.on("requestfailed", lambda request: complaints.append(request.url))
-    page.on(
-        "request",
-        lambda request: (
-            None if request.url.startswith(("file:", "data:")) else complaints.append(request.url)
-        ),
-    )
-    yield page
-    page.close()
-    assert complaints == []
-
-
-def show(page: Page, site: Path, choice: str) -> None:
-    page.goto(f"{(site / 'replays.html').as_uri()}#{choice}")
-    page.wait_for_selector("canvas[data-step]")
-
-
-def steps(page: Page) -> list[str]:
-    """The clocks of the canvases that are shown."""
-    return page.eval_on_selector_all(
-        ".side:not([hidden]) canvas", "canvases => canvases.map(c => c.dataset.time)"
-    )
-
-
-BOTH = "column=90°+view,+10+humans,+3+robots&case=test+case+0&left=perimeter&right=mine"
-
-
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-@pytest.mark.parametrize("size", [(1200, 900), (375, 740)])
-def test_every_page_opens_and_fits(
-    page: Page, site: Path, tmp_path: Path, scheme: str, size: tuple[int, int]
-) -> None:
-    page.emulate_media(color_scheme=scheme)  # type: ignore[arg-type]
-    page.set_viewport_size({"width": size[0], "height": size[1]})
-    for path in site.glob("*.html"):
-        page.goto(path.as_uri())
-        page.wait_for_function("[...document.images].every(i => i.complete || i.loading == 'lazy')")
-        width = page.evaluate("document.documentElement.scrollWidth")
-        assert width <= size[0]
-        background = page.evaluate("getComputedStyle(document.body).backgroundColor")
-        assert background == ("rgb(22, 22, 22)" if scheme == "dark" else "rgb(255, 255, 255)")
-        picture = page.screenshot(path=tmp_path / f"{path.stem}.png", full_page=True)
-        assert len(picture) > 10_000
-
-
-def test_a_heading_sorts_its_column_in_every_group(page: Page, site: Path) -> None:
-    page.goto((site / "index.html").as_uri())
-    names = "rows => rows.map(row => row.dataset.name)"
-    before = page.eval_on_selector_all("tr[data-name]", names)
-    heading = page.get_by_role("button", name="360° view, 10 people, 3 robots")
-    values = "cells => cells.map(cell => Number(cell.dataset.value))"
-    cells = "tbody:nth-of-type(3) tr[data-name] td:nth-of-type(4)"
-    for click, reverse in enumerate((True, False)):
-        heading.click()
-        found = page.eval_on_selector_all(cells, values)
-        assert found == sorted(found, reverse=reverse), click
-    assert page.get_attribute("thead th:last-of-type", "aria-sort") == "ascending"
-    assert sorted(page.eval_on_selector_all("tr[data-name]", names)) == sorted(before)
-
-
-def test_a_replay_plays_pauses_scrubs_and_ends(page: Page, site: Path) -> None:
-    show(page, site, BOTH)
-    assert steps(page) == ["0.000", "0.000"]
-    page.keyboard.press("Space")
-    seen = []
-    for _ in range(10):
-        time.sleep(0.05)
-        left, right = steps(page)
-        assert left == right  # one clock for both
-        seen.append(float(left))
-    assert seen == sorted(seen)
-    assert seen[-1] > seen[0]
-    page.keyboard.press("Space")
-    paused = steps(page)
-    time.sleep(0.2)
-    assert steps(page) == paused
-    assert page.inner_text("#play") == "Play"
-
-    page.fill("#time", "20")  # scrub
-    assert steps(page) == ["20.000"] * 2
-    assert page.inner_text("#clock") == "5.00 s"
-    page.keyboard.press("Home")
-    for _ in range(3):
-        page.keyboard.press("ArrowRight")
-    page.keyboard.press("ArrowLeft")
-    assert steps(page) == ["2.000"] * 2
-    page.keyboard.press("Shift+ArrowRight")
-    assert steps(page) == ["6.000"] * 2
-    page.keyboard.press("+")
-    assert page.input_value("#speed") == "2"
-    page.keyboard.press("-")
-    page.keyboard.press("-")
-    assert page.input_value("#speed") == "0.5"
-
-    page.keyboard.press("End")
-    last = int(page.get_attribute("#time", "max") or 0)
-    assert steps(page) == [f"{last}.000"] * 2
-    for outcome in page.locator(".outcome").all_inner_texts():
-        assert outcome.startswith("Ended at ")
-    page.locator("#speed").select_option("8")
-    page.click("#play")  # from the end it begins again, and stops at the end by itself
-    page.wait_for_function("document.getElementById('play').textContent == 'Play'", timeout=30_000)
-    assert steps(page) == [f"{last}.000"] * 2
-
-
-def test_the_chosen_robot_sees_what_was_recorded(page: Page, site: Path) -> None:
-    recording = recorded()
-    show(page, site, "column=90°+view,+10+humans,+3+robots&case=test+case+0&left=straight&right=")
-    assert len(steps(page)) == 1
-    for t in range(len(recording.robot_position)):
-        for robot in range(3):
-            page.keyboard.press(str(robot))
-            humans = recording.humans_seen[t, robot].sum()
-            others = recording.robots_seen[t, robot].sum()
-            said = page.inner_text(".sight >> nth=0")
-            assert said == f"Robot {robot} sees {humans} of 10 humans, {others} of 2 robots."
-        page.keyboard.press("ArrowRight")
-    ended = page.inner_text(".outcome >> nth=0")
-    assert "hit a human" in ended
-    assert page.get_attribute("canvas >> nth=0", "aria-label").startswith("straight at")  # type: ignore[union-attr]
-
-    before = page.locator("canvas").first.screenshot()
-    page.keyboard.press("Home")
-    assert page.locator("canvas").first.screenshot() != before
-    # Another method on the same case, and what it attends to.
-    page.locator("#left").select_option("mine")
-    page.wait_for_selector("h2:text('mine')")
-    assert "Attends to" in page.inner_text(".sight >> nth=0")
-    assert "left=mine" in page.evaluate("location.hash")
-
-
-def test_the_page_works_by_keyboard_alone(page: Page, site: Path) -> None:
-    show(page, site, BOTH)
-    order = []
-    for _ in range(30):
-        page.keyboard.press("Tab")
-        order.append(page.evaluate("document.activeElement.id || document.activeElement.className"))
-        if order[-1] == "play":
-            break
-    assert order[0] == "skip"
-    controls = [name for name in order if name]
-    assert controls == ["skip", "column", "case", "left", "right", "back", "play"]
-    assert page.locator("#robots button").count() == 3
-    assert page.evaluate("getComputedStyle(document.activeElement).outlineStyle") == "solid"
-    page.keyboard.press("Space")  # presses the button once, not twice
-    assert page.inner_text("#play") == "Pause"
-    page.keyboard.press("Space")
-    assert page.inner_text("#play") == "Play"

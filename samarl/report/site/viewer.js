@@ -289,8 +289,13 @@ function drawSide({ canvas, episode }) {
 
 const steppedIn = (episode, robot, k) => Boolean(episode.shielded?.[robot].includes(k));
 
-// How near the chosen robot is to the nearest person at each of its steps, surface to surface, m.
+// How near a robot is to the nearest person at each of its steps, surface to surface, m.
 function nearest(episode, robot) {
+  episode.nearest ??= [];  // kept, as every frame draws it
+  return (episode.nearest[robot] ??= distancesOf(episode, robot));
+}
+
+function distancesOf(episode, robot) {
   const steps = [...Array(Math.min(episode.drivingSteps[robot], episode.last) + 1).keys()];
   return steps.map((t) => Math.min(...episode.humans.map((path, j) => isPresent(episode, j, t)
     ? distance(path[t], episode.robots[robot][t]) - episode.radii[j] - episode.radius : Infinity)));

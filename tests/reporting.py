@@ -1,0 +1,27 @@
+"""What the tests of the report build it with and compare it to."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+from mrsan import Scenario
+from samarl.agents import build_agent
+from samarl.evaluation.recording import Recording, record_episode
+
+STRAIGHT = {"_target_": "samarl.agents.planners.straight.Straight"}
+
+
+def report(*arguments: str, cwd: Path, code: int = 0) -> subprocess.CompletedProcess[str]:
+    done = subprocess.run(
+        [sys.executable, "-m", "samarl.commands.report", *arguments],
+        cwd=cwd,
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == code, done.stderr
+    return done
+
+
+def recorded() -> Recording:
+    scenario = Scenario(fov_degrees=90.0)
+    return record_episode(build_agent(STRAIGHT, scenario), scenario, 2**41)

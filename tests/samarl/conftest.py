@@ -1,0 +1,39 @@
+"""The report that the tests of its files and those in a browser look at."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from samarl.files import find_folder
+from samarl.policies.checkpoint import save_policy
+from tests.reporting import report
+from tests.small import small_policy
+
+
+@pytest.fixture(scope="session")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A report of a table, a run of two seeds and one of one, two sweeps and a policy."""
+    folder = tmp_path_factory.mktemp("report")
+    results = folder / "results"
+    for name in ("curves", "sweeps", "checkpoints"):
+        (results / name).mkdir(parents=True)
+    table = json.loads((find_folder("results") / "table1.json").read_text())
+    (results / "table1.json").write_text(json.dumps(table))
+    (results / "not_rows.json").write_text('{"worlds": 512}')
+    (results / "sweeps/views.json").write_text(json.dumps(table))
+    noisy = [
+        row | {"command": f"{row['command']} scenario.position_noise={noise}"}
+        for row in table[:2]
+        for noise in (0.1, 0.2)
+    ]
+    (results / "sweeps/noise.json").write_text(json.dumps(noisy))
+    for name, value in (("fast_seed0", 0.5), ("fast_seed1", 0.7), ("slow", 0.2)):
+        lines = [f"{1000 * k},{k},{value},{value if k % 2 else ''},{value}" for k in range(1, 6)]
+        header = "steps,seconds,charts/success,validation/success_90_10h_3r,losses/macro_critic"
+        (results / f"curves/{name}.csv").write_text("\n".join([header, *lines]))
+    save_policy(results / "checkpoints/mine.safetensors", small_policy(), "hierarchical", {})
+    done = report("results=results", "agents=[straight,perimeter,samarl]", "cases=[0,3]",
+                  "output=site", cwd=folder)  # fmt: skip
+    assert "written to site/index.html" in done.stdout
+    return folder / "site"
