@@ -10,10 +10,6 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input --quiet --quiet
 STAMP := $(VENV)/.installed
 
-# Threads that wait for work sleep soon instead of spinning: other processes want the cores too.
-GOMP_SPINCOUNT ?= 1000
-export GOMP_SPINCOUNT
-
 .DEFAULT_GOAL := help
 .PHONY: help setup bench test test-browser lint train results pictures report docs latency throughput soak wheel check-wheel clean
 

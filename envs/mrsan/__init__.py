@@ -1,17 +1,13 @@
 """Multi-robot socially-aware navigation: a batched simulator with three standard wrappers."""
 
-import os
-
-# Before anything loads OpenMP: threads that wait for work would otherwise spin for long, which on
-# a machine that others use as well costs ten times the work itself.
-os.environ.setdefault("GOMP_SPINCOUNT", "1000")
-
 from importlib.metadata import version
 
 import gymnasium
 
 from mrsan.compile_cache import ensure_compile_cache
+from mrsan.threads import let_threads_sleep
 
+let_threads_sleep()  # before anything loads OpenMP
 ensure_compile_cache()  # before anything is compiled
 
 from mrsan.cases import Split

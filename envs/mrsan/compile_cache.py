@@ -1,4 +1,4 @@
-"""Where compiled kernels are kept."""
+"""Where compiled kernels are kept, and what is said while they are made."""
 
 from __future__ import annotations
 
@@ -7,9 +7,11 @@ import stat
 import sys
 import tempfile
 from pathlib import Path
+from typing import Any
 
 import numba
 from numba import config
+from numba.core import event
 
 
 def ensure_compile_cache() -> None:
@@ -40,3 +42,29 @@ def _temporary_folder() -> Path:
     if private or sys.platform == "win32":  # there the temporary folder is the user's own
         return folder
     return Path(tempfile.mkdtemp(prefix="mrsan-kernels-"))
+
+
+class _Announcer(event.Listener):
+    """Says what is being compiled, so that nobody wonders at the pause."""
+
+    def __init__(self) -> None:
+        self.said: set[str] = set()
+
+    def on_start(self, event: Any) -> None:
+        """Numba begins to compile (a kernel found in the cache does not come here)."""
+        function = event.data["dispatcher"].py_func
+        package, _, module = str(function.__module__).rpartition(".")
+        if package.startswith("mrsan"):
+            many = function.__qualname__.endswith("_parallel")
+            what = f"the simulator of {'many worlds' if many else 'one world'}"
+        else:
+            what = module.replace("_", " ")
+        if package.startswith(("mrsan", "samarl")) and what not in self.said:
+            self.said.add(what)
+            print(f"Compiling {what} (once) ...", file=sys.stderr, flush=True)
+
+    def on_end(self, event: Any) -> None:
+        """Nothing to say."""
+
+
+event.register("numba:compile", _Announcer())

@@ -246,6 +246,27 @@ def test_help_is_quick_to_say(command: str, tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
+INTERRUPTED_IMPORT = """
+import sys
+from samarl.main import evaluate
+
+class Interrupting:
+    def find_spec(self, name, path, target=None):
+        if name == "numba":
+            raise KeyboardInterrupt
+
+sys.meta_path.insert(0, Interrupting())
+evaluate()
+"""
+
+
+def test_a_command_stopped_while_it_loads_says_so_in_one_line() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", INTERRUPTED_IMPORT], capture_output=True, text=True
+    )
+    assert (done.returncode, done.stderr) == (130, "interrupted\n")
+
+
 def test_help_is_of_what_is_chosen(tmp_path: Path) -> None:
     done = run("train", "algorithm=ippo", "encoder=gru", "--help", cwd=tmp_path)
     assert "name: ippo" in done.stdout

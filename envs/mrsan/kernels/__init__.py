@@ -11,14 +11,12 @@ tuple of arrays is copied wherever it is passed: take what a hot loop needs out 
 from __future__ import annotations
 
 import hashlib
-import sys
 import types
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numba
-from numba.core import event
 
 # IEEE arithmetic (no fastmath): a case gives the same bits on any number of worlds or threads.
 function = numba.njit(error_model="numpy", forceinline=True)
@@ -76,22 +74,3 @@ def _stamp(source: Callable[..., Any]) -> str:
     for file in sorted(files):
         digest.update(file.read_bytes())
     return digest.hexdigest()
-
-
-class _Announcer(event.Listener):
-    """Say once that a kernel is being compiled, so that nobody wonders at the pause."""
-
-    said = False
-
-    def on_start(self, event: Any) -> None:
-        """Numba begins to compile (a kernel found in the cache does not come here)."""
-        name = str(event.data["dispatcher"].py_func.__module__)
-        if not self.said and name.startswith(("mrsan", "samarl")):
-            _Announcer.said = True
-            print("Compiling the simulator (once, some 20 s) ...", file=sys.stderr, flush=True)
-
-    def on_end(self, event: Any) -> None:
-        """Nothing to say."""
-
-
-event.register("numba:compile", _Announcer())

@@ -1,0 +1,20 @@
+"""The commands as programs: stopped while they still load, they end in one line as well."""
+
+from __future__ import annotations
+
+import sys
+from functools import partial
+from importlib import import_module
+
+
+def _run(command: str) -> None:
+    try:
+        import_module(f"samarl.commands.{command}").main()
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        sys.exit(130)
+
+
+evaluate, bench, render, train, report = (
+    partial(_run, command) for command in ("evaluate", "bench", "render", "train", "report")
+)
