@@ -110,10 +110,8 @@ def torchrl_rollouts(
     """
     env = TransformedEnv(TorchRLEnv(scenario, worlds, seed=0), InitTracker())
     actor = Actor(policy, scenario, worlds)
-    batches = Collector(
-        env, actor, frames_per_batch=worlds * steps, total_frames=total * worlds * steps,
-        auto_register_policy_transforms=False,
-    )  # fmt: skip
+    size = worlds * steps
+    batches = Collector(env, actor, frames_per_batch=size, total_frames=total * size)
     h = policy.history
     past: Any = None  # the last h + 1 steps of the batch before
     for batch in batches:

@@ -4,13 +4,18 @@ import re
 from pathlib import Path
 from typing import Any
 
+from mkdocs.plugins import event_priority
 from mkdocs.structure.files import File, Files
 
 ROOT = Path(__file__).parents[1]
+PAGES = ("../results/table1.md", "../examples/first_ten_minutes.ipynb")  # from elsewhere
 
 
+@event_priority(100)  # before notebooks are looked for
 def on_files(files: Files, config: Any) -> Files:
-    """The committed table is a page too."""
+    """The committed table and the notebook are pages too."""
+    examples, site = str(ROOT / "examples"), config.site_dir
+    files.append(File("first_ten_minutes.ipynb", examples, site, config.use_directory_urls))
     table = (ROOT / "results/table1.md").read_text(encoding="utf-8")
     files.append(File.generated(config, "table1.md", content=table))
     return files
@@ -21,8 +26,8 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
 
     def named(match: re.Match[str]) -> str:
         text, target = match[1], match[2].partition("#")[0]
-        if target == "../results/table1.md":
-            return f"[{text}](table1.md)"
+        if target in PAGES:
+            return f"[{text}]({Path(target).name})"
         if not (ROOT / "docs" / target).exists():
             raise FileNotFoundError(f"{page.file.src_path} links to {target}, which is not there")
         path = (ROOT / "docs" / target).resolve().relative_to(ROOT)

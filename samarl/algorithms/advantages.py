@@ -10,7 +10,7 @@ from typing import NamedTuple
 import torch
 from tensordict import TensorDict
 from torch import Tensor
-from torchrl.objectives.value import MultiAgentGAE
+from torchrl.objectives.value import GAE
 
 
 def advantages(
@@ -29,7 +29,7 @@ def advantages(
         gae_lambda: per decision.
         duration: [S, T, N] environment steps of each decision; None: one each.
     """
-    estimator = MultiAgentGAE(
+    estimator = GAE(
         gamma=discount, lmbda=gae_lambda, value_network=None, average_gae=False, vectorized=False
     )
     after = {"state_value": next_value, "reward": reward, "done": done, "terminated": terminated}

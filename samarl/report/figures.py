@@ -21,6 +21,7 @@ from samarl.report.style import COLOURS, INK, MUTED, STYLE
 
 Curve = dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]  # column: steps, values
 _BASELINES = ("model_predictive", "perimeter")  # planners that curves are compared with
+_AXES = {"fov_degrees": "field of view, degrees", "humans": "humans", "robots": "robots"}
 _POINTS = 200  # more do not show
 _LIGHT_TEXT, _DARK_TEXT = "#FDFDFD", "#111111"  # on the colours of a heat map, in any mode
 
@@ -143,6 +144,34 @@ def draw_heat_map(rows: Sequence[Row], title: str) -> Figure:
     return figure
 
 
+def draw_lines(rows: Sequence[Row], values: Sequence[float], name: str, title: str) -> Figure:
+    """Success of each method over a number, with its interval as a band.
+
+    Args:
+        rows: of all methods.
+        values: the number in each row.
+        name: what it is called.
+        title: of the figure.
+    """
+    with rc_context(STYLE):
+        figure = Figure(figsize=(4.6, 3.0), layout="constrained")
+        axes = figure.add_subplot()
+        for m, method in enumerate(dict.fromkeys(row["method"] for row in rows)):
+            mine = sorted((x, row["success_rate"], row["success_low"], row["success_high"])
+                          for x, row in zip(values, rows, strict=True)
+                          if row["method"] == method)  # fmt: skip
+            x, rate, low, high = np.array(mine).T
+            colour = COLOURS[m % len(COLOURS)]
+            axes.plot(x, rate, marker="o", markersize=4, color=colour, label=method)
+            axes.fill_between(x, low, high, color=colour, alpha=0.18, linewidth=0)
+        axes.set_ylim(0, 100)
+        axes.set_xlabel(name)
+        axes.set_ylabel("success %, with the 95 % interval")
+        axes.set_title(title, loc="left")
+        axes.legend(fontsize=8, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2)
+    return figure
+
+
 def draw_bars(rows: Sequence[Row], title: str) -> Figure:
     """Success with its interval in one column of the table, for each setting and method."""
     labels = settings_labels(rows)
@@ -212,18 +241,42 @@ def settings_labels(rows: Sequence[Row]) -> list[str]:
 
 
 def sweep_figures(rows: Sequence[Row]) -> Iterable[tuple[str, Figure]]:
-    """A heat map of each method and setting that has several columns; bars of each column."""
+    """What a sweep varies: a number alone as lines, views and crowds as maps, the rest as bars."""
     labels = settings_labels(rows)
     several = len(set(labels)) > 1
-    cells: dict[tuple[str, str], list[Row]] = {}
+    settings: dict[str, list[Row]] = {}
     columns: dict[Column, list[tuple[Row, str]]] = {}
     for row, label in zip(rows, labels, strict=True):
-        cells.setdefault((row["method"], label), []).append(row)
+        settings.setdefault(label, []).append(row)
         columns.setdefault(column_of(row), []).append((row, label))
-    for (method, label), mine in cells.items():
-        if len({column_of(row) for row in mine}) > 1:
-            title = f"{method}, {label}" if several else method
-            yield title, draw_heat_map(mine, title)
+    for label, mine in settings.items():
+        varied = [key for key in _AXES if len({row[key] for row in mine}) > 1]
+        suffix = f", {label}" if several else ""
+        if len(varied) == 1:
+            title = _AXES[varied[0]] + suffix
+            values = [float(row[varied[0]]) for row in mine]
+            yield title, draw_lines(mine, values, _AXES[varied[0]], title)
+        elif varied:
+            for method in dict.fromkeys(row["method"] for row in mine):
+                title = method + suffix
+                yield title, draw_heat_map([row for row in mine if row["method"] == method], title)
     for column, found in columns.items():
-        if len({label for _, label in found}) > 1:
-            yield column_name(column), draw_bars([row for row, _ in found], column_name(column))
+        of_column, of_label = [row for row, _ in found], [label for _, label in found]
+        if len(set(of_label)) > 1:
+            title = column_name(column)
+            name, numbers = _one_number(of_label)
+            figure = (
+                draw_lines(of_column, numbers, name, title) if numbers
+                else draw_bars(of_column, title)
+            )  # fmt: skip
+            yield title, figure
+
+
+def _one_number(labels: Sequence[str]) -> tuple[str, list[float]]:
+    """The name and the values of the number that labels differ in; no values if they do not."""
+    pairs = [label.split("=") for label in labels]
+    names = {pair[0] for pair in pairs}
+    values = [_number(pair[1]) for pair in pairs if len(pair) == 2]
+    if len(names) > 1 or len(values) < len(labels) or not np.isfinite(values).all():
+        return "", []
+    return names.pop().replace("_", " "), values

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.axes import Axes
 
 from mrsan import Scenario
 from samarl.agents import build_agent
@@ -15,10 +16,18 @@ from samarl.commands.report import _methods
 from samarl.configuration import available_agents, load_agent
 from samarl.evaluation.metrics import METRICS, Metric
 from samarl.evaluation.recording import record_episode
+from samarl.evaluation.summary import Row
 from samarl.evaluation.table import column_of
 from samarl.files import find_folder
 from samarl.report.build import build_site, slug
-from samarl.report.figures import baselines, draw_curves, draw_table, read_curve, settings_labels
+from samarl.report.figures import (
+    baselines,
+    draw_curves,
+    draw_table,
+    read_curve,
+    settings_labels,
+    sweep_figures,
+)
 from samarl.report.leaderboard import GROUPS, is_best, ranked
 from samarl.report.replays import as_replay
 from tests.reporting import STRAIGHT, recorded, report
@@ -93,7 +102,7 @@ def test_whatever_is_in_the_results_is_shown(site: Path) -> None:
         "noise-90-10h-3r", "table-1", *(slug(f"views {row['method']}") for row in rows),
     }  # fmt: skip
     assert len(list((site / "replays").glob("mine-*.js"))) == 2 * 2
-    assert "position_noise=0.2" in (site / "figures/noise-90-10h-3r.svg").read_text()
+    assert "position noise" in (site / "figures/noise-90-10h-3r.svg").read_text()
 
 
 def test_methods_stand_in_groups_best_first_and_say_what_they_are(site: Path) -> None:
@@ -157,6 +166,29 @@ def test_settings_tell_rows_apart() -> None:
     shared = "samarl-evaluate agent=orca scenario.humans=5 evaluation.cases=9"
     rows = [{"command": shared}, {"command": f"{shared} scenario.occlusion=true"}]
     assert settings_labels(rows) == ["default", "occlusion=true"]  # type: ignore[arg-type]
+
+
+def drawn(rows: list[Row]) -> dict[str, Axes]:
+    return {title: figure.axes[0] for title, figure in sweep_figures(rows)}
+
+
+def test_what_a_sweep_varies_says_how_it_is_drawn() -> None:
+    table = json.loads((find_folder("results") / "table1.json").read_text())
+    one = next(row for row in table if row["method"] == "orca")
+
+    def with_setting(word: str) -> Row:
+        return one | {"command": f"{one['command']} scenario.{word}"}
+
+    numbers = drawn([with_setting("position_noise=0.1"), with_setting("position_noise=0")])
+    (axes,) = numbers.values()
+    assert axes.get_xlabel() == "position noise"
+    np.testing.assert_allclose(axes.lines[0].get_xdata(), [0.0, 0.1])
+    (axes,) = drawn([with_setting("occlusion=true"), one]).values()
+    assert axes.get_xlabel().startswith("success %")  # bars
+    (axes,) = drawn([one | {"humans": 5}, one]).values()
+    assert axes.get_xlabel() == "humans"
+    (axes,) = drawn([one | {"humans": 5}, one | {"robots": 8}]).values()
+    assert axes.get_xlabel() == "field of view"  # a map
 
 
 def index_of(results: Path, output: Path) -> str:

@@ -1,0 +1,72 @@
+"""Every example runs, in a short form; what it claims to learn in little time it learns."""
+
+import ast
+import os
+import subprocess
+import sys
+from importlib.metadata import version
+from importlib.util import find_spec
+from pathlib import Path
+
+import nbformat
+import pytest
+from nbclient import NotebookClient
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+SHORT = {  # of the notebook's words, so that it takes a minute
+    "trainer.steps=200000": "trainer.steps=4608 trainer.validation_cases=2 encoder.width=16",
+    "evaluation.cases=200": "evaluation.cases=2",
+    'TASK = "': 'TASK = "scenario.time_limit=3 ',
+}
+
+
+def run(name: str, *arguments: str, cwd: Path) -> str:
+    environment = os.environ | {"OMP_NUM_THREADS": "1"}
+    command = [sys.executable, str(EXAMPLES / name), *arguments]
+    done = subprocess.run(command, cwd=cwd, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_stable_baselines_learns_to_arrive_alone(tmp_path: Path) -> None:
+    said = run("sb3_ppo.py", "--humans", "0", "--steps", "24576", cwd=tmp_path)
+    assert ast.literal_eval(said.splitlines()[-1])["arrived"] > 50
+
+
+def test_stable_baselines_begins_softly_among_people(tmp_path: Path) -> None:
+    said = run("sb3_ppo.py", "--humans", "2", "--steps", "12288", cwd=tmp_path)
+    assert sum(ast.literal_eval(said.splitlines()[-1]).values()) == 100
+
+
+def test_torchrl_learns_by_its_own_parts(tmp_path: Path) -> None:
+    said = run("torchrl_mappo.py", "--steps", "8192", cwd=tmp_path)
+    assert said.startswith("all arrived, % by tenths of the training: ")
+
+
+def test_a_crowd_of_ones_own(tmp_path: Path) -> None:
+    said = run("custom_crowd.py", "--cases", "3", "--agents", "straight", cwd=tmp_path)
+    assert said.startswith("straight           success ")
+    assert (tmp_path / "outputs/station.png").stat().st_size > 10_000
+
+
+@pytest.mark.skipif(
+    find_spec("benchmarl") is None,
+    reason=f"BenchMARL needs torchrl below 0.12; this is {version('torchrl')}",
+)
+def test_benchmarl_trains_on_the_task(tmp_path: Path) -> None:
+    run("benchmarl_task.py", "--steps", "4096", cwd=tmp_path)
+
+
+def test_the_notebook_trains_evaluates_and_looks(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PATH", f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}")
+    notebook = nbformat.read(EXAMPLES / "first_ten_minutes.ipynb", as_version=4)
+    for cell in notebook.cells:
+        for long, short in SHORT.items():
+            cell.source = cell.source.replace(long, short)
+    NotebookClient(notebook, timeout=600, resources={"metadata": {"path": tmp_path}}).execute()
+    said = "".join(o.get("text", "") for c in notebook.cells for o in c.get("outputs", []))
+    assert "error" not in said
+    assert said.count("| success") == 4, said
+    assert {p.name for p in (tmp_path / "outputs").iterdir()} >= {"orca.png", "first.gif", "first"}
