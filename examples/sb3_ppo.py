@@ -74,7 +74,7 @@ def train_naively(humans: int, steps: int, seed: int = 0) -> PPO:
     return learner.learn(steps, progress_bar=True)
 
 
-def evaluate(learner: PPO, humans: int, cases: int = 100) -> dict[str, float]:
+def evaluate(learner: PPO, humans: int, cases: int) -> dict[str, float]:
     """How test episodes end, in % of them."""
     env = gymnasium.make(NAME, humans=humans)
     ends: Counter[str] = Counter()
@@ -94,12 +94,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--humans", type=int, default=5, help="people in the world")
     parser.add_argument("--steps", type=int, default=300_000, help="of all robots together")
+    parser.add_argument("--cases", type=int, default=100, help="test cases played in the end")
     parser.add_argument("--naive", action="store_true", help="the library's defaults")
     parser.add_argument("--seed", type=int, default=0, help="of the training")
     wanted = parser.parse_args()
     naive = wanted.naive or wanted.humans == 0
     learner = (train_naively if naive else train)(wanted.humans, wanted.steps, wanted.seed)
-    print(evaluate(learner, wanted.humans))
+    print(evaluate(learner, wanted.humans, wanted.cases))
 
 
 if __name__ == "__main__":

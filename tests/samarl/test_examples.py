@@ -29,12 +29,12 @@ def run(name: str, *arguments: str, cwd: Path) -> str:
 
 
 def test_stable_baselines_learns_to_arrive_alone(tmp_path: Path) -> None:
-    said = run("sb3_ppo.py", "--humans", "0", "--steps", "24576", cwd=tmp_path)
+    said = run("sb3_ppo.py", "--humans", "0", "--steps", "24576", "--cases", "20", cwd=tmp_path)
     assert ast.literal_eval(said.splitlines()[-1])["arrived"] > 50
 
 
 def test_stable_baselines_begins_softly_among_people(tmp_path: Path) -> None:
-    said = run("sb3_ppo.py", "--humans", "2", "--steps", "12288", cwd=tmp_path)
+    said = run("sb3_ppo.py", "--humans", "2", "--steps", "4096", "--cases", "5", cwd=tmp_path)
     assert sum(ast.literal_eval(said.splitlines()[-1]).values()) == 100
 
 
