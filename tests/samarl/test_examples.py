@@ -69,4 +69,4 @@ def test_the_notebook_trains_evaluates_and_looks(
     said = "".join(o.get("text", "") for c in notebook.cells for o in c.get("outputs", []))
     assert "error" not in said
     assert said.count("| success") == 4, said
-    assert {p.name for p in (tmp_path / "outputs").iterdir()} >= {"orca.png", "first.gif", "first"}
+    assert {p.name for p in (tmp_path / "outputs").iterdir()} >= {"orca.png", "first.png", "first"}
