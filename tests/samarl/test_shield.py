@@ -138,7 +138,7 @@ def test_robots_that_stand_before_each_other_get_on(kinematics: Kinematics, stan
     assert state.arrived.all()
 
 
-@pytest.mark.parametrize("name", ["samarl", "perimeter_shielded"])
+@pytest.mark.parametrize("name", ["samarl_flat", "perimeter_shielded"])
 def test_robots_alone_in_an_empty_hall_arrive(name: str) -> None:
     scenario = Scenario(robots=5, humans=0)
     cases = Split.validation.case(0) + np.arange(40)

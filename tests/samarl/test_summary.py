@@ -10,6 +10,7 @@ import pytest
 from mrsan import ConfigurationError, Episodes, Outcome, Scenario
 from samarl.commands.bench import compare
 from samarl.evaluation.metrics import METRICS, Metric, metric, metric_fields, wilson_interval
+from samarl.evaluation.seeds import across_seeds
 from samarl.evaluation.summary import (
     HEADLINE,
     IDENTITY,
@@ -184,7 +185,10 @@ def test_every_metric_gives_its_fields(name: str) -> None:
 def test_committed_rows_have_every_metric() -> None:
     rows = read_rows(COMMITTED)
     assert rows is not None
-    assert all(list(row) == row_fields() for row in rows)
+    expected = row_fields()
+    assert all(list(row)[: len(expected)] == expected for row in rows)
+    of_seeds = list(across_seeds(rows[:2]))
+    assert {tuple(list(row)[len(expected) :]) for row in rows} == {(), tuple(of_seeds)}
 
 
 @pytest.fixture
