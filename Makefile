@@ -45,7 +45,7 @@ test: setup ## Run the tests on all cores
 	@$(BIN)/pytest -n auto --maxprocesses 8 --durations 20
 
 test-browser: setup ## Test the report in a headless Chromium, which must be installed
-	@$(BIN)/pytest -m browser
+	@$(BIN)/pytest -m browser -n auto --maxprocesses 2
 
 lint: setup ## Check style and types
 	@echo "ruff ..."; $(BIN)/ruff check .

@@ -15,13 +15,8 @@ from mrsan.features import EGO_FEATURES, OTHER_FEATURES
 from mrsan.metrics import Episodes, Outcome, social_score
 from mrsan.reward import RewardParts
 from mrsan.scenario import ConfigurationError, Crowd, Kinematics, Reward, Scenario
-from mrsan.world import (
-    ActionError,
-    Observation,
-    State,
-    Step,
-    World,
-)
+from mrsan.state import State
+from mrsan.world import ActionError, Observation, Step, World
 
 __version__ = version("samarl")  # one distribution holds both packages
 

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from enum import IntEnum
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mrsan.kernels.step import HIT_HUMAN, HIT_ROBOT, PERSONAL_SPACE
 from mrsan.scenario import Scenario
-
-if TYPE_CHECKING:
-    from mrsan.world import State
+from mrsan.state import State
 
 
 class Outcome(IntEnum):

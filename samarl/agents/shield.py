@@ -30,11 +30,13 @@ DIRECTIONS = 16  # of the ways of going on: at full speed, at half, and turning 
 WAYS = 1 + 3 * DIRECTIONS
 ENOUGH = np.float32(0.3)  # no way is better for keeping further away than that, m
 HAIR = np.float32(1e-4)  # what is not for rounding, m
+UNSURE = 3  # for so many steps a team-mate may do otherwise; later than that is seen in time
 PROGRESS = np.float32(0.3)  # distance that is given for a metre nearer to the goal, m
 
 _ZERO = np.float32(0.0)
 _HALF = np.float32(0.5)
 _ONE = np.float32(1.0)
+_TWO = np.float32(2.0)
 _TWO_PI = np.float32(2.0 * math.pi)
 
 
@@ -157,9 +159,12 @@ def _check(
                     robot_margin,
                     rows,
                 )
+                mates = 1 + np.sum(humans_known[e, i])
                 _allow_for_nearness(rows, count, p)
-                if not _passes(rows, count, goal_x, goal_y, steps, action[e, i], attempt, p):
-                    _escape(rows, count, goal_x, goal_y, steps, action[e, i], first, attempt, p)
+                if not _passes(rows, count, mates, goal_x, goal_y, steps, action[e, i], attempt, p):
+                    _escape(
+                        rows, count, mates, goal_x, goal_y, steps, action[e, i], first, attempt, p
+                    )
 
 
 @function
@@ -172,20 +177,22 @@ def _allow_for_nearness(rows, count, p):
 
 
 @function
-def _passes(rows, count, goal_x, goal_y, steps, action, attempt, p):
+def _passes(rows, count, mates, goal_x, goal_y, steps, action, attempt, p):
     """Whether some way of going on after `action` stays clear."""
     for way in range(WAYS):
         vx, vy, sharp = _way(way, goal_x, goal_y, p)
         for k in range(action.shape[0]):
             attempt[k] = action[k]
-        clear, _, _ = _outlook(rows, count, goal_x, goal_y, vx, vy, sharp, steps, attempt, False, p)
+        clear, _, _ = _outlook(
+            rows, count, mates, goal_x, goal_y, vx, vy, sharp, steps, attempt, False, p
+        )
         if clear >= steps:
             return True
     return False
 
 
 @function
-def _escape(rows, count, goal_x, goal_y, steps, action, first, attempt, p):
+def _escape(rows, count, mates, goal_x, goal_y, steps, action, first, attempt, p):
     """Write the first action of the best way."""
     speed = math.sqrt(rows[0, 2] * rows[0, 2] + rows[0, 3] * rows[0, 3])
     longest, best = -_ONE, _ZERO
@@ -195,7 +202,7 @@ def _escape(rows, count, goal_x, goal_y, steps, action, first, attempt, p):
         for k in range(action.shape[0]):
             attempt[k] = first[k]
         clear, gap, left = _outlook(
-            rows, count, goal_x, goal_y, vx, vy, sharp, steps, attempt, True, p
+            rows, count, mates, goal_x, goal_y, vx, vy, sharp, steps, attempt, True, p
         )
         merit = min(gap, ENOUGH) - PROGRESS * left
         if clear > longest or (clear == longest and merit > best + HAIR):
@@ -225,8 +232,12 @@ def _way(way, goal_x, goal_y, p):
 
 
 @function
-def _outlook(rows, count, goal_x, goal_y, wanted_x, wanted_y, sharp, steps, action, judged, p):
+def _outlook(
+    rows, count, mates, goal_x, goal_y, wanted_x, wanted_y, sharp, steps, action, judged, p
+):
     """What comes of taking `action`, which is overwritten, and then driving at a velocity.
+
+    Rows from `mates` on are team-mates.
 
     Returns:
         The steps that stay clear, the smallest gap in them (m), and if `judged` the shortest way
@@ -238,7 +249,7 @@ def _outlook(rows, count, goal_x, goal_y, wanted_x, wanted_y, sharp, steps, acti
         if k > 0:
             steer(vx, vy, heading, wanted_x, wanted_y, action, p, sharp)
         new_x, new_y, vx, vy, heading = move(x, y, vx, vy, heading, action, p)
-        gap = _least_gap(rows, count, x, y, new_x, new_y, k, p)
+        gap = _least_gap(rows, count, mates, x, y, new_x, new_y, k, p)
         if gap < _ZERO:
             return np.float32(k) + max(_ONE + gap, _ZERO), _ZERO, left
         least = min(least, gap)
@@ -252,17 +263,37 @@ def _outlook(rows, count, goal_x, goal_y, wanted_x, wanted_y, sharp, steps, acti
 
 
 @function
-def _least_gap(rows, count, x, y, new_x, new_y, step, p):
-    """The smallest surface distance while driving straight from (x, y) in one step."""
+def _least_gap(rows, count, mates, x, y, new_x, new_y, step, p):
+    """The smallest surface distance while driving straight from (x, y) in one step.
+
+    Everybody goes on at constant velocity. A team-mate may also stop, as those do that arrive, or
+    change its velocity as much as this robot does and against it, as both decide at the same time.
+    """
     begin = np.float32(step) * p.time_step
     end = begin + p.time_step
+    stopped = _HALF * p.time_step  # it is as far as if it had gone on for so long
     least = np.float32(np.inf)
     for j in range(1, count):
+        px, py, vx, vy = rows[j, 0], rows[j, 1], rows[j, 2], rows[j, 3]
         distance = closest_approach(
-            rows[j, 0] + rows[j, 2] * begin - x,
-            rows[j, 1] + rows[j, 3] * begin - y,
-            rows[j, 0] + rows[j, 2] * end - new_x,
-            rows[j, 1] + rows[j, 3] * end - new_y,
+            px + vx * begin - x, py + vy * begin - y, px + vx * end - new_x, py + vy * end - new_y
         )
+        if j >= mates and step < UNSURE:
+            then = min(begin, stopped)
+            distance = min(
+                distance,
+                closest_approach(
+                    px + vx * then - x,
+                    py + vy * then - y,
+                    px + vx * stopped - new_x,
+                    py + vy * stopped - new_y,
+                ),
+                closest_approach(
+                    px + (vx + rows[0, 2]) * begin - _TWO * x,
+                    py + (vy + rows[0, 3]) * begin - _TWO * y,
+                    px + (vx + rows[0, 2]) * end - _TWO * new_x,
+                    py + (vy + rows[0, 3]) * end - _TWO * new_y,
+                ),
+            )
         least = min(least, distance - rows[j, 4])
     return least - p.robot_radius

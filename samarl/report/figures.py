@@ -264,19 +264,16 @@ def sweep_figures(rows: Sequence[Row]) -> Iterable[tuple[str, Figure]]:
         of_column, of_label = [row for row, _ in found], [label for _, label in found]
         if len(set(of_label)) > 1:
             title = column_name(column)
-            name, numbers = _one_number(of_label)
-            figure = (
-                draw_lines(of_column, numbers, name, title) if numbers
-                else draw_bars(of_column, title)
-            )  # fmt: skip
-            yield title, figure
+            if number := _one_number(of_label):
+                yield title, draw_lines(of_column, number[1], number[0], title)
+            else:
+                yield title, draw_bars(of_column, title)
 
 
-def _one_number(labels: Sequence[str]) -> tuple[str, list[float]]:
-    """The name and the values of the number that labels differ in; no values if they do not."""
-    pairs = [label.split("=") for label in labels]
-    names = {pair[0] for pair in pairs}
-    values = [_number(pair[1]) for pair in pairs if len(pair) == 2]
-    if len(names) > 1 or len(values) < len(labels) or not np.isfinite(values).all():
-        return "", []
+def _one_number(labels: Sequence[str]) -> tuple[str, list[float]] | None:
+    """The name and the values of the one number that all labels set; None if it is not one."""
+    pairs = [label.partition("=") for label in labels]
+    names, values = {pair[0] for pair in pairs}, [_number(pair[2]) for pair in pairs]
+    if len(names) > 1 or not np.isfinite(values).all():
+        return None
     return names.pop().replace("_", " "), values

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 from markupsafe import Markup, escape
@@ -54,10 +55,16 @@ def is_best(row: Row, rows: Sequence[Row]) -> bool:
 def _entry(name: str, rows: list[Row | None]) -> Entry:
     """What the file of the agent says of itself; a stranger is a planner as far as one knows."""
     about = _comment(find_folder("conf") / "agent" / f"{name}.yaml")
-    checkpoint = load_agent(name).get("checkpoint") if name in available_agents() else None
+    checkpoint = _checkpoint(name)
     group = "planner" if checkpoint is None else "learned"
     return Entry(name, "ablation" if about.startswith("An ablation") else group, about, checkpoint,
                  rows)  # fmt: skip
+
+
+@cache
+def _checkpoint(name: str) -> str | None:
+    """The policy that an agent's configuration names; kept, as it takes a while to compose."""
+    return load_agent(name).get("checkpoint") if name in available_agents() else None
 
 
 def _comment(path: Path) -> str:

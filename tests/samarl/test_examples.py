@@ -38,7 +38,7 @@ def test_stable_baselines_begins_softly_among_people(tmp_path: Path) -> None:
     assert sum(ast.literal_eval(said.splitlines()[-1]).values()) == 100
 
 
-def test_torchrl_learns_by_its_own_parts(tmp_path: Path) -> None:
+def test_torchrl_trains_by_its_own_parts(tmp_path: Path) -> None:
     said = run("torchrl_mappo.py", "--steps", "8192", cwd=tmp_path)
     assert said.startswith("all arrived, % by tenths of the training: ")
 

@@ -19,7 +19,7 @@ from mrsan import Reward, Scenario
 from samarl.commands import evaluate
 from samarl.evaluation.runner import Evaluation
 
-CHUNKS, CHUNK = 10, 40
+CHUNKS, CHUNK = 10, 100
 OWNERS = {"scenario": Scenario, "scenario.reward": Reward, "evaluation": Evaluation}
 FIELDS = [
     (f"{path}.{f.name}", f)
@@ -245,6 +245,7 @@ def test_every_malformed_configuration_ends_in_one_line(
         (["scenario.fov=90"], "scenario.fov is not known; did you mean scenario.fov_degrees?"),
         (["+scenario.reward.progres=1"], "did you mean scenario.reward.progress?"),
         (["agent.max_neighbours=3"], "did you mean agent.max_neighbors?"),
+        (["evaluation.case=1"], "evaluation.case is not known; did you mean evaluation.cases?"),
         (["agnt=orca"], "agnt is not known; did you mean agent?"),
         (["scenario.crowd=orcas"], "expected one of [orca, social_force, still]"),
         (["scenario.reward.progress=inf"], "scenario.reward.progress is inf; it must lie in"),

@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -65,17 +66,22 @@ def test_a_killed_run_goes_on_bit_for_bit(tmp_path: Path) -> None:
         time.sleep(0.02)
     process.send_signal(signal.SIGKILL)
     process.wait()
-    process = start_with(cut, "resume=run", "trainer.threads=1")
-    said, errors = process.communicate(timeout=240)
-    assert process.returncode == 0, errors
-    assert "going on at step" in said
-    for which in ("last", "best"):
-        name = f"run/{which}.safetensors"
-        assert (whole / name).read_bytes() == (cut / name).read_bytes()
-        cards = [(made / name).with_suffix(".json") for made in (whole, cut)]
-        commands = [json.loads(card.read_text())["made"]["command"] for card in cards]
-        assert commands[0] == commands[1]
-    assert [path.name for path in cut.iterdir()] == ["run"]
+    copy = tmp_path / "copy"
+    shutil.copytree(cut, copy)
+    for folder, process in (
+        (cut, start(cut)),
+        (copy, start_with(copy, "resume=run", "trainer.threads=1")),
+    ):
+        said, errors = process.communicate(timeout=240)
+        assert process.returncode == 0, errors
+        assert "going on at step" in said
+        for which in ("last", "best"):
+            name = f"run/{which}.safetensors"
+            assert (whole / name).read_bytes() == (folder / name).read_bytes()
+            cards = [(made / name).with_suffix(".json") for made in (whole, folder)]
+            commands = [json.loads(card.read_text())["made"]["command"] for card in cards]
+            assert commands[0] == commands[1]
+        assert [path.name for path in folder.iterdir()] == ["run"]
     header = (cut / "run/progress.csv").read_text().splitlines()[0].split(",")
     # The curves agree in everything but the time it took.
     curves = [

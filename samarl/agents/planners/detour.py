@@ -14,6 +14,7 @@ from mrsan.kernels.kinematics import HOLONOMIC
 
 STANDING = np.float32(0.1)  # who is slower stands, m/s
 TURN = np.float32(0.2)  # distance that a turn to where it sets out for counts, m/rad
+KEEP_RIGHT = np.float32(0.1)  # distance that the way on the left counts more, m
 
 _ZERO = np.float32(0.0)
 _ONE = np.float32(1.0)
@@ -24,8 +25,8 @@ _TWO_PI = np.float32(2.0 * math.pi)
 def way_left(rows, count, x, y, heading, goal_x, goal_y, p):
     """The way from (x, y) to the goal round those who stand in it, all on the same side, m.
 
-    A turn to where the way sets out counts a little, so turning on the spot is better than
-    standing.
+    The left side counts a little more, or two face to face would turn to and fro for ever. A turn
+    to where the way sets out counts a little, so turning on the spot is better than standing.
 
     Args:
         rows: the robot and the others, `[px, py, vx, vy, radius]` as from `gather`, m and m/s.
@@ -48,7 +49,7 @@ def way_left(rows, count, x, y, heading, goal_x, goal_y, p):
             end_x, end_y = goal_x - rows[j, 0], goal_y - rows[j, 1]
             right = max(right, _way_round(from_x, from_y, end_x, end_y, radius, heading, _ONE, p))
             left = max(left, _way_round(from_x, from_y, end_x, end_y, radius, heading, -_ONE, p))
-    return min(right, left)
+    return min(right, left + KEEP_RIGHT)
 
 
 @function

@@ -1,0 +1,48 @@
+"""What is true of the worlds, in flat arrays; letters and units of `mrsan.world`."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float32]
+Bools = NDArray[np.bool_]
+Ints = NDArray[np.integer]
+
+
+class State(NamedTuple):
+    """Everything that is true of E worlds; the kernels read and write it in place."""
+
+    case: NDArray[np.int64]  # [E]
+    episode: NDArray[np.int64]  # [E] how often the case has been begun again
+    key: NDArray[np.uint64]  # [E] of the random numbers of the episode
+    clock: NDArray[np.int32]  # [E] steps taken
+    terminated: Bools  # [E] somebody collided, or all have arrived
+    truncated: Bools  # [E] the time limit was reached
+    human_present: Bools  # [E, M] a slot is one person for the whole episode, there or not
+    human_position: Floats  # [E, M, 2]
+    human_velocity: Floats  # [E, M, 2]
+    human_goal: Floats  # [E, M, 2]
+    human_radius: Floats  # [E, M]
+    human_speed: Floats  # [E, M] preferred
+    robot_position: Floats  # [E, N, 2]
+    robot_velocity: Floats  # [E, N, 2]
+    robot_heading: Floats  # [E, N]
+    robot_goal: Floats  # [E, N, 2]
+    robot_start: Floats  # [E, N, 2]
+    arrived: Bools  # [E, N]
+    collision: NDArray[np.int8]  # [E, N] 0, or whom it ran into (kernels.step.HIT_*)
+    # What happened so far, while the robot was on its way:
+    robot_acceleration: Floats  # [E, N, 2] of the last step
+    path_length: Floats  # [E, N]
+    closest_human: Floats  # [E, N] smallest surface distance, during steps too
+    driven_steps: NDArray[np.int32]  # [E, N]
+    close_steps: NDArray[np.int32]  # [E, N] that ended in personal space (0.45 m)
+    jerk_sum: Floats  # [E, N] of the norm, m/s^3
+
+    @property
+    def done(self) -> Bools:
+        """Which worlds have ended, [E]."""
+        return self.terminated | self.truncated
