@@ -10,9 +10,10 @@ import argparse
 
 import numpy as np
 import torch
+from tensordict import TensorDict
 from tensordict.nn import TensorDictModule, TensorDictSequential
 from torch import nn
-from torchrl.envs.utils import step_mdp
+from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 from torchrl.modules import MultiAgentMLP, NormalParamExtractor, ProbabilisticActor, TanhNormal
 from torchrl.objectives import ClipPPOLoss, ValueEstimators
 from tqdm import tqdm
@@ -60,6 +61,13 @@ def make_networks(env: TorchRLEnv) -> tuple[ProbabilisticActor, TensorDictSequen
     return actor, TensorDictSequential(flat, value)
 
 
+def explore(env: TorchRLEnv, actor: ProbabilisticActor, data: TensorDict) -> TensorDict:
+    """Some steps of all worlds; outside of TorchRL's collectors an actor takes the mean else."""
+    with set_exploration_type(ExplorationType.RANDOM):
+        return env.rollout(STEPS, actor, auto_reset=False, tensordict=data,
+                           break_when_any_done=False)  # fmt: skip
+
+
 def train(humans: int, robots: int, steps: int) -> list[float]:
     """Train for that many steps of all worlds; returns the success rate of each batch, %."""
     env = TorchRLEnv(worlds=WORLDS, humans=humans, robots=robots, seed=0)
@@ -77,9 +85,8 @@ def train(humans: int, robots: int, steps: int) -> list[float]:
     data, rates = env.reset(), []
     for _ in tqdm(range(steps // (WORLDS * STEPS)), "training", unit="batch"):
         with torch.no_grad():
-            batch = env.rollout(STEPS, actor, auto_reset=False, tensordict=data,
-                                break_when_any_done=False)  # fmt: skip
-            data = step_mdp(batch[:, -1])
+            batch = explore(env, actor, data)
+            data = env.maybe_reset(step_mdp(batch[:, -1]))
             after = batch["next"]
             for key in ("done", "terminated"):  # of the team; the loss wants them of each robot
                 of_each = after[key].unsqueeze(-1).expand_as(after["agents", "reward"])

@@ -4,13 +4,17 @@ import ast
 import os
 import subprocess
 import sys
+from importlib import import_module
 from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
 
 import nbformat
 import pytest
+import torch
 from nbclient import NotebookClient
+
+from mrsan.torchrl_env import TorchRLEnv
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 SHORT = {  # of the notebook's words, so that it takes a minute
@@ -41,6 +45,21 @@ def test_stable_baselines_begins_softly_among_people(tmp_path: Path) -> None:
 def test_torchrl_trains_by_its_own_parts(tmp_path: Path) -> None:
     said = run("torchrl_mappo.py", "--steps", "8192", cwd=tmp_path)
     assert said.startswith("all arrived, % by tenths of the training: ")
+
+
+def test_torchrl_actors_explore(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(EXAMPLES))
+    example = import_module("torchrl_mappo")
+    actor, _ = example.make_networks(TorchRLEnv(worlds=2, humans=0, robots=2))
+    seen, done = [], []
+    for _ in range(2):
+        env = TorchRLEnv(worlds=2, humans=0, robots=2, seed=0)
+        with torch.no_grad():
+            batch = example.explore(env, actor, env.reset())
+        seen.append(batch["agents", "observation", "ego"][:, 0])
+        done.append(batch["agents", "action"][:, 0])
+    assert torch.equal(*seen)
+    assert (done[0] - done[1]).abs().min() > 0
 
 
 def test_a_crowd_of_ones_own(tmp_path: Path) -> None:
