@@ -14,7 +14,7 @@ from mrsan.cases import Split
 from mrsan.features import EGO_FEATURES, OTHER_FEATURES
 from mrsan.metrics import Episodes, Outcome, social_score
 from mrsan.reward import RewardParts
-from mrsan.scenario import ConfigurationError, Crowd, Kinematics, Reward, Scenario
+from mrsan.scenario import ConfigurationError, Crowd, Kinematics, Layout, Reward, Scenario
 from mrsan.state import State
 from mrsan.world import ActionError, Observation, Step, World
 
@@ -28,6 +28,7 @@ __all__ = [
     "Crowd",
     "Episodes",
     "Kinematics",
+    "Layout",
     "Observation",
     "Outcome",
     "Reward",

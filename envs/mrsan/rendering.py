@@ -64,7 +64,7 @@ class _Drawing:
 
     def __init__(self, scenario: Scenario) -> None:
         self.scenario = scenario
-        half = scenario.circle_radius + scenario.spawn_jitter + _MARGIN
+        half = scenario.half_extent + _MARGIN
         self.half, self.scale = half, _FINE * _SIZE / (2 * half)
         self.image = Image.new("RGB", (_FINE * _SIZE, _FINE * _SIZE), "white")
         self.draw = ImageDraw.Draw(self.image)

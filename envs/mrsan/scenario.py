@@ -11,7 +11,10 @@ from typing import Any, NamedTuple, get_type_hints
 import numpy as np
 
 from mrsan.kernels import kinematics as kinematics_kernel
+from mrsan.kernels import layout as layout_kernel
+from mrsan.kernels import recorded as recorded_kernel
 from mrsan.kernels import step as step_kernel
+from mrsan.recording import NOBODY, Recording, RecordingError, load_recording
 
 
 class ConfigurationError(ValueError):
@@ -28,6 +31,17 @@ class Crowd(Enum):
     orca = step_kernel.ORCA
     social_force = step_kernel.SOCIAL_FORCE
     still = step_kernel.STILL
+    recorded = recorded_kernel.RECORDED  # as in a file; at most `humans` at once, the nearest
+
+
+class Layout(Enum):
+    """Where everybody starts and wants to go."""
+
+    circle = layout_kernel.CIRCLE  # across a circle: SAMARL
+    crossing = layout_kernel.CROSSING  # people in two streams at right angles
+    opposite = layout_kernel.OPPOSITE  # people in two streams along one band
+    square = layout_kernel.SQUARE  # people anywhere on a square floor
+    mixed = layout_kernel.MIXED  # one of these four, drawn per episode
 
 
 class Kinematics(Enum):
@@ -127,7 +141,15 @@ class Scenario:
     )  # drawn per episode up to `humans`; null: always all
 
     # The place and the clock.
+    layout: Layout = Layout.circle
     circle_radius: float = number(5.0, 2.0, 1000.0)  # everybody starts on this circle, m
+    goal_turn_degrees: float = number(0.0, -180.0, 180.0)  # robots' goals, about the middle
+    goal_turn_spread_degrees: float = number(0.0, 0.0, 180.0)  # drawn per robot, +- about that
+    floor_size: float = number(14.0, 6.0, 1000.0)  # side of the floor of the other layouts, m
+    crossing_width: float = number(8.0, 1.0, 1000.0)  # of each of two streams at right angles, m
+    opposite_width: float = number(6.0, 1.0, 1000.0)  # of the band with two opposite streams, m
+    robot_way_min: float = number(4.0, 0.0, 1000.0)  # straight, not in the circle, m
+    robot_way_max: float = number(14.0, 0.1, 1000.0)
     spawn_jitter: float = number(0.5, 0.0, 2.0)  # +- per coordinate, times the preferred speed, m
     spawn_clearance: float = number(0.4, 0.0, 10.0)  # surface distance kept between starts, m
     arena_radius: float | None = number(
@@ -155,6 +177,8 @@ class Scenario:
 
     # The people.
     crowd: Crowd = Crowd.orca
+    recording: str | None = None  # a file of "frame id x y"; null: a synthetic one that ships
+    frame_seconds: float = number(0.04, 1e-4, 100.0)  # from one of its frame numbers to the next, s
     robots_visible: bool = False  # do people make way for robots?
     human_radius_min: float = number(0.3, 0.05, 2.0)  # drawn per person, m
     human_radius_max: float = number(0.3, 0.05, 2.0)
@@ -164,6 +188,14 @@ class Scenario:
     goal_distance: float = number(4.0, 0.0, 1000.0)  # a new goal is at least so far, m
     goal_change_interval: float = number(5.0, 0.01, 10000.0)  # s
     goal_change_probability: float = number(0.5, 0.0, 1.0)  # at each interval
+    stand_probability: float = number(0.0, 0.0, 1.0)  # to stand still until the next interval
+    hurry_probability: float = number(0.0, 0.0, 1.0)  # share of people in a hurry
+    hurry_speed_min: float = number(1.5, 0.05, 10.0)  # their preferred speed, drawn, m/s
+    hurry_speed_max: float = number(2.0, 0.05, 10.0)
+    pair_probability: float = number(0.0, 0.0, 1.0)  # that the next two walk together
+    late_probability: float = number(0.0, 0.0, 1.0)  # share of people that come later
+    late_time: float = number(20.0, 0.0, 10000.0)  # at the latest, s
+    leave_probability: float = number(0.0, 0.0, 1.0)  # to leave at a goal instead of turning
     neighbor_distance: float = number(10.0, 0.1, 1000.0)  # ORCA, m
     max_neighbors: int = number(10, 1, 80)  # ORCA
     time_horizon: float = number(5.0, 0.01, 100.0)  # ORCA, s
@@ -187,6 +219,11 @@ class Scenario:
             ("humans_min", "humans"),
             ("human_radius_min", "human_radius_max"),
             ("human_speed_min", "human_speed_max"),
+            ("hurry_speed_min", "hurry_speed_max"),
+            ("robot_way_min", "robot_way_max"),
+            ("robot_way_min", "floor_size"),
+            ("crossing_width", "floor_size"),
+            ("opposite_width", "floor_size"),
             ("time_step", "time_limit"),
             ("goal_distance", "circle_radius"),
         ):
@@ -194,6 +231,23 @@ class Scenario:
             if smallest is not None and smallest > largest:
                 raise ConfigurationError(
                     f"scenario.{low} is {smallest}; it must not exceed scenario.{high} ({largest})"
+                )
+        if self.recording is not None and self.crowd is not Crowd.recorded:
+            raise ConfigurationError(
+                f"scenario.recording is {self.recording!r}; it must be null unless scenario.crowd "
+                "is recorded"
+            )
+        if self.crowd is Crowd.recorded and (self.robots_visible or self.arena_radius is not None):
+            raise ConfigurationError(
+                "scenario.crowd is recorded; then scenario.robots_visible must be false and "
+                "scenario.arena_radius null: nobody in a recording knows of robots or walls"
+            )
+        if self.arena_radius is not None and self.layout is not Layout.circle:
+            needed = self.floor_size / math.sqrt(2.0) + self.robot_radius
+            if self.arena_radius < needed:
+                raise ConfigurationError(
+                    f"scenario.arena_radius is {self.arena_radius}; it must be null or at least "
+                    f"{needed:.2f}, so that the corners of the floor lie inside"
                 )
         if self.arena_radius is not None:
             jitter = math.sqrt(2.0) * self.spawn_jitter * self.robot_speed
@@ -223,12 +277,53 @@ class Scenario:
         """The time limit in steps."""
         return round(self.time_limit / self.time_step)
 
+    def load_recording(self) -> Recording:
+        """The recorded people, on the clock of the scenario; nobody for other crowds.
+
+        Raises:
+            ConfigurationError: the file cannot be read, or a line of it is wrong; or its floor is
+                too small for `robot_way_min`.
+        """
+        if self.crowd is not Crowd.recorded:
+            return NOBODY
+        try:
+            recording = load_recording(self.recording, self.frame_seconds, self.time_step)
+        except RecordingError as error:
+            raise ConfigurationError(f"scenario.{error}") from None
+        diagonal = 2.0 * float(np.linalg.norm(recording.half_size))
+        if self.robot_way_min > 0.7 * diagonal:
+            raise ConfigurationError(
+                f"scenario.robot_way_min is {self.robot_way_min}; it must be at most "
+                f"{0.7 * diagonal:.1f} for this recording"
+            )
+        return recording
+
+    @property
+    def half_extent(self) -> float:
+        """From the middle to where the outermost may start, along an axis, m."""
+        if self.crowd is Crowd.recorded:
+            return float(self.load_recording().half_size.max())
+        circle = self.circle_radius + self.spawn_jitter * max(
+            self.robot_speed, self.human_speed_max
+        )
+        if self.layout is Layout.circle:
+            return circle
+        return max(self.floor_size / 2, circle if self.layout is Layout.mixed else 0.0)
+
     def parameters(self) -> Parameters:
         """The scenario as the kernels take it."""
         f = np.float32
         return Parameters(
             humans_min=self.humans if self.humans_min is None else self.humans_min,
+            layout=self.layout.value,
             circle_radius=f(self.circle_radius),
+            goal_turn=f(math.radians(self.goal_turn_degrees)),
+            goal_turn_spread=f(math.radians(self.goal_turn_spread_degrees)),
+            floor_size=f(self.floor_size),
+            crossing_width=f(self.crossing_width),
+            opposite_width=f(self.opposite_width),
+            robot_way_min=f(self.robot_way_min),
+            robot_way_max=f(self.robot_way_max),
             spawn_jitter=f(self.spawn_jitter),
             spawn_clearance=f(self.spawn_clearance),
             arena_radius=f(np.inf if self.arena_radius is None else self.arena_radius),
@@ -258,6 +353,15 @@ class Scenario:
             goal_distance=f(self.goal_distance),
             goal_change_steps=max(1, round(self.goal_change_interval / self.time_step)),
             goal_change_probability=f(self.goal_change_probability),
+            stand_probability=f(self.stand_probability),
+            hurry_probability=f(self.hurry_probability),
+            hurry_speed_min=f(self.hurry_speed_min),
+            hurry_speed_max=f(self.hurry_speed_max),
+            pair_probability=f(self.pair_probability),
+            late_probability=f(self.late_probability),
+            late_steps=round(self.late_time / self.time_step),
+            leave_probability=f(self.leave_probability),
+            people_come_and_go=self.late_probability > 0 or self.leave_probability > 0,
             neighbor_distance=f(self.neighbor_distance),
             max_neighbors=self.max_neighbors,
             time_horizon=f(self.time_horizon),
@@ -280,7 +384,15 @@ class Parameters(NamedTuple):
     """A scenario in the kernels' units: float32, radians, steps. See `Scenario` for meanings."""
 
     humans_min: int
+    layout: int
     circle_radius: np.float32
+    goal_turn: np.float32
+    goal_turn_spread: np.float32
+    floor_size: np.float32
+    crossing_width: np.float32
+    opposite_width: np.float32
+    robot_way_min: np.float32
+    robot_way_max: np.float32
     spawn_jitter: np.float32
     spawn_clearance: np.float32
     arena_radius: np.float32
@@ -310,6 +422,15 @@ class Parameters(NamedTuple):
     goal_distance: np.float32
     goal_change_steps: int
     goal_change_probability: np.float32
+    stand_probability: np.float32
+    hurry_probability: np.float32
+    hurry_speed_min: np.float32
+    hurry_speed_max: np.float32
+    pair_probability: np.float32
+    late_probability: np.float32
+    late_steps: int
+    leave_probability: np.float32
+    people_come_and_go: bool
     neighbor_distance: np.float32
     max_neighbors: int
     time_horizon: np.float32

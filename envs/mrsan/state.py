@@ -22,6 +22,9 @@ class State(NamedTuple):
     terminated: Bools  # [E] somebody collided, or all have arrived
     truncated: Bools  # [E] the time limit was reached
     human_present: Bools  # [E, M] a slot is one person for the whole episode, there or not
+    human_entry: NDArray[np.int32]  # [E, M] the step from which on it may be there; -1: not again
+    human_track: NDArray[np.int32]  # [E, M] which person of a recording it is; -1: none
+    record_step: NDArray[np.int32]  # [E] the step of the recording at which the episode began
     human_position: Floats  # [E, M, 2]
     human_velocity: Floats  # [E, M, 2]
     human_goal: Floats  # [E, M, 2]

@@ -74,6 +74,9 @@ class World:
     def __init__(self, scenario: Scenario, worlds: int = 1, auto_reset: bool = False) -> None:
         """Make room for `worlds` worlds.
 
+        Raises:
+            ConfigurationError: the scenario names a recording that cannot be used.
+
         Args:
             scenario: the numbers of the task.
             worlds: E.
@@ -90,6 +93,7 @@ class World:
         self.auto_reset = auto_reset
         self.state = _empty_state(worlds, scenario.robots, scenario.humans)
         self._parameters = scenario.parameters()
+        self._recording = scenario.load_recording()
         self._all_seeing = _without_limits(scenario).parameters()
 
     def reset(self, cases: ArrayLike | None = None, worlds: ArrayLike | None = None) -> Observation:
@@ -115,7 +119,7 @@ class World:
             self.state.episode[mask] = 0
         else:
             self.state.episode[mask] += 1
-        begin_episodes(self.worlds, mask, self.state, self._parameters)
+        begin_episodes(self.worlds, mask, self.state, self._parameters, self._recording)
         return self.observe()
 
     def snapshot(self) -> State:
@@ -189,7 +193,7 @@ class World:
         action = self._checked(actions)
         reward = np.empty(action.shape[:2], np.float32)
         terms = np.empty((len(RewardParts._fields), *reward.shape), np.float32)
-        advance(self.worlds, state, action, self._parameters, reward, terms)
+        advance(self.worlds, state, action, self._parameters, self._recording, reward, terms)
         parts = RewardParts(*terms)
         observation = self.observe()
         terminated, truncated = state.terminated.copy(), state.truncated.copy()
@@ -198,7 +202,7 @@ class World:
             return Step(observation, reward, parts, terminated, truncated, None, None)
         final, finished = observation.of_worlds(done), episodes_of(state, self.scenario, done)
         state.episode[done] += 1
-        begin_episodes(self.worlds, done, state, self._parameters)
+        begin_episodes(self.worlds, done, state, self._parameters, self._recording)
         observe(self.worlds, done, state, self._parameters, *observation)
         return Step(observation, reward, parts, terminated, truncated, final, finished)
 
@@ -248,6 +252,9 @@ def _empty_state(e: int, n: int, m: int) -> State:
         terminated=np.zeros(e, np.bool_),
         truncated=np.zeros(e, np.bool_),
         human_present=np.zeros((e, m), np.bool_),
+        human_entry=np.zeros((e, m), np.int32),
+        human_track=np.full((e, m), -1, np.int32),
+        record_step=np.zeros(e, np.int32),
         human_position=np.zeros((e, m, 2), f),
         human_velocity=np.zeros((e, m, 2), f),
         human_goal=np.zeros((e, m, 2), f),

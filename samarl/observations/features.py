@@ -45,12 +45,19 @@ NEAR_NOW = 5  # exp(-2 gap), gap the distance between surfaces in m
 NEAR_SOON = 8  # the same of the closest approach ahead, times exp(-0.5 t), t s away
 
 
-def frames_of(tracks: Tracks, scenario: Scenario) -> Frames:
-    """What the robots know: the input of the actors' encoder."""
+def frames_of(tracks: Tracks, scenario: Scenario, known_origin: bool = True) -> Frames:
+    """What the robots know: the input of the actors' encoder.
+
+    A policy for any place must not know where the middle of the map is: it would learn what is
+    there.
+    """
     age = [torch.from_numpy(known[..., AGE : AGE + 1]) for known in (tracks.humans, tracks.robots)]
     humans = _others(tracks.humans, age[0], tracks.humans_known, scenario)
     robots = _others(tracks.robots, age[1], tracks.robots_known, scenario)
-    return Frames(_own(tracks.ego, scenario), *humans, *robots)
+    own = _own(tracks.ego, scenario)
+    if not known_origin:
+        own[..., EGO_PLACE] = 0.0
+    return Frames(own, *humans, *robots)
 
 
 def state_of(world: World) -> Frames:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -54,6 +54,7 @@ class PolicyConfig:
     round_below: float = required(0.0, 360.0)  # a narrower view goes round the crowd, degrees ...
     round_radius: float = required(0.1, 1000.0)  # ... on a circle about the origin, m
     encoder: dict[str, Any] = needed()  # its name and numbers
+    known_origin: bool = field(default=True, kw_only=True)  # of the map; where its middle is
 
 
 class Level(NamedTuple):
@@ -254,7 +255,7 @@ class Policy(nn.Module, ABC):
         rows = torch.from_numpy(np.flatnonzero(active)).to(self.device)
         tracker = Tracker(self.config.track_steps, scenario.time_step)
         tracks = tracker.update(observation, state["tracks"], is_init)
-        frames = frames_of(tracks, scenario).to(self.device)
+        frames = frames_of(tracks, scenario, self.config.known_origin).to(self.device)
         now = frames.of(rows)
         begins = torch.from_numpy(np.repeat(is_init, n)).to(self.device)[rows]
         sets = len(self.networks)

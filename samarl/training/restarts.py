@@ -104,7 +104,16 @@ class Crowd:
         steps = (done * way).mean(1) * radius / (scenario.robot_speed * scenario.time_step)
         people = {
             f"human_{name}": getattr(crowd, f"human_{name}")[chosen]
-            for name in ("present", "position", "velocity", "goal", "radius", "speed")
+            for name in (
+                "present",
+                "entry",
+                "track",
+                "position",
+                "velocity",
+                "goal",
+                "radius",
+                "speed",
+            )
         }
         self._change(
             world,

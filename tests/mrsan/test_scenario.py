@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mrsan import ConfigurationError, Crowd, Kinematics, Reward, Scenario
+from mrsan import ConfigurationError, Crowd, Kinematics, Layout, Reward, Scenario
 from samarl.evaluation.runner import Evaluation
 
 NUMBERS = [
@@ -26,6 +26,13 @@ ROOM: dict[tuple[str, str], dict[str, Any]] = {
     ("human_speed_min", "high"): {"human_speed_max": 10.0},
     ("human_speed_max", "low"): {"human_speed_min": 0.05},
     ("goal_distance", "high"): {"circle_radius": 1000.0},
+    ("hurry_speed_min", "high"): {"hurry_speed_max": 10.0},
+    ("hurry_speed_max", "low"): {"hurry_speed_min": 0.05},
+    ("floor_size", "low"): {"crossing_width": 2.0, "opposite_width": 2.0},
+    ("crossing_width", "high"): {"floor_size": 1000.0},
+    ("opposite_width", "high"): {"floor_size": 1000.0},
+    ("robot_way_min", "high"): {"robot_way_max": 1000.0, "floor_size": 1000.0},
+    ("robot_way_max", "low"): {"robot_way_min": 0.1},
 }
 PATH = {Scenario: "scenario", Reward: "scenario.reward", Evaluation: "evaluation"}
 
@@ -74,7 +81,9 @@ def test_switches_are_true_or_false(name: str) -> None:
         Scenario(**{name: 1})
 
 
-@pytest.mark.parametrize(("name", "choices"), [("crowd", Crowd), ("kinematics", Kinematics)])
+@pytest.mark.parametrize(
+    ("name", "choices"), [("crowd", Crowd), ("kinematics", Kinematics), ("layout", Layout)]
+)
 def test_names_are_among_the_choices(name: str, choices: Any) -> None:
     with pytest.raises(ConfigurationError) as error:
         Scenario(**{name: "nobody"})

@@ -6,57 +6,71 @@ import numpy as np
 from numba import prange
 
 from mrsan.kernels import function, kernel, rng
+from mrsan.kernels.habits import NEVER, entry_of, place_beside, walking_speed, walks_along
+from mrsan.kernels.layout import draw_human_way, draw_robot_way, layout_of
+from mrsan.kernels.recorded import (
+    NOT_ASSIGNED,
+    RECORDED,
+    begin_recording,
+    draw_recorded_way,
+    follow,
+)
 
 _ZERO = np.float32(0.0)
-_HALF = np.float32(0.5)
-_ONE = np.float32(1.0)
-_TWO_PI = np.float32(2.0 * math.pi)
-_GROWTH = np.float32(0.05)
-_ROUNDING = np.float32(1.0001)
-_SQRT_2 = np.float32(math.sqrt(2.0))
-_TRIES = 64  # tries before the circle is widened for an agent that finds no room
-_GOAL_TRIES = 32
 _FAR = np.float32(np.inf)
 
 
 @kernel
-def begin_episodes(chunks, worlds, state, p):
+def begin_episodes(chunks, worlds, state, p, recording):
     """Start the next episode in each world whose mask `worlds` is set: state as of step 0."""
     total = worlds.shape[0]
     for chunk in prange(chunks):
         for e in range(chunk * total // chunks, (chunk + 1) * total // chunks):
             if worlds[e]:
-                _begin(state, e, p)
+                _begin(state, e, p, recording)
 
 
 @function
-def _begin(state, e, p):
+def _begin(state, e, p, recording):
     key = rng.episode_key(state.case[e], state.episode[e])
     state.key[e] = key
     state.clock[e] = 0
     state.terminated[e] = False
     state.truncated[e] = False
+    layout = layout_of(key, p)
+    if p.crowd == RECORDED:
+        begin_recording(state, e, key, recording, p)
     for i in range(state.robot_heading.shape[1]):
-        _place_robot(state, e, i, key, p)
+        _place_robot(state, e, i, key, layout, recording, p)
+    if p.crowd == RECORDED:
+        state.human_present[e, :], state.human_track[e, :] = False, NOT_ASSIGNED
+        state.human_entry[e, :] = 0
+        follow(state, e, recording, p)
+        return
     low, high = p.humans_min, state.human_radius.shape[1]
     share = rng.uniform(key, rng.HUMAN_COUNT, 0, 0, 0)
     count = min(low + int(share * np.float32(high - low + 1)), high)
     for j in range(high):
         state.human_present[e, j] = j < count
+        state.human_entry[e, j] = 0 if j < count else NEVER
         if j < count:
-            _place_human(state, e, j, key, p)
+            _place_human(state, e, j, key, layout, p)
+            state.human_entry[e, j] = entry_of(key, j - 1 if walks_along(key, j, p) else j, p)
+            state.human_present[e, j] = state.human_entry[e, j] == 0
 
 
 @function
-def _place_robot(state, e, i, key, p):
+def _place_robot(state, e, i, key, layout, recording, p):
     position, goal = state.robot_position[e], state.robot_goal[e]
     gap = p.robot_radius + p.robot_radius + p.spawn_clearance
-    room = p.arena_radius - p.robot_radius - _SQRT_2 * p.spawn_jitter * p.robot_speed
     attempt = 0
     placed = False
     while not placed:
-        _draw_crossing(position[i], goal[i], key, i, attempt, p.robot_speed, room, p)
-        placed = True
+        if p.crowd == RECORDED:
+            begin = state.record_step[e]
+            placed = draw_recorded_way(position[i], goal[i], key, i, attempt, begin, recording, p)
+        else:
+            placed = draw_robot_way(position[i], goal[i], key, i, attempt, layout, p)
         for k in range(i):  # starts and goals of the robots keep apart, all four pairs
             placed = placed and (
                 min(
@@ -81,7 +95,7 @@ def _place_robot(state, e, i, key, p):
 
 
 @function
-def _place_human(state, e, j, key, p):
+def _place_human(state, e, j, key, layout, p):
     robots = state.robot_heading.shape[1]
     position, goal = state.human_position[e], state.human_goal[e]
     radius = rng.uniform_between(
@@ -90,55 +104,26 @@ def _place_human(state, e, j, key, p):
     speed = rng.uniform_between(
         p.human_speed_min, p.human_speed_max, key, rng.HUMAN_TRAITS, j, 0, 1
     )
+    paired = walks_along(key, j, p)
+    speed = state.human_speed[e, j - 1] if paired else walking_speed(speed, key, j, p)
     state.human_radius[e, j] = radius
     state.human_speed[e, j] = speed
     state.human_velocity[e, j, 0] = state.human_velocity[e, j, 1] = _ZERO
     attempt = 0
     placed = False
     while not placed:
-        _draw_crossing(position[j], goal[j], key, robots + j, attempt, speed, _FAR, p)
+        if paired:
+            place_beside(position, goal, state.human_radius[e], j, key, attempt)
+        else:
+            draw_human_way(position[j], goal[j], key, j, robots + j, attempt, speed, layout, p)
         placed = True
         for k in range(robots):
             gap = radius + p.robot_radius + p.spawn_clearance
             placed = placed and _distance(position[j], state.robot_position[e, k]) >= gap
-        for k in range(j):
+        for k in range(j - 1 if paired else j):
             gap = radius + state.human_radius[e, k] + p.spawn_clearance
             placed = placed and _distance(position[j], position[k]) >= gap
         attempt += 1
-
-
-@function
-def _draw_crossing(start, goal, key, agent, attempt, speed, room, p):
-    """A start on the circle and the opposite goal, each coordinate of both jittered."""
-    circle = p.circle_radius * (_ONE + _GROWTH * np.float32(attempt // _TRIES))
-    if circle > room * _ROUNDING:  # a wall, and no room on the circle: anywhere inside
-        circle = room * math.sqrt(rng.uniform(key, rng.START, agent, attempt, 5))
-    angle = _TWO_PI * rng.uniform(key, rng.START, agent, attempt, 0)
-    cos, sin = circle * math.cos(angle), circle * math.sin(angle)
-    jitter = p.spawn_jitter * speed
-    start[0] = cos + rng.uniform_between(-jitter, jitter, key, rng.START, agent, attempt, 1)
-    start[1] = sin + rng.uniform_between(-jitter, jitter, key, rng.START, agent, attempt, 2)
-    goal[0] = -cos + rng.uniform_between(-jitter, jitter, key, rng.START, agent, attempt, 3)
-    goal[1] = -sin + rng.uniform_between(-jitter, jitter, key, rng.START, agent, attempt, 4)
-
-
-@function
-def draw_goal(x, y, key, agent, step, circle_radius, jitter, least_distance):
-    """A new goal (x, y) on the circle for a human at (x, y), at least so far from it."""
-    goal_x, goal_y = _ZERO, _ZERO
-    for attempt in range(_GOAL_TRIES):
-        draw = 3 * attempt
-        angle = _TWO_PI * rng.uniform(key, rng.HUMAN_GOAL, agent, step, draw)
-        goal_x = circle_radius * math.cos(angle) + rng.uniform_between(
-            -jitter, jitter, key, rng.HUMAN_GOAL, agent, step, draw + 1
-        )
-        goal_y = circle_radius * math.sin(angle) + rng.uniform_between(
-            -jitter, jitter, key, rng.HUMAN_GOAL, agent, step, draw + 2
-        )
-        dx, dy = goal_x - x, goal_y - y
-        if dx * dx + dy * dy >= least_distance * least_distance:
-            break
-    return goal_x, goal_y
 
 
 @function

@@ -7,10 +7,12 @@ from numba import prange
 
 from mrsan.kernels import function, kernel, rng
 from mrsan.kernels.contact import closest_approach
+from mrsan.kernels.habits import come_and_go, stands, walks_along
 from mrsan.kernels.kinematics import brake, next_velocity
+from mrsan.kernels.layout import draw_goal, layout_of
 from mrsan.kernels.orca import orca_velocity
+from mrsan.kernels.recorded import RECORDED, follow, recorded_velocity
 from mrsan.kernels.social_force import social_force_velocity
-from mrsan.kernels.spawn import draw_goal
 from mrsan.reward import step_reward_parts
 
 ORCA = 0
@@ -24,11 +26,12 @@ HIT_ROBOT = 2
 
 _ZERO = np.float32(0.0)
 _HALF = np.float32(0.5)
+_TINY = np.float32(1e-6)
 _FAR = np.float32(np.inf)
 
 
 @kernel
-def advance(chunks, state, action, p, reward, parts):
+def advance(chunks, state, action, p, recording, reward, parts):
     """Move every world that has not ended by one time step, in place.
 
     Args:
@@ -36,6 +39,7 @@ def advance(chunks, state, action, p, reward, parts):
         state: the worlds.
         action: [E, N, A] in [-1, 1].
         p: the scenario's parameters.
+        recording: the ways of recorded people.
         reward: [E, N], written; zero in worlds that had ended.
         parts: [5, E, N], written: its terms in the order of `RewardParts`.
     """
@@ -55,8 +59,20 @@ def advance(chunks, state, action, p, reward, parts):
                 reward[e, :] = _ZERO
                 parts[:, e, :] = _ZERO
                 continue
+            if p.crowd == RECORDED:
+                follow(state, e, recording, p)
+            elif p.people_come_and_go:
+                come_and_go(state, e, p)
             here = slots[: _find_present(state.human_present[e], slots)]
-            _choose_human_velocities(state, e, p, here, agents, chosen, neighbors, lines, projected)
+            if p.crowd == RECORDED:
+                for row in range(here.shape[0]):
+                    chosen[row, 0], chosen[row, 1] = recorded_velocity(
+                        state, e, here[row], recording, p
+                    )
+            else:
+                _choose_human_velocities(
+                    state, e, p, here, agents, chosen, neighbors, lines, projected
+                )
             _move_robots(state, e, action, p, moved)
             _move_humans(state, e, p, here, chosen)
             _find_contacts(state, e, p, here, moved, gap)
@@ -96,6 +112,8 @@ def _choose_human_velocities(state, e, p, here, agents, chosen, neighbors, lines
             agents[rows, 4] = p.robot_radius + p.human_safety_space
             rows += 1
     key, step = state.key[e], state.clock[e]
+    layout = layout_of(key, p)
+    led_x = led_y = _ZERO  # by what the goal of the human before was moved
     change_time = step > 0 and step % p.goal_change_steps == 0
     for row in range(here.shape[0]):
         j = here[row]
@@ -104,12 +122,18 @@ def _choose_human_velocities(state, e, p, here, agents, chosen, neighbors, lines
         renew = dx * dx + dy * dy < radius[e, j] * radius[e, j]
         if change_time and not renew:
             renew = rng.uniform(key, rng.GOAL_CHANGE, j, step, 0) < p.goal_change_probability
-        if renew:
+        old_x, old_y = goal[e, j, 0], goal[e, j, 1]
+        if walks_along(key, j, p) and state.human_present[e, j - 1]:
+            goal[e, j, 0], goal[e, j, 1] = old_x + led_x, old_y + led_y
+        elif renew:
             goal[e, j, 0], goal[e, j, 1] = draw_goal(
-                x, y, key, j, step, p.circle_radius, p.spawn_jitter * speed, p.goal_distance
+                x, y, old_x, old_y, key, j, step, speed, layout, p
             )
-            dx, dy = goal[e, j, 0] - x, goal[e, j, 1] - y
-        scale = speed / math.sqrt(dx * dx + dy * dy)
+        led_x, led_y = goal[e, j, 0] - old_x, goal[e, j, 1] - old_y
+        dx, dy = goal[e, j, 0] - x, goal[e, j, 1] - y
+        scale = speed / max(math.sqrt(dx * dx + dy * dy), _TINY)
+        if stands(key, j, step, p):
+            scale = _ZERO
         if p.crowd == ORCA:
             chosen[row, 0], chosen[row, 1] = orca_velocity(
                 agents,

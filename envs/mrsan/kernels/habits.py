@@ -1,0 +1,109 @@
+"""What people do besides walking to their goals: stand, walk in pairs, come later, leave."""
+
+import math
+
+import numpy as np
+
+from mrsan.kernels import function, rng
+
+NEVER = -1  # the step at which somebody enters who does not
+
+_ZERO = np.float32(0.0)
+_HALF = np.float32(0.5)
+_ONE = np.float32(1.0)
+_HALF_PI = np.float32(0.5 * math.pi)
+_GROWTH = np.float32(0.05)
+_TRIES = 64  # tries before a place further away is looked for
+_GOLDEN_ANGLE = np.float32(2.399963)  # turns by it never come back to the same place, rad
+_BESIDE = np.float32(0.2)  # surface distance of two who walk together, m
+_ENTRY = np.float32(1.0)  # nobody appears nearer than that to a robot, m
+
+# Draws of the stream rng.HABITS.
+_HURRY, _HURRY_SPEED, _LATE, _LATE_STEP, _SIDE, _PAIR = range(6)
+
+
+@function
+def walking_speed(speed, key, j, p):
+    """The preferred speed of human `j`, which is `speed` unless it is in a hurry, m/s."""
+    if p.hurry_probability > _ZERO and (
+        rng.uniform(key, rng.HABITS, j, 0, _HURRY) < p.hurry_probability
+    ):
+        return rng.uniform_between(
+            p.hurry_speed_min, p.hurry_speed_max, key, rng.HABITS, j, 0, _HURRY_SPEED
+        )
+    return speed
+
+
+@function
+def walks_along(key, j, p):
+    """Whether human `j` walks with the one before it."""
+    if j % 2 == 0 or p.pair_probability == _ZERO:
+        return False
+    return rng.uniform(key, rng.HABITS, j, 0, _PAIR) < p.pair_probability
+
+
+@function
+def place_beside(position, goal, radius, j, key, attempt):
+    """Human `j` starts beside the one before it and is going to the same place beside it."""
+    dx, dy = goal[j - 1, 0] - position[j - 1, 0], goal[j - 1, 1] - position[j - 1, 1]
+    side = _HALF_PI if rng.uniform(key, rng.HABITS, j, 0, _SIDE) < _HALF else -_HALF_PI
+    angle = math.atan2(dy, dx) + side + _GOLDEN_ANGLE * np.float32(attempt)
+    away = radius[j] + radius[j - 1] + _BESIDE
+    away *= _ONE + _GROWTH * np.float32(attempt // _TRIES)
+    offset_x, offset_y = away * math.cos(angle), away * math.sin(angle)
+    position[j, 0], position[j, 1] = position[j - 1, 0] + offset_x, position[j - 1, 1] + offset_y
+    goal[j, 0], goal[j, 1] = goal[j - 1, 0] + offset_x, goal[j - 1, 1] + offset_y
+
+
+@function
+def entry_of(key, j, p):
+    """The step at which human `j` comes in; 0: it is there from the beginning."""
+    if p.late_probability == _ZERO or (
+        rng.uniform(key, rng.HABITS, j, 0, _LATE) >= p.late_probability
+    ):
+        return 0
+    return 1 + int(rng.uniform(key, rng.HABITS, j, 0, _LATE_STEP) * np.float32(p.late_steps))
+
+
+@function
+def stands(key, j, step, p):
+    """Whether human `j` stands still until the next time at which goals change."""
+    if p.stand_probability == _ZERO:
+        return False
+    return rng.uniform(key, rng.STANDING, j, step // p.goal_change_steps, 0) < p.stand_probability
+
+
+@function
+def come_and_go(state, e, p):
+    """Who is at its goal may leave; who is due comes in where it was placed, if there is room."""
+    position, goal, present = state.human_position[e], state.human_goal[e], state.human_present[e]
+    radius, entry = state.human_radius[e], state.human_entry[e]
+    key, step = state.key[e], state.clock[e]
+    for j in range(present.shape[0]):
+        if present[j]:
+            dx, dy = goal[j, 0] - position[j, 0], goal[j, 1] - position[j, 1]
+            if dx * dx + dy * dy < radius[j] * radius[j] and (
+                rng.uniform(key, rng.LEAVING, j, step, 0) < p.leave_probability
+            ):
+                present[j], entry[j] = False, NEVER
+        elif entry[j] != NEVER and entry[j] <= step and _is_free(state, e, j, p):
+            present[j] = True
+
+
+@function
+def _is_free(state, e, j, p):
+    """Whether human `j` can come in without touching anybody or appearing before a robot."""
+    position, radius = state.human_position[e], state.human_radius[e]
+    for k in range(radius.shape[0]):
+        if state.human_present[e, k] and k != j:
+            dx, dy = position[k, 0] - position[j, 0], position[k, 1] - position[j, 1]
+            gap = radius[k] + radius[j] + p.spawn_clearance
+            if dx * dx + dy * dy < gap * gap:
+                return False
+    for i in range(state.robot_heading.shape[1]):
+        dx = state.robot_position[e, i, 0] - position[j, 0]
+        dy = state.robot_position[e, i, 1] - position[j, 1]
+        gap = p.robot_radius + radius[j] + max(p.spawn_clearance, _ENTRY)
+        if dx * dx + dy * dy < gap * gap:
+            return False
+    return True

@@ -1,0 +1,140 @@
+"""Where ways begin and end, for each layout of the place."""
+
+import math
+
+import numpy as np
+
+from mrsan.kernels import function, rng
+
+CIRCLE = 0  # everybody crosses to the opposite point: SAMARL
+CROSSING = 1  # two streams of people at right angles
+OPPOSITE = 2  # two streams along one band
+SQUARE = 3  # anywhere on the floor
+MIXED = 4  # one of these, drawn per episode
+
+_ZERO = np.float32(0.0)
+_HALF = np.float32(0.5)
+_ONE = np.float32(1.0)
+_TWO_PI = np.float32(2.0 * math.pi)
+_SQRT_2 = np.float32(math.sqrt(2.0))
+_GROWTH = np.float32(0.05)
+_ROUNDING = np.float32(1.0001)
+_TRIES = 64  # tries before the place is widened for an agent that finds no room
+_GOAL_TRIES = 32
+
+
+@function
+def layout_of(key, p):
+    """The layout of an episode."""
+    if p.layout == MIXED:
+        return int(rng.uniform(key, rng.LAYOUT, 0, 0, 0) * np.float32(MIXED))
+    return p.layout
+
+
+@function
+def draw_robot_way(start, goal, key, i, attempt, layout, p):
+    """Where robot `i` starts and where it is to get to; whether that is a way of fair length."""
+    if layout == CIRCLE:
+        room = p.arena_radius - p.robot_radius - _SQRT_2 * p.spawn_jitter * p.robot_speed
+        _draw_crossing(start, goal, key, i, attempt, p.robot_speed, room, p)
+        if p.goal_turn != _ZERO or p.goal_turn_spread != _ZERO:
+            angle = p.goal_turn + rng.uniform_between(
+                -p.goal_turn_spread, p.goal_turn_spread, key, rng.START, i, attempt, 6
+            )
+            cos, sin = math.cos(angle), math.sin(angle)
+            goal[0], goal[1] = cos * goal[0] - sin * goal[1], sin * goal[0] + cos * goal[1]
+        return True
+    half = _floor(attempt, p)
+    start[0] = rng.uniform_between(-half, half, key, rng.START, i, attempt, 0)
+    start[1] = rng.uniform_between(-half, half, key, rng.START, i, attempt, 1)
+    goal[0] = rng.uniform_between(-half, half, key, rng.START, i, attempt, 2)
+    goal[1] = rng.uniform_between(-half, half, key, rng.START, i, attempt, 3)
+    dx, dy = goal[0] - start[0], goal[1] - start[1]
+    squared = dx * dx + dy * dy
+    shortest, longest = p.robot_way_min, p.robot_way_max
+    return shortest * shortest <= squared and squared <= longest * longest
+
+
+@function
+def draw_human_way(start, goal, key, j, agent, attempt, speed, layout, p):
+    """Where human `j`, agent `agent` of the world, starts and where it goes first."""
+    if layout == CIRCLE:
+        _draw_crossing(start, goal, key, agent, attempt, speed, np.float32(np.inf), p)
+        return
+    half = _floor(attempt, p)
+    first = rng.uniform_between(-half, half, key, rng.START, agent, attempt, 0)
+    second = rng.uniform_between(-_ONE, _ONE, key, rng.START, agent, attempt, 1)
+    if layout == SQUARE:
+        start[0], start[1] = first, second * half
+        goal[0] = goal[1] = _ZERO
+    else:  # `first` along the stream, `second` across
+        across = second * _HALF * (p.crossing_width if layout == CROSSING else p.opposite_width)
+        upward = _walks_upward(key, j, layout)
+        start[0], start[1] = (across, first) if upward else (first, across)
+        end = half if rng.uniform(key, rng.LAYOUT, j, 0, 2) < _HALF else -half
+        goal[0], goal[1] = (_ZERO, end) if upward else (end, _ZERO)
+    goal[0], goal[1] = draw_goal(start[0], start[1], goal[0], goal[1], key, j, 0, speed, layout, p)
+
+
+@function
+def draw_goal(x, y, old_x, old_y, key, j, step, speed, layout, p):
+    """A new goal for human `j` at (x, y), whose goal was `old`; at least so far from (x, y).
+
+    In a stream that is the same end of it, or the other end from near that.
+    """
+    goal_x, goal_y = _ZERO, _ZERO
+    half, jitter = _HALF * p.floor_size, p.spawn_jitter * speed
+    for attempt in range(_GOAL_TRIES):
+        draw = 3 * attempt
+        if layout == CIRCLE:
+            angle = _TWO_PI * rng.uniform(key, rng.HUMAN_GOAL, j, step, draw)
+            goal_x = p.circle_radius * math.cos(angle) + rng.uniform_between(
+                -jitter, jitter, key, rng.HUMAN_GOAL, j, step, draw + 1
+            )
+            goal_y = p.circle_radius * math.sin(angle) + rng.uniform_between(
+                -jitter, jitter, key, rng.HUMAN_GOAL, j, step, draw + 2
+            )
+        elif layout == SQUARE:
+            goal_x = rng.uniform_between(-half, half, key, rng.HUMAN_GOAL, j, step, draw)
+            goal_y = rng.uniform_between(-half, half, key, rng.HUMAN_GOAL, j, step, draw + 1)
+        else:
+            width = _HALF * (p.crossing_width if layout == CROSSING else p.opposite_width)
+            across = rng.uniform_between(-width, width, key, rng.HUMAN_GOAL, j, step, draw)
+            upward = _walks_upward(key, j, layout)
+            end = half if (old_y if upward else old_x) > _ZERO else -half
+            if abs(end - (y if upward else x)) < p.goal_distance:
+                end = -end
+            goal_x, goal_y = (across, end) if upward else (end, across)
+        dx, dy = goal_x - x, goal_y - y
+        if dx * dx + dy * dy >= p.goal_distance * p.goal_distance:
+            break
+    return goal_x, goal_y
+
+
+@function
+def _walks_upward(key, j, layout):
+    """Whether the stream of human `j` runs along y."""
+    return layout == CROSSING and rng.uniform(key, rng.LAYOUT, j, 0, 1) < _HALF
+
+
+@function
+def _floor(attempt, p):
+    """Half the side of the floor, wider after tries without success if there is no wall, m."""
+    if p.arena_radius < np.inf:
+        return _HALF * p.floor_size
+    return _HALF * p.floor_size * (_ONE + _GROWTH * np.float32(attempt // _TRIES))
+
+
+@function
+def _draw_crossing(start, goal, key, agent, attempt, speed, room, p):
+    """A start on the circle and the opposite goal, each coordinate of both jittered."""
+    circle = p.circle_radius * (_ONE + _GROWTH * np.float32(attempt // _TRIES))
+    if circle > room * _ROUNDING:  # a wall, and no room on the circle: anywhere inside
+        circle = room * math.sqrt(rng.uniform(key, rng.START, agent, attempt, 5))
+    angle = _TWO_PI * rng.uniform(key, rng.START, agent, attempt, 0)
+    cos, sin = circle * math.cos(angle), circle * math.sin(angle)
+    jitter = p.spawn_jitter * speed
+    start[0] = cos + rng.uniform_between(-jitter, jitter, key, rng.START, agent, attempt, 1)
+    start[1] = sin + rng.uniform_between(-jitter, jitter, key, rng.START, agent, attempt, 2)
+    goal[0] = -cos + rng.uniform_between(-jitter, jitter, key, rng.START, agent, attempt, 3)
+    goal[1] = -sin + rng.uniform_between(-jitter, jitter, key, rng.START, agent, attempt, 4)

@@ -1,0 +1,136 @@
+"""People who walk as they were recorded, whatever robots do."""
+
+import math
+
+import numpy as np
+
+from mrsan.kernels import function, rng
+
+RECORDED = 3  # the crowd
+
+NOT_ASSIGNED = -1
+_ZERO = np.float32(0.0)
+_FAR = np.float32(np.inf)
+_STANDS = np.float32(1.0)  # who does not get further than that while the episode lasts, m
+_TRIES = 64  # tries after which less room is asked for
+_LEAST_ROOM = 10  # ... and after so many times that, none
+_REST = 24  # steps before a slot is given to another person: robots must have forgotten the first
+
+
+@function
+def begin_recording(state, e, key, recording, p):
+    """Draw the moment of the recording at which the episode begins."""
+    latest = max(recording.steps - p.time_limit_steps, 0)
+    share = rng.uniform(key, rng.RECORDING, 0, 0, 0)
+    state.record_step[e] = min(int(share * np.float32(latest + 1)), latest)
+
+
+@function
+def draw_recorded_way(start, goal, key, i, attempt, begin, recording, p):
+    """A start where nobody is and a goal where nobody stands, anywhere on the floor.
+
+    Returns:
+        Whether they are that, and the way from one to the other of fair length.
+    """
+    half_x, half_y = recording.half_size[0], recording.half_size[1]
+    start[0] = rng.uniform_between(-half_x, half_x, key, rng.START, i, attempt, 0)
+    start[1] = rng.uniform_between(-half_y, half_y, key, rng.START, i, attempt, 1)
+    goal[0] = rng.uniform_between(-half_x, half_x, key, rng.START, i, attempt, 2)
+    goal[1] = rng.uniform_between(-half_y, half_y, key, rng.START, i, attempt, 3)
+    dx, dy = goal[0] - start[0], goal[1] - start[1]
+    squared = dx * dx + dy * dy
+    shortest, longest = p.robot_way_min, p.robot_way_max
+    if not shortest * shortest <= squared <= longest * longest:
+        return False
+    share = np.float32(max(_LEAST_ROOM - attempt // _TRIES, 0)) / np.float32(_LEAST_ROOM)
+    gap = p.robot_radius + p.human_radius_max + p.spawn_clearance * share
+    end = begin + p.time_limit_steps
+    for q in range(recording.first.shape[0]):
+        if recording.first[q] > end or recording.last[q] < begin:
+            continue
+        first, last = max(recording.first[q], begin), min(recording.last[q], end)
+        there = _place(recording, q, first)
+        then = _place(recording, q, last)
+        stands = math.hypot(then[0] - there[0], then[1] - there[1]) < _STANDS
+        if (first == begin or stands) and (
+            math.hypot(there[0] - start[0], there[1] - start[1]) < gap
+        ):
+            return False
+        if stands and math.hypot(there[0] - goal[0], there[1] - goal[1]) < gap:
+            return False
+    return True
+
+
+@function
+def follow(state, e, recording, p):
+    """Who has walked off leaves its slot; of those who have none the nearest get the free ones."""
+    position, present = state.human_position[e], state.human_present[e]
+    track, entry = state.human_track[e], state.human_entry[e]
+    step = state.clock[e]
+    now = state.record_step[e] + step
+    free = 0
+    for j in range(present.shape[0]):
+        if present[j] and now >= recording.last[track[j]]:
+            present[j], track[j], entry[j] = False, NOT_ASSIGNED, step + _REST
+        free += not present[j] and entry[j] <= step
+    for j in range(present.shape[0]):
+        if free == 0:
+            return
+        if present[j] or entry[j] > step:
+            continue
+        free -= 1
+        q = _nearest(state, e, now, recording)
+        if q == NOT_ASSIGNED:
+            return
+        place, end = _place(recording, q, now), _place(recording, q, recording.last[q])
+        present[j], track[j] = True, q
+        state.human_radius[e, j] = rng.uniform_between(
+            p.human_radius_min, p.human_radius_max, np.uint64(q), rng.HUMAN_TRAITS, 0, 0, 0
+        )
+        state.human_speed[e, j] = p.human_speed_max
+        position[j, 0], position[j, 1] = place[0], place[1]
+        following = _place(recording, q, now + 1)
+        for k in range(2):
+            state.human_velocity[e, j, k] = (following[k] - place[k]) / p.time_step
+            state.human_goal[e, j, k] = end[k]
+
+
+@function
+def recorded_velocity(state, e, j, recording, p):
+    """What takes human `j` to where it was at the next step, m/s."""
+    next_step = state.record_step[e] + state.clock[e] + 1
+    place = _place(recording, state.human_track[e, j], next_step)
+    position = state.human_position[e, j]
+    return (place[0] - position[0]) / p.time_step, (place[1] - position[1]) / p.time_step
+
+
+@function
+def _nearest(state, e, now, recording):
+    """Of the people who are there and have no slot the one that is nearest to a robot."""
+    found, least = NOT_ASSIGNED, _FAR
+    for q in range(recording.first.shape[0]):
+        if recording.first[q] > now:
+            break  # they are in order
+        if recording.last[q] <= now or _has_a_slot(state, e, q):
+            continue
+        x, y = _place(recording, q, now)
+        for i in range(state.robot_heading.shape[1]):
+            dx, dy = state.robot_position[e, i, 0] - x, state.robot_position[e, i, 1] - y
+            squared = dx * dx + dy * dy
+            if squared < least:
+                found, least = q, squared
+    return found
+
+
+@function
+def _has_a_slot(state, e, q):
+    found = False
+    for j in range(state.human_track.shape[1]):
+        found = found or state.human_track[e, j] == q
+    return found
+
+
+@function
+def _place(recording, q, step):
+    row = recording.row[q] + step - recording.first[q]
+    return recording.position[row, 0], recording.position[row, 1]

@@ -1,0 +1,222 @@
+"""Recorded people: files in, ways out, and nobody reacts to a robot."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.synthetic_recording import recording as synthetic
+from mrsan import ConfigurationError, Crowd, Scenario, World
+from mrsan.recording import SAMPLE, load_recording
+
+CASES = np.arange(20)
+RECORDED = Path(__file__).parents[2].parent / "shared/data/eth_ucy"
+
+# Two people for 8 s on a floor of 12 m by 8 m: one walks 1 m/s along x, one stands.
+TWO = "".join(f"{10 * k} 1 {0.4 * k:.2f} 0\n{10 * k} 2 12 8\n" for k in range(21))
+
+
+def written(tmp_path: Path, text: str, name: str = "people.txt") -> str:
+    path = tmp_path / name
+    path.write_text(text)
+    return str(path)
+
+
+def recorded(recording: str | None = None, **fields) -> Scenario:
+    fields = {"humans": 64, "robots": 2, **fields}
+    return Scenario(crowd=Crowd.recorded, recording=recording, **fields)
+
+
+def rest(world: World) -> np.ndarray:
+    return np.zeros((world.worlds, world.scenario.robots, 3), np.float32)
+
+
+def test_the_sample_is_what_its_script_makes() -> None:
+    assert synthetic() == SAMPLE.read_text()
+
+
+def test_people_are_where_they_were_between_frames_too(tmp_path: Path) -> None:
+    way = load_recording(written(tmp_path, TWO), 0.04, 0.25)
+    assert (way.steps, way.half_size.tolist()) == (32, [6.0, 4.0])
+    walker, stander = (way.position[r : r + 33] for r in way.row)  # both coast to the end of it
+    assert way.first.tolist() == [0, 0]
+    assert way.last.tolist() == [32, 32]
+    steps = np.arange(33) * 0.25
+    np.testing.assert_allclose(walker[:, 0], steps - 6, atol=1e-5)  # 1 m/s, from the middle
+    np.testing.assert_allclose(walker[:, 1], -4, atol=1e-6)
+    np.testing.assert_allclose(stander, np.broadcast_to([6.0, 4.0], (33, 2)), atol=1e-6)
+
+
+def test_people_go_on_for_three_seconds_before_and_after(tmp_path: Path) -> None:
+    """Person 3 is annotated from 4.0 to 4.8 s, at 2 m/s along y, of 20 s."""
+    text = "0 1 0 0\n500 1 10 10\n" + "".join(f"{100 + 10 * k} 3 5 {0.8 * k}\n" for k in range(3))
+    way = load_recording(written(tmp_path, text), 0.04, 0.25)
+    assert (way.first[1], way.last[1]) == (4, 31)  # 1.0 and 7.75 s
+    y = way.position[way.row[1] : way.row[1] + 28, 1]
+    np.testing.assert_allclose(y, 2.0 * (np.arange(4, 32) * 0.25 - 4.0) - 5.0, atol=1e-5)
+
+
+@pytest.mark.parametrize("text", [TWO.replace(" ", "\t"), TWO.replace(" ", ", ")])
+def test_separators_do_not_matter(tmp_path: Path, text: str) -> None:
+    one, other = (
+        load_recording(written(tmp_path, t, f"{k}.txt"), 0.04, 0.25)
+        for k, t in enumerate((TWO, text))
+    )
+    np.testing.assert_array_equal(one.position, other.position)
+
+
+def test_trajnet_lines_are_read(tmp_path: Path) -> None:
+    rows = [line.split() for line in TWO.splitlines()]
+    text = '{"scene": {"id": 0, "p": 1, "s": 0, "e": 200, "fps": 2.5}}\n' + "".join(
+        f'{{"track": {{"f": {f}, "p": {p}, "x": {x}, "y": {y}}}}}\n' for f, p, x, y in rows
+    )
+    one, other = (
+        load_recording(written(tmp_path, t, f"{k}.txt"), 0.04, 0.25)
+        for k, t in enumerate((TWO, text))
+    )
+    np.testing.assert_array_equal(one.position, other.position)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "is empty; it must have lines of 'frame id x y'"),
+        ("0 1 2 3\n0 2 2\n", "line 2: '0 2 2'; it must be four numbers, 'frame id x y'"),
+        ("0 1 2 3\n\n10 1 x 3\n", "line 3: '10 1 x 3'; it must be four numbers"),
+        ("0 1 nan 3\n", "line 1: '0 1 nan 3'; it must be four numbers"),
+        ("0 1 2 3\n0 1 2 4\n", "line 2: person 1 is in frame 0 a second time (line 1)"),
+        ('{"track": {"f": 1}}\n', "line 1: "),
+    ],
+)
+def test_a_malformed_line_is_named(tmp_path: Path, text: str, said: str) -> None:
+    with pytest.raises(ConfigurationError, match=re.escape(said)):
+        World(recorded(written(tmp_path, text)))
+
+
+def test_what_is_no_recording_is_refused(tmp_path: Path) -> None:
+    for path in (tmp_path, tmp_path / "none.txt"):
+        with pytest.raises(ConfigurationError, match="recording"):
+            World(recorded(str(path)))
+    (tmp_path / "binary").write_bytes(bytes(range(256)))
+    with pytest.raises(ConfigurationError, match="cannot be read as text"):
+        World(recorded(str(tmp_path / "binary")))
+    with pytest.raises(ConfigurationError, match=r"unless scenario\.crowd is recorded"):
+        Scenario(recording="people.txt")
+    with pytest.raises(ConfigurationError, match="knows of robots or walls"):
+        recorded(robots_visible=True)
+    with pytest.raises(ConfigurationError, match="robot_way_min is 13"):
+        World(recorded(written(tmp_path, TWO), robot_way_min=13.0))
+
+
+def test_people_in_the_world_walk_as_recorded() -> None:
+    world = World(recorded(), len(CASES))
+    world.reset(CASES)
+    state, ways = world.state, load_recording(None, 0.04, 0.25)
+    came = 0
+    for _ in range(60):
+        before, had = state.human_position.copy(), state.human_present.copy()
+        world.step(rest(world))
+        going = ~state.done
+        now = state.record_step + state.clock
+        for e in np.flatnonzero(going):
+            there = np.flatnonzero(state.human_present[e])
+            q = state.human_track[e, there]
+            assert len(set(q.tolist())) == len(q)
+            expected = ways.position[ways.row[q] + now[e] - ways.first[q]]
+            np.testing.assert_allclose(state.human_position[e, there], expected, atol=1e-4)
+            stayed = there[had[e, there]]
+            moved = (state.human_position - before)[e, stayed] / 0.25
+            np.testing.assert_allclose(state.human_velocity[e, stayed], moved, atol=1e-4)
+            # Everybody who is there has a slot.
+            assert len(there) == ((ways.first < now[e]) & (ways.last >= now[e])).sum()
+            came += len(there) - len(stayed)
+    assert came > 50
+
+
+def test_with_few_slots_the_nearest_are_kept() -> None:
+    many, few = World(recorded(), len(CASES)), World(recorded(humans=3), len(CASES))
+    for world in (many, few):
+        world.reset(CASES)
+    np.testing.assert_array_equal(many.state.robot_position, few.state.robot_position)
+    for e in range(len(CASES)):
+        there = many.state.human_position[e, many.state.human_present[e]]
+        away = np.linalg.norm(there[:, None] - many.state.robot_position[e], axis=-1).min(1)
+        kept = few.state.human_position[e, few.state.human_present[e]]
+        found = np.linalg.norm(kept[:, None] - many.state.robot_position[e], axis=-1).min(1)
+        np.testing.assert_allclose(found, np.sort(away)[:3])
+
+
+def test_a_slot_is_not_another_person_before_it_is_forgotten() -> None:
+    """Robots remember for 6 s whom they saw."""
+    world = World(recorded(humans=4), len(CASES))
+    world.reset(CASES)
+    state = world.state
+    state.robot_position[:] += 1000.0
+    last_seen = np.full(state.human_track.shape, -1000)
+    last_track = state.human_track.copy()
+    changes = 0
+    for clock in range(150):
+        world.step(rest(world))
+        changed = state.human_present & (state.human_track != last_track) & (last_track >= 0)
+        assert (clock - last_seen[changed] >= 24).all()
+        changes += int(changed.sum())
+        last_track = np.where(state.human_present, state.human_track, last_track)
+        last_seen[state.human_present] = clock
+    assert changes > 20
+
+
+def test_robots_start_where_nobody_is() -> None:
+    world = World(recorded(robots=4), 200)
+    world.reset(np.arange(200))
+    s = world.state
+    gap = np.linalg.norm(s.robot_position[:, :, None] - s.human_position[:, None], axis=-1)
+    assert gap[np.broadcast_to(s.human_present[:, None], gap.shape)].min() >= 1.0 - 1e-4
+    half = load_recording(None, 0.04, 0.25).half_size
+    assert (np.abs(s.robot_position) <= half).all()
+    assert (np.abs(s.robot_goal) <= half).all()
+    way = np.linalg.norm(s.robot_goal - s.robot_position, axis=-1)
+    assert 4.0 <= way.min() <= way.max() <= 14.0
+    assert len(np.unique(s.record_step)) > 100  # moments differ
+
+
+def test_what_robots_do_changes_nothing_for_the_people() -> None:
+    still, driving = World(recorded(), 5), World(recorded(), 5)
+    for world in (still, driving):
+        world.reset(CASES[:5])
+    full = rest(driving)
+    full[..., 0] = 1.0
+    for _ in range(20):
+        still.step(rest(still))
+        driving.step(full)
+        for world in (still, driving):
+            world.state.terminated[:] = False
+        np.testing.assert_array_equal(still.state.human_position, driving.state.human_position)
+
+
+def test_an_episode_does_not_depend_on_the_batch() -> None:
+    many, one = World(recorded(), 9), World(recorded(), 1)
+    many.reset(np.arange(9))
+    one.reset([7])
+    for _ in range(60):
+        many.step(rest(many))
+        one.step(rest(one))
+        for name in many.state._fields:
+            np.testing.assert_array_equal(getattr(many.state, name)[7], getattr(one.state, name)[0])
+
+
+@pytest.mark.skipif(not RECORDED.is_dir(), reason="the recordings belong to their authors")
+@pytest.mark.parametrize(("name", "seconds"), [("biwi_eth", 0.0667), ("students001", 0.04)])
+def test_the_fields_own_recordings_are_read(name: str, seconds: float) -> None:
+    scenario = recorded(str(RECORDED / f"{name}.txt"), frame_seconds=seconds)
+    world = World(scenario, len(CASES))
+    world.reset(CASES)
+    speeds = []
+    for _ in range(40):
+        world.step(rest(world))
+        velocity = world.state.human_velocity[world.state.human_present]
+        speeds.append(np.linalg.norm(velocity, axis=-1))
+    walking = np.concatenate(speeds)
+    walking = walking[walking > 0.3]
+    assert 0.7 < walking.mean() < 1.6  # as people do
+    assert walking.max() < 5.0
