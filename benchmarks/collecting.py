@@ -16,6 +16,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
@@ -38,7 +39,7 @@ from samarl.training.collector import RolloutCollector
 from samarl.training.curriculum import CurriculumStage
 
 WORLDS, STEPS = 96, 32
-SEEN = [("agents", "observation", name) for name in Observation._fields]
+SEEN = [("agents", "observation", name) for name in Observation._fields[:5]]  # nothing is told
 KNOWN = [("agents", "known", name) for name in Frames._fields]
 
 
@@ -86,7 +87,9 @@ class Actor(TensorDictModuleBase):
 
     def forward(self, step: TensorDictBase) -> TensorDictBase:
         """Decide for all robots of all worlds."""
-        observation = Observation(*(step[key].numpy() for key in SEEN))
+        nothing = np.empty((*step["agents", "active_mask"].shape[:2], 0), np.bool_)
+        seen = (step[key].numpy() for key in SEEN)
+        observation = Observation._make((*seen, nothing, nothing))
         began, active = step["is_init"][:, 0].numpy(), step["agents", "active_mask"][..., 0]
         decision = self.policy.act(
             observation, self.state, began, self.scenario, 0.0, active.numpy()

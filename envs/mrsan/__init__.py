@@ -14,7 +14,15 @@ from mrsan.cases import Split
 from mrsan.features import EGO_FEATURES, OTHER_FEATURES
 from mrsan.metrics import Episodes, Outcome, social_score
 from mrsan.reward import RewardParts
-from mrsan.scenario import ConfigurationError, Crowd, Kinematics, Layout, Reward, Scenario
+from mrsan.scenario import (
+    ConfigurationError,
+    Crowd,
+    Kinematics,
+    Layout,
+    Reward,
+    Scenario,
+    TeamPerception,
+)
 from mrsan.state import State
 from mrsan.world import ActionError, Observation, Step, World
 
@@ -37,6 +45,7 @@ __all__ = [
     "Split",
     "State",
     "Step",
+    "TeamPerception",
     "World",
     "social_score",
 ]

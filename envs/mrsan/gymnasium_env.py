@@ -22,7 +22,7 @@ from mrsan.features import (
 )
 from mrsan.metrics import Outcome, episodes_of, social_score
 from mrsan.rendering import RENDER_MODES, Renderer
-from mrsan.scenario import ConfigurationError, Scenario, overridden
+from mrsan.scenario import ConfigurationError, Scenario, TeamPerception, overridden
 from mrsan.world import ActionError, Observation, Step, World
 
 Array = NDArray[Any]
@@ -50,6 +50,8 @@ def as_spaces(scenario: Scenario) -> tuple[spaces.Dict, spaces.Box]:
         "robots": floats(others, features),
         "robots_visible": flags(others),
     }
+    if scenario.team_perception is TeamPerception.tracks:
+        entries |= {"humans_told": flags(scenario.humans), "robots_told": flags(others)}
     # No empty spaces: some libraries drop them on one side and not on the other.
     entries = {key: space for key, space in entries.items() if 0 not in (space.shape or ())}
     return spaces.Dict(entries), spaces.Box(-1.0, 1.0, (scenario.action_size,), np.float32)
@@ -77,10 +79,11 @@ def end_info(world: World, index: int, robot: int) -> dict[str, Any]:
 
 
 def _arrays(observation: Observation) -> dict[str, Array]:
-    arrays: dict[str, Array] = observation._asdict()
-    arrays["humans_visible"] = observation.humans_visible.view(np.int8)
-    arrays["robots_visible"] = observation.robots_visible.view(np.int8)
-    return {key: value for key, value in arrays.items() if 0 not in value.shape[2:]}
+    return {
+        key: value.view(np.int8) if value.dtype == np.bool_ else value
+        for key, value in observation._asdict().items()
+        if 0 not in value.shape[2:]
+    }
 
 
 def _single_robot(scenario: Scenario | None, overrides: dict[str, Any]) -> Scenario:

@@ -14,6 +14,7 @@ from mrsan.kernels import kinematics as kinematics_kernel
 from mrsan.kernels import layout as layout_kernel
 from mrsan.kernels import recorded as recorded_kernel
 from mrsan.kernels import step as step_kernel
+from mrsan.kernels import team as team_kernel
 from mrsan.recording import NOBODY, Recording, RecordingError, load_recording
 
 
@@ -42,6 +43,13 @@ class Layout(Enum):
     opposite = layout_kernel.OPPOSITE  # people in two streams along one band
     square = layout_kernel.SQUARE  # people anywhere on a square floor
     mixed = layout_kernel.MIXED  # one of these four, drawn per episode
+
+
+class TeamPerception(Enum):
+    """What robots tell each other."""
+
+    none = team_kernel.NONE  # nothing: SAMARL
+    tracks = team_kernel.TRACKS  # whom they see, and their own poses
 
 
 class Kinematics(Enum):
@@ -175,6 +183,12 @@ class Scenario:
     velocity_noise: float = number(0.0, 0.0, 10.0)  # standard deviation, m/s
     missed_detection: float = number(0.0, 0.0, 1.0)  # probability per agent and step
 
+    # What they tell each other.
+    team_perception: TeamPerception = TeamPerception.none
+    team_range: float = number(20.0, 0.0, 10000.0)  # it reaches so far, m
+    team_delay: float = number(0.0, 0.0, 10.0)  # s
+    team_loss: float = number(0.0, 0.0, 1.0)  # probability per step, teller and listener
+
     # The people.
     crowd: Crowd = Crowd.orca
     recording: str | None = None  # a file of "frame id x y"; null: a synthetic one that ships
@@ -277,6 +291,11 @@ class Scenario:
         """The time limit in steps."""
         return round(self.time_limit / self.time_step)
 
+    @property
+    def team_delay_steps(self) -> int:
+        """The delay of what team-mates tell, in steps."""
+        return round(self.team_delay / self.time_step)
+
     def load_recording(self) -> Recording:
         """The recorded people, on the clock of the scenario; nobody for other crowds.
 
@@ -343,6 +362,10 @@ class Scenario:
             position_noise=f(self.position_noise),
             velocity_noise=f(self.velocity_noise),
             missed_detection=f(self.missed_detection),
+            team_tracks=self.team_perception is TeamPerception.tracks,
+            team_range=f(self.team_range),
+            team_delay_steps=self.team_delay_steps,
+            team_loss=f(self.team_loss),
             crowd=self.crowd.value,
             robots_visible=self.robots_visible,
             human_radius_min=f(self.human_radius_min),
@@ -412,6 +435,10 @@ class Parameters(NamedTuple):
     position_noise: np.float32
     velocity_noise: np.float32
     missed_detection: np.float32
+    team_tracks: bool
+    team_range: np.float32
+    team_delay_steps: int
+    team_loss: np.float32
     crowd: int
     robots_visible: bool
     human_radius_min: np.float32

@@ -44,6 +44,8 @@ class State(NamedTuple):
     driven_steps: NDArray[np.int32]  # [E, N]
     close_steps: NDArray[np.int32]  # [E, N] that ended in personal space (0.45 m)
     jerk_sum: Floats  # [E, N] of the norm, m/s^3
+    # What robots told each other lately, in the world frame, by the clock modulo its length L:
+    said: Floats  # [E, L, N, M + N, 5] OTHER_FEATURES; a radius of 0: it was not seen
 
     @property
     def done(self) -> Bools:

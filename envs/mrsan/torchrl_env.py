@@ -12,7 +12,7 @@ from torchrl.envs import EnvBase
 
 from mrsan.features import EGO_FEATURES, OTHER_FEATURES
 from mrsan.reward import RewardParts
-from mrsan.scenario import Scenario, overridden
+from mrsan.scenario import Scenario, TeamPerception, overridden
 from mrsan.world import Observation, World
 
 
@@ -20,7 +20,8 @@ class TorchRLEnv(EnvBase):
     """E worlds of N robots; batch size [E], the robots under the nested key `agents`.
 
     Keys: `("agents", "observation", *)` with `ego` [E, N, 11], `humans` [E, N, M, 5], `robots`
-    [E, N, N - 1, 5] and the two visibility masks; `("agents", "active_mask")` [E, N, 1], False
+    [E, N, N - 1, 5] and the two visibility masks (with team perception also the two of what was
+    told); `("agents", "active_mask")` [E, N, 1], False
     once a robot is parked; `("agents", "action")` [E, N, A]; `("agents", "reward")` [E, N, 1] and
     the terms it is the sum of, `("agents", "reward_parts", *)` [E, N, 1] with the names of
     `mrsan.RewardParts` (observations to TorchRL, so that there is one reward; zero after a reset);
@@ -76,6 +77,10 @@ class TorchRLEnv(EnvBase):
             robots_visible=flags(n, n - 1),
             shape=(e, n),
         )
+        if self.scenario.team_perception is TeamPerception.tracks:
+            observation.set("humans_told", flags(n, m))
+            observation.set("robots_told", flags(n, n - 1))
+        self._seen = list(observation.keys())
         parts = Composite({name: floats(1) for name in RewardParts._fields}, shape=(e, n))
         agents = Composite(
             observation=observation, active_mask=flags(n, 1), reward_parts=parts, shape=(e, n)
@@ -125,7 +130,7 @@ class TorchRLEnv(EnvBase):
         e, n = self.batch_size[0], self.scenario.robots
         arrived = self.world.state.arrived
         paid = {name: torch.from_numpy(part[..., None]) for name, part in parts._asdict().items()}
-        seen = {key: torch.from_numpy(value) for key, value in observation._asdict().items()}
+        seen = {key: torch.from_numpy(getattr(observation, key)) for key in self._seen}
         out = TensorDict(
             {
                 "agents": TensorDict(

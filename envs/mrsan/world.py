@@ -17,9 +17,10 @@ from mrsan.features import EGO_FEATURES, OTHER_FEATURES
 from mrsan.kernels.sensing import observe
 from mrsan.kernels.spawn import begin_episodes
 from mrsan.kernels.step import advance
+from mrsan.kernels.team import tell
 from mrsan.metrics import Episodes, episodes_of
 from mrsan.reward import RewardParts
-from mrsan.scenario import Scenario
+from mrsan.scenario import Parameters, Scenario, TeamPerception
 from mrsan.state import Bools, Floats, Ints, State
 
 
@@ -28,23 +29,28 @@ class ActionError(ValueError):
 
 
 class Observation(NamedTuple):
-    """What every robot knows. Slots belong to identities; what is not visible is zero."""
+    """What every robot knows. Slots belong to identities; what is not visible is zero.
+
+    With team perception "visible" is also what team-mates see; the last two masks say what a robot
+    was only told. Without, they are empty.
+    """
 
     ego: Floats  # [E, N, 11], EGO_FEATURES
     humans: Floats  # [E, N, M, 5], OTHER_FEATURES
     humans_visible: Bools  # [E, N, M]
     robots: Floats  # [E, N, N - 1, 5], the others in the order of their numbers
     robots_visible: Bools  # [E, N, N - 1]
+    humans_told: Bools  # [E, N, M] or [E, N, 0]
+    robots_told: Bools  # [E, N, N - 1] or [E, N, 0]
+
+    @property
+    def known(self) -> tuple[Floats, Floats, Bools, Floats, Bools]:
+        """What planners ask for: all but who saw it."""
+        return self[:5]
 
     def of_worlds(self, worlds: Ints | Bools) -> Observation:
         """The rows of some worlds, copied."""
-        return Observation(
-            self.ego[worlds],
-            self.humans[worlds],
-            self.humans_visible[worlds],
-            self.robots[worlds],
-            self.robots_visible[worlds],
-        )
+        return Observation._make(rows[worlds] for rows in self)
 
 
 class Step(NamedTuple):
@@ -91,7 +97,7 @@ class World:
         self.scenario = scenario
         self.worlds = worlds
         self.auto_reset = auto_reset
-        self.state = _empty_state(worlds, scenario.robots, scenario.humans)
+        self.state = _empty_state(worlds, scenario)
         self._parameters = scenario.parameters()
         self._recording = scenario.load_recording()
         self._all_seeing = _without_limits(scenario).parameters()
@@ -165,17 +171,27 @@ class World:
         """
         scenario, others = self.scenario, len(OTHER_FEATURES)
         robots = (self.worlds, scenario.robots)
+        told = scenario.team_perception is TeamPerception.tracks and not all_seeing
         observation = Observation(
             ego=np.empty((*robots, len(EGO_FEATURES)), np.float32),
             humans=np.empty((*robots, scenario.humans, others), np.float32),
             humans_visible=np.empty((*robots, scenario.humans), np.bool_),
             robots=np.empty((*robots, scenario.robots - 1, others), np.float32),
             robots_visible=np.empty((*robots, scenario.robots - 1), np.bool_),
+            humans_told=np.empty((*robots, scenario.humans * told), np.bool_),
+            robots_told=np.empty((*robots, (scenario.robots - 1) * told), np.bool_),
         )
         everywhere = np.ones(self.worlds, np.bool_)
-        parameters = self._all_seeing if all_seeing else self._parameters
-        observe(self.worlds, everywhere, self.state, parameters, *observation)
+        self._look(observation, everywhere, self._all_seeing if all_seeing else self._parameters)
         return observation
+
+    def _look(self, observation: Observation, worlds: Bools, parameters: Parameters) -> None:
+        """Write the observation of some worlds [E]."""
+        ego, humans, humans_visible, robots, robots_visible, *told = observation
+        seen = humans, humans_visible, robots, robots_visible
+        observe(self.worlds, worlds, self.state, parameters, ego, *seen)
+        if parameters.team_tracks:
+            tell(self.worlds, worlds, self.state, parameters, *seen, *told)
 
     def step(self, actions: ArrayLike) -> Step:
         """Move every world by one time step.
@@ -203,7 +219,7 @@ class World:
         final, finished = observation.of_worlds(done), episodes_of(state, self.scenario, done)
         state.episode[done] += 1
         begin_episodes(self.worlds, done, state, self._parameters, self._recording)
-        observe(self.worlds, done, state, self._parameters, *observation)
+        self._look(observation, done, self._parameters)
         return Step(observation, reward, parts, terminated, truncated, final, finished)
 
     def _mask(self, worlds: ArrayLike | None) -> Bools:
@@ -239,11 +255,14 @@ def _without_limits(scenario: Scenario) -> Scenario:
         position_noise=0.0,
         velocity_noise=0.0,
         missed_detection=0.0,
+        team_perception=TeamPerception.none,
     )
 
 
-def _empty_state(e: int, n: int, m: int) -> State:
-    f = np.float32
+def _empty_state(e: int, scenario: Scenario) -> State:
+    f, n, m = np.float32, scenario.robots, scenario.humans
+    telling = scenario.team_perception is TeamPerception.tracks
+    kept = scenario.team_delay_steps + 1 if telling else 0
     return State(
         case=np.arange(e, dtype=np.int64),
         episode=np.full(e, -1, np.int64),
@@ -273,4 +292,5 @@ def _empty_state(e: int, n: int, m: int) -> State:
         driven_steps=np.zeros((e, n), np.int32),
         close_steps=np.zeros((e, n), np.int32),
         jerk_sum=np.zeros((e, n), f),
+        said=np.zeros((e, kept, n, m + n, len(OTHER_FEATURES)), f),
     )

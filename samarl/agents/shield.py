@@ -71,7 +71,7 @@ def shielded(
     """
     checked = np.array(action, np.float32)
     margins = np.float32(shield.human_margin), np.float32(shield.robot_margin)
-    _check(len(checked), *known, scenario.parameters(), shield.steps, *margins, checked)
+    _check(len(checked), *known[:5], scenario.parameters(), shield.steps, *margins, checked)
     return checked
 
 

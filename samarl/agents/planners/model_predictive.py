@@ -46,7 +46,7 @@ class ModelPredictive(Agent):
         action = np.empty((worlds, robots, self.scenario.action_size), np.float32)
         _plan(
             worlds,
-            *observation,
+            *observation.known,
             self.scenario.parameters(),
             self.horizon,
             self.directions,

@@ -33,7 +33,7 @@ class Orca(Agent):
         action = np.empty((worlds, robots, self.scenario.action_size), np.float32)
         _orca(
             worlds,
-            *observation,
+            *observation.known,
             self.scenario.parameters(),
             np.float32(self.neighbor_distance),
             self.max_neighbors,

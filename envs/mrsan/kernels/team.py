@@ -1,0 +1,125 @@
+"""Team perception: robots tell each other what they see, see `mrsan.TeamPerception`."""
+
+import math
+
+import numpy as np
+from numba import prange
+
+from mrsan.features import (
+    OTHER_RADIUS,
+    OTHER_VELOCITY_X,
+    OTHER_VELOCITY_Y,
+    OTHER_X,
+    OTHER_Y,
+)
+from mrsan.kernels import function, kernel, rng
+
+# Kinds, see `mrsan.scenario.TeamPerception`.
+NONE = 0
+TRACKS = 1
+
+_ZERO = np.float32(0.0)
+
+
+@kernel
+def tell(
+    chunks, worlds, state, p, humans, humans_visible, robots, robots_visible, humans_told,
+    robots_told,
+):  # fmt: skip
+    """Add to what robots see what their team-mates in reach saw `team_delay` ago, and their poses.
+
+    Who is told of a person by several believes the first of them. Positions are moved on at their
+    velocities by the delay, which everybody knows.
+
+    Args:
+        chunks: number of pieces the loop over worlds is cut into.
+        worlds: [E] bool, the worlds to observe.
+        state: the worlds; what is said now is written to `state.said`.
+        p: the scenario's parameters.
+        humans: [E, N, M, 5] what is seen, added to.
+        humans_visible: [E, N, M] bool, added to.
+        robots: [E, N, N - 1, 5], as humans.
+        robots_visible: [E, N, N - 1] bool.
+        humans_told: [E, N, M] bool, written: not seen, but told.
+        robots_told: [E, N, N - 1] bool, written.
+    """
+    total, n, m = humans.shape[0], humans.shape[1], humans.shape[2]
+    for chunk in prange(chunks):
+        said, clock, keys = state.said, state.clock, state.key
+        position, velocity = state.robot_position, state.robot_velocity
+        heading = state.robot_heading
+        delay, reach, loss = p.team_delay_steps, p.team_range, p.team_loss
+        radius, late = p.robot_radius, np.float32(p.team_delay_steps) * p.time_step
+        for e in range(chunk * total // chunks, (chunk + 1) * total // chunks):
+            if not worlds[e]:
+                continue
+            step, kept = clock[e], said.shape[1]
+            now, heard = step % kept, (step - delay) % kept
+            for i in range(n):
+                row = said[e, now, i]
+                for j in range(m):
+                    _say(
+                        humans[e, i, j], humans_visible[e, i, j],
+                        position[e, i], velocity[e, i], heading[e, i], row[j],
+                    )  # fmt: skip
+                for j in range(n - 1):
+                    _say(
+                        robots[e, i, j], robots_visible[e, i, j],
+                        position[e, i], velocity[e, i], heading[e, i], row[m + j + (j >= i)],
+                    )  # fmt: skip
+                own = row[m + i]
+                own[OTHER_X], own[OTHER_Y] = position[e, i, 0], position[e, i, 1]
+                own[OTHER_VELOCITY_X], own[OTHER_VELOCITY_Y] = velocity[e, i, 0], velocity[e, i, 1]
+                own[OTHER_RADIUS] = radius
+            for i in range(n):
+                humans_told[e, i, :], robots_told[e, i, :] = False, False
+                for k in range(n):
+                    dx = position[e, k, 0] - position[e, i, 0]
+                    dy = position[e, k, 1] - position[e, i, 1]
+                    if k == i or step < delay or math.sqrt(dx * dx + dy * dy) > reach:
+                        continue
+                    if loss > _ZERO and rng.uniform(keys[e], rng.TOLD, i * n + k, step, 0) < loss:
+                        continue
+                    row = said[e, heard, k]
+                    for j in range(m):
+                        if not humans_visible[e, i, j] and row[j, OTHER_RADIUS] > _ZERO:
+                            _hear(
+                                row[j], late, position[e, i], velocity[e, i], heading[e, i],
+                                humans[e, i, j],
+                            )  # fmt: skip
+                            humans_visible[e, i, j] = humans_told[e, i, j] = True
+                    for j in range(n - 1):
+                        other = m + j + (j >= i)
+                        if not robots_visible[e, i, j] and row[other, OTHER_RADIUS] > _ZERO:
+                            _hear(
+                                row[other], late, position[e, i], velocity[e, i], heading[e, i],
+                                robots[e, i, j],
+                            )  # fmt: skip
+                            robots_visible[e, i, j] = robots_told[e, i, j] = True
+
+
+@function
+def _say(seen, visible, position, velocity, heading, out):
+    """What a robot sees of one other, in the world frame; a radius of 0 says nothing."""
+    if not visible:
+        out[:] = _ZERO
+        return
+    cos, sin = math.cos(heading), math.sin(heading)
+    x, y = seen[OTHER_X], seen[OTHER_Y]
+    vx, vy = seen[OTHER_VELOCITY_X], seen[OTHER_VELOCITY_Y]
+    out[OTHER_X], out[OTHER_Y] = position[0] + cos * x - sin * y, position[1] + sin * x + cos * y
+    out[OTHER_VELOCITY_X] = velocity[0] + cos * vx - sin * vy
+    out[OTHER_VELOCITY_Y] = velocity[1] + sin * vx + cos * vy
+    out[OTHER_RADIUS] = seen[OTHER_RADIUS]
+
+
+@function
+def _hear(told, late, position, velocity, heading, out):
+    """What a robot was told of one other, seen from it, `late` seconds after."""
+    cos, sin = math.cos(heading), math.sin(heading)
+    dx = told[OTHER_X] + told[OTHER_VELOCITY_X] * late - position[0]
+    dy = told[OTHER_Y] + told[OTHER_VELOCITY_Y] * late - position[1]
+    vx, vy = told[OTHER_VELOCITY_X] - velocity[0], told[OTHER_VELOCITY_Y] - velocity[1]
+    out[OTHER_X], out[OTHER_Y] = cos * dx + sin * dy, cos * dy - sin * dx
+    out[OTHER_VELOCITY_X], out[OTHER_VELOCITY_Y] = cos * vx + sin * vy, cos * vy - sin * vx
+    out[OTHER_RADIUS] = told[OTHER_RADIUS]
