@@ -172,6 +172,9 @@ def test_robots_start_where_nobody_is() -> None:
     s = world.state
     gap = np.linalg.norm(s.robot_position[:, :, None] - s.human_position[:, None], axis=-1)
     assert gap[np.broadcast_to(s.human_present[:, None], gap.shape)].min() >= 1.0 - 1e-4
+    for _ in range(8):  # nor does anybody come there in the first two seconds
+        world.step(rest(world))
+        assert not s.terminated.any()
     half = load_recording(None, 0.04, 0.25).half_size
     assert (np.abs(s.robot_position) <= half).all()
     assert (np.abs(s.robot_goal) <= half).all()

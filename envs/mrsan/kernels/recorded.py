@@ -11,6 +11,7 @@ RECORDED = 3  # the crowd
 NOT_ASSIGNED = -1
 _ZERO = np.float32(0.0)
 _FAR = np.float32(np.inf)
+_CALM = 8  # steps after the start in which nobody walks through it: a robot needs time to drive off
 _STANDS = np.float32(1.0)  # who does not get further than that while the episode lasts, m
 _TRIES = 64  # tries after which less room is asked for
 _LEAST_ROOM = 10  # ... and after so many times that, none
@@ -27,7 +28,7 @@ def begin_recording(state, e, key, recording, p):
 
 @function
 def draw_recorded_way(start, goal, key, i, attempt, begin, recording, p):
-    """A start where nobody is and a goal where nobody stands, anywhere on the floor.
+    """A start where nobody is or comes to soon and a goal where nobody stands, on the floor.
 
     Returns:
         Whether they are that, and the way from one to the other of fair length.
@@ -52,10 +53,10 @@ def draw_recorded_way(start, goal, key, i, attempt, begin, recording, p):
         there = _place(recording, q, first)
         then = _place(recording, q, last)
         stands = math.hypot(then[0] - there[0], then[1] - there[1]) < _STANDS
-        if (first == begin or stands) and (
-            math.hypot(there[0] - start[0], there[1] - start[1]) < gap
-        ):
-            return False
+        for step in range(first, min(last, begin + _CALM) + 1):
+            x, y = _place(recording, q, step)
+            if math.hypot(x - start[0], y - start[1]) < gap:
+                return False
         if stands and math.hypot(there[0] - goal[0], there[1] - goal[1]) < gap:
             return False
     return True
