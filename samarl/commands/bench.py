@@ -1,4 +1,4 @@
-"""`samarl-bench`: Table I, every agent in every column, against the committed results."""
+"""`samarl-bench`: a table, every agent in every column, against the committed results."""
 
 from __future__ import annotations
 
@@ -11,7 +11,9 @@ from enum import Enum
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from joblib import Parallel, delayed, parallel_config
+from numpy.typing import NDArray
 from omegaconf import MISSING, DictConfig, OmegaConf
 from tqdm import tqdm
 
@@ -21,12 +23,11 @@ from samarl.commands.cli import run_command
 from samarl.configuration import available_agents, import_plugins, load_agent, scenario_of
 from samarl.evaluation.runner import Evaluation, run_cases
 from samarl.evaluation.seeds import across_seeds, other_seeds
-from samarl.evaluation.summary import Row, read_rows, summarise
+from samarl.evaluation.summary import Column, Row, column_of, place_of, read_rows, summarise
 from samarl.evaluation.table import (
     column_name,
-    column_of,
+    grids_as_markdown,
     rows_as_markdown,
-    table1_as_markdown,
 )
 from samarl.files import (
     check_writable,
@@ -44,10 +45,15 @@ STATUS = """\
 
 @dataclass
 class Bench:
-    """Schema of `conf/bench.yaml`."""
+    """Schema of `conf/bench.yaml` and of the tables in `conf/table/`."""
 
+    name: str = MISSING
+    about: str = MISSING
     agents: list[str] | None = None
     columns: list[dict[str, Any]] = field(default_factory=list)
+    recordings: str | None = None
+    recorded: dict[str, Any] = field(default_factory=dict)
+    frame_seconds: dict[str, float] = field(default_factory=dict)
     plugins: list[str] = field(default_factory=list)
     seeds: bool = False
     jobs: int = -1
@@ -65,17 +71,20 @@ def bench(config: DictConfig) -> None:
     evaluation = OmegaConf.to_object(config.evaluation)
     assert isinstance(evaluation, Evaluation)
     names = available_agents() if config.agents is None else list(config.agents)
-    scenarios = [scenario_of(OmegaConf.to_container(column)) for column in config.columns]
+    columns = [OmegaConf.to_container(column) for column in config.columns]
+    if config.recordings is not None:
+        columns += _recorded_columns(config)
+    scenarios = [scenario_of(column) for column in columns]
     if not names or not scenarios:
         raise ConfigurationError("agents and columns are empty; name at least one of each")
-    if len({(s.fov_degrees, s.humans, s.robots) for s in scenarios}) < len(scenarios):
-        raise ConfigurationError("columns has two with the same fov_degrees, humans and robots")
+    if len({place_of(scenario) for scenario in scenarios}) < len(scenarios):
+        raise ConfigurationError(f"columns has two with the same {', '.join(Column._fields)}")
     if config.jobs < 1 and config.jobs != -1:
         raise ConfigurationError(
             f"jobs is {config.jobs}; it must be 1 or more, or -1 for all cores"
         )
     output = Path(config.output)
-    check_writable(output / "table1.json", "output")
+    check_writable(output / f"{config.name}.json", "output")
     commit = code_version()
     plugins = list(config.plugins)
     agents = [(name, load_agent(name)) for name in names]
@@ -96,21 +105,38 @@ def bench(config: DictConfig) -> None:
     with parallel_config("loky", n_jobs=config.jobs, inner_max_num_threads=1):
         played = Parallel(return_as="generator")(tasks)
         try:
-            rows = list(tqdm(played, "table 1", len(tasks), unit="row", disable=None))
+            bar = tqdm(played, config.name, len(tasks), unit="row", disable=None)
+            rows, passed = zip(*bar, strict=True)
         except ActionError as error:
             raise error from None  # without the traceback of the other process
-    committed = find_folder("results") / "table1.json"
+    committed = find_folder("results") / f"{config.name}.json"
     known = (read_rows(committed) if committed.exists() else None) or []
-    print(table1_as_markdown(rows), "\n")
+    print(grids_as_markdown(rows), "\n")
     print(rows_as_markdown(rows), "\n")
     for row in rows:
         print(compare(row, known))
     print(STATUS)
     if left_out:
         print(f"not played in views that they were not trained for: {', '.join(left_out)}")
-    write_json(output / "table1.json", rows)
-    write_atomically(output / "table1.md", _page(rows, commit))
-    print(f"\nwritten to {output}/table1.json and table1.md")
+    write_json(output / f"{config.name}.json", rows)
+    page = _page(config.name, config.about, rows, passed, commit)
+    write_atomically(output / f"{config.name}.md", page)
+    print(f"\nwritten to {output}/{config.name}.json and {config.name}.md")
+
+
+def _recorded_columns(config: DictConfig) -> list[dict[str, Any]]:
+    """A column for every recording in a folder."""
+    files = sorted(Path(config.recordings).glob("*.txt"))
+    if not files:
+        raise ConfigurationError(
+            f"recordings is {config.recordings!r}; it must be a folder with *.txt files in it"
+        )
+    seconds = {file.stem: config.frame_seconds.get(file.stem) for file in files}
+    return [
+        {**config.recorded, "crowd": "recorded", "recording": str(file)}
+        | ({"frame_seconds": seconds[file.stem]} if seconds[file.stem] else {})
+        for file in files
+    ]
 
 
 def _row(
@@ -120,22 +146,23 @@ def _row(
     evaluation: Evaluation,
     commit: str,
     plugins: list[str],
-) -> Row:
+) -> tuple[Row, NDArray[np.bool_]]:
     """Play one agent in one column, in a process of its own.
 
-    The row is that of the first variant; the others are the same with other training seeds.
+    Returns:
+        The row of the first variant (the others are the same with other training seeds), and which
+        cases it passed.
     """
     import_plugins(plugins)
     cases = evaluation.numbers()
     command = _command(name, scenario, evaluation)
-    rows = [
-        summarise(
-            run_cases(build_agent(agent, scenario), scenario, cases, evaluation.batch),
-            scenario, name, command, commit, int(cases[0]),
-        )
+    played = [
+        run_cases(build_agent(agent, scenario), scenario, cases, evaluation.batch)
         for agent in variants
-    ]  # fmt: skip
-    return rows[0] | across_seeds(rows) if len(rows) > 1 else rows[0]
+    ]
+    rows = [summarise(of, scenario, name, command, commit, int(cases[0])) for of in played]
+    row = rows[0] | across_seeds(rows) if len(rows) > 1 else rows[0]
+    return row, played[0].success
 
 
 def compare(row: Row, committed: Sequence[Row]) -> str:
@@ -182,28 +209,39 @@ def _command(name: str, scenario: Scenario, evaluation: Evaluation) -> str:
             if key in column or key in ("scenario.reward", "evaluation.batch"):
                 continue
             if value != getattr(default, f.name):
-                words.append(f"{key}={value.name if isinstance(value, Enum) else value}")
+                value = value.name if isinstance(value, Enum) else value
+                value = Path(value).name if key == "scenario.recording" else value
+                words.append(f"{key}={value}")
     return shlex.join(words)
 
 
-def _page(rows: Sequence[Row], commit: str) -> str:
-    return f"""# Table I
-
-Success is joint: every robot reaches its goal and nobody collides. The paper's social score is
-undefined there and ours is on another scale, so only its success rates stand here; at 90° our
-sensor hides what is outside the field of view, which makes those columns harder than the paper's.
-A policy is played in the views that it was trained for.
-
-{table1_as_markdown(rows)}
-
+def _page(
+    name: str, about: str, rows: Sequence[Row], passed: Sequence[NDArray[np.bool_]], commit: str
+) -> str:
+    return f"""# {about}
+{grids_as_markdown(rows)}
+{_nobody_passed(rows, passed)}
 ## Every row
 
 {rows_as_markdown(rows)}
 
-Made by `make results` at commit {commit} on {machine()}. Each row of `table1.json` holds the
+Made by `make results` at commit {commit} on {machine()}. Each row of `{name}.json` holds the
 command that produces it alone. Over training seeds: the interquartile mean (of fewer than four
 seeds the mean) with the 95 % interval of 10,000 bootstrap draws of seeds.
 """
+
+
+def _nobody_passed(rows: Sequence[Row], passed: Sequence[NDArray[np.bool_]]) -> str:
+    """How many cases among recorded people no agent passes: nobody may be able to."""
+    ever: dict[str, NDArray[np.bool_]] = {}
+    for row, of_row in zip(rows, passed, strict=True):
+        if row["recording"]:
+            column = column_name(column_of(row))
+            ever[column] = ever.get(column, np.zeros_like(of_row)) | of_row
+    if not ever:
+        return ""
+    shares = ", ".join(f"{name} {100 * (1 - of.mean()):.1f} %" for name, of in ever.items())
+    return f"\nCases that none of these agents passes: {shares}.\n"
 
 
 if __name__ == "__main__":

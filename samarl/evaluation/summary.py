@@ -4,15 +4,39 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-from mrsan import ConfigurationError, Episodes, Scenario
+from mrsan import ConfigurationError, Crowd, Episodes, Scenario
 from samarl.evaluation.metrics import METRICS, metric_fields
 
 # One method in one column of the table: who and where, the metrics, and where it comes from.
 Row = dict[str, Any]
 
-IDENTITY = ("method", "fov_degrees", "humans", "robots", "episodes")
+
+class Column(NamedTuple):
+    """Where rows were played; fields that a row lacks are as in Table I."""
+
+    fov_degrees: float
+    humans: int
+    robots: int
+    layout: str = "circle"
+    goal_turn_degrees: float = 0.0
+    team_perception: str = "none"
+    recording: str | None = None  # the name of the file
+
+    @property
+    def kind(self) -> str:
+        """Under what a long table lists it."""
+        if self.recording:
+            return "Recorded people"
+        if self.team_perception != "none":
+            return "Robots that tell each other what they see"
+        if self.layout != "circle" or self.goal_turn_degrees:
+            return "Other places"
+        return "The circle"
+
+
+IDENTITY = ("method", *Column._fields, "episodes")
 PROVENANCE = ("command", "commit", "seed")
 # What a row needs to be shown; other metrics may be missing where a row is older than they are.
 HEADLINE = (
@@ -23,6 +47,25 @@ HEADLINE = (
 def row_fields() -> list[str]:
     """The fields of a row, in order."""
     return [*IDENTITY, *metric_fields(), *PROVENANCE]
+
+
+def column_of(row: Row) -> Column:
+    """The column a row belongs to."""
+    return Column(**{name: row[name] for name in Column._fields if name in row})
+
+
+def place_of(scenario: Scenario) -> Column:
+    """The column that a scenario is."""
+    file = scenario.recording or "synthetic.txt"
+    return Column(
+        scenario.fov_degrees,
+        scenario.humans,
+        scenario.robots,
+        scenario.layout.name,
+        scenario.goal_turn_degrees,
+        scenario.team_perception.name,
+        Path(file).name if scenario.crowd is Crowd.recorded else None,
+    )
 
 
 def summarise(
@@ -38,13 +81,7 @@ def summarise(
         commit: of the code that produced it.
         seed: the first case number.
     """
-    row: Row = {
-        "method": method,
-        "fov_degrees": scenario.fov_degrees,
-        "humans": scenario.humans,
-        "robots": scenario.robots,
-        "episodes": len(episodes.case),
-    }
+    row: Row = {"method": method, **place_of(scenario)._asdict(), "episodes": len(episodes.case)}
     for known in METRICS.values():
         row |= known.of(episodes)
     return row | {"command": command, "commit": commit, "seed": seed}
@@ -64,12 +101,13 @@ def read_rows(path: Path) -> list[Row] | None:
         raise ConfigurationError(f"{path} is not JSON ({error})") from error
     if not isinstance(content, list) or not any(map(_is_meant_as_row, content)):
         return None
+    older = Column._field_defaults
+    needed = [f for f in (*IDENTITY, *HEADLINE, *PROVENANCE) if f not in older]
     for number, row in enumerate(content):
-        for name in (*IDENTITY, *HEADLINE, *PROVENANCE):
+        for name in needed:
             if not isinstance(row, dict) or name not in row:
                 raise ConfigurationError(
-                    f"{path} has no {name} in row {number}; every row must have "
-                    f"{', '.join((*IDENTITY, *HEADLINE, *PROVENANCE))}"
+                    f"{path} has no {name} in row {number}; every row must have {', '.join(needed)}"
                 )
     return content
 

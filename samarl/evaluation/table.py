@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import NamedTuple
 
 from samarl.evaluation.metrics import METRICS, Metric
-from samarl.evaluation.summary import Row
-
-Column = tuple[float, int, int]  # field of view in degrees, humans, robots
+from samarl.evaluation.summary import Column, Row, column_of
 
 # SAMARL, Table I: success rate in % (500 cases). Its social score is on another scale than ours.
 PAPER_SUCCESS: dict[Column, dict[str, int]] = {
-    (90.0, 10, 3): {
+    Column(90.0, 10, 3): {
         "ORCA": 25, "CADRL": 55, "SAMARL-PPO": 72, "SAMARL-SRNN": 81, "SAMARL": 93,
     },
-    (90.0, 10, 5): {
+    Column(90.0, 10, 5): {
         "ORCA": 21, "CADRL": 54, "SAMARL-PPO": 71, "SAMARL-SRNN": 82, "SAMARL": 89,
     },
-    (360.0, 10, 5): {
+    Column(360.0, 10, 5): {
         "ORCA": 23, "CADRL": 63, "SAMARL-PPO": 72, "SAMARL-SRNN": 87, "SAMARL": 95,
     },
 }  # fmt: skip
@@ -26,15 +25,29 @@ _COLUMNS = ("agent=", "scenario.fov_degrees=", "scenario.humans=", "scenario.rob
 PAPER_NAME = {"orca": "ORCA"}  # what the paper calls our rows
 
 
-def column_of(row: Row) -> Column:
-    """The column a row belongs to."""
-    return row["fov_degrees"], row["humans"], row["robots"]
-
-
 def column_name(column: Column) -> str:
     """The column in short."""
-    fov, humans, robots = column
-    return f"{fov:g}° {humans}h {robots}r"
+    words = [
+        f"{column.fov_degrees:g}°",
+        f"{column.humans}h",
+        f"{column.robots}r",
+        place_name(column),
+    ]
+    if column.recording:
+        del words[1]
+    return " ".join(filter(None, words))
+
+
+def place_name(column: Column) -> str:
+    """How a column differs from those of Table I besides its numbers."""
+    words = [Path(column.recording).stem] if column.recording else []
+    if column.layout != "circle" and not column.recording:
+        words.append(column.layout)
+    if column.goal_turn_degrees:
+        words.append(f"{column.goal_turn_degrees:+g}°")
+    if column.team_perception != "none":
+        words.append("team")
+    return " ".join(words)
 
 
 def settings_of(row: Row) -> list[str]:
@@ -74,6 +87,11 @@ def rows_as_cells(
     measured = [known.heading for known in shown]
     header = ("method", "FOV", "humans", "robots", *measured, "paper's success %")
     lines = [_cells(row, shown) for row in rows]
+    places = [place_name(column_of(row)) for row in rows]
+    if any(places):
+        header = (*header[:4], "place", *header[4:])
+        for line, place in zip(lines, places, strict=True):
+            line.insert(4, place)
     if any("training_seeds" in row for row in rows):
         header += ("seeds", "success % over seeds", "social score over seeds")
         for line, row in zip(lines, rows, strict=True):
@@ -110,8 +128,18 @@ def _over_seeds(row: Row) -> list[str]:
     return [str(row["training_seeds"]), *of_both]
 
 
-def table1_as_markdown(rows: Sequence[Row]) -> str:
-    """Table I: success and social score, a line per method, the paper's methods below ours."""
+def grids_as_markdown(rows: Sequence[Row]) -> str:
+    """A grid for each kind of column, under a heading if there are several."""
+    kinds: dict[str, list[Row]] = {}
+    for row in rows:
+        kinds.setdefault(column_of(row).kind, []).append(row)
+    if len(kinds) == 1:
+        return grid_as_markdown(rows)
+    return "\n\n".join(f"### {kind}\n\n{grid_as_markdown(of)}" for kind, of in kinds.items())
+
+
+def grid_as_markdown(rows: Sequence[Row]) -> str:
+    """Success and social score, a line per method, the paper's methods below ours."""
     grid = grid_of(rows)
     header = ["success % / social score", *map(column_name, grid.columns)]
     lines = [

@@ -17,7 +17,7 @@ from tqdm import tqdm
 from mrsan import ConfigurationError
 from samarl.evaluation.recording import Recording
 from samarl.evaluation.seeds import without_seed
-from samarl.evaluation.summary import Row, read_rows
+from samarl.evaluation.summary import Column, Row, read_rows
 from samarl.evaluation.table import column_name, grid_of, rows_as_cells
 from samarl.files import code_version, write_atomically
 from samarl.report.figures import (
@@ -210,7 +210,7 @@ def _write_replays(
     entries = []
     for method, case, recording in recordings:
         scenario = recording.scenario
-        column = column_name((scenario.fov_degrees, scenario.humans, scenario.robots))
+        column = column_name(Column(scenario.fov_degrees, scenario.humans, scenario.robots))
         key = slug(f"{method}-{column}-{split}-{case}")
         data = json.dumps(as_replay(recording), separators=(",", ":"))
         write_atomically(site / f"replays/{key}.js", f"replay({json.dumps(key)},{data});\n")

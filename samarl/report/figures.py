@@ -14,8 +14,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter
 from numpy.typing import NDArray
 
-from samarl.evaluation.summary import Row
-from samarl.evaluation.table import Column, column_name, column_of, grid_of, settings_of
+from samarl.evaluation.summary import Column, Row, column_of
+from samarl.evaluation.table import column_name, grid_of, settings_of
 from samarl.report.leaderboard import ranked
 from samarl.report.style import COLOURS, INK, MUTED, STYLE
 
@@ -52,7 +52,7 @@ def baselines(rows: Sequence[Row], column: str) -> dict[str, float]:
     if not found:
         return {}
     key = {"success": "success_rate", "social_score": "social_score"}[found[1]]
-    place = (float(found[2]), int(found[3]), int(found[4]))
+    place = Column(float(found[2]), int(found[3]), int(found[4]))
     return {row["method"]: row[key] for row in rows
             if row["method"] in _BASELINES and column_of(row) == place}  # fmt: skip
 
@@ -248,7 +248,7 @@ def sweep_figures(rows: Sequence[Row]) -> Iterable[tuple[str, Figure]]:
     columns: dict[Column, list[tuple[Row, str]]] = {}
     for row, label in zip(rows, labels, strict=True):
         settings.setdefault(label, []).append(row)
-        columns.setdefault(column_of(row), []).append((row, label))
+        columns.setdefault(Column(*column_of(row)[:3]), []).append((row, label))
     for label, mine in settings.items():
         varied = [key for key in _AXES if len({row[key] for row in mine}) > 1]
         suffix = f", {label}" if several else ""

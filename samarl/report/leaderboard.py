@@ -10,8 +10,8 @@ from pathlib import Path
 from markupsafe import Markup, escape
 
 from samarl.configuration import available_agents, load_agent
-from samarl.evaluation.summary import Row
-from samarl.evaluation.table import column_of, grid_of
+from samarl.evaluation.summary import Row, column_of
+from samarl.evaluation.table import grid_of
 from samarl.files import find_folder
 
 GROUPS = {"learned": "Learned", "ablation": "Ablations", "planner": "Planners"}

@@ -53,7 +53,7 @@ def without(state: State, here: np.ndarray, scenario: Scenario) -> World:
     world = World(scenario, E)
     world.restore(
         State(*(array[:, here] if name.startswith("human_") else array
-                for name, array in state._asdict().items()))
+                for name, array in state._asdict().items()))._replace(said=world.state.said)
     )  # fmt: skip
     return world
 

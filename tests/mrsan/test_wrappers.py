@@ -11,7 +11,7 @@ from pettingzoo.test import parallel_api_test
 from tensordict import TensorDict
 from torchrl.envs.utils import check_env_specs
 
-from mrsan import ActionError, ConfigurationError, Kinematics, Scenario, World
+from mrsan import ActionError, ConfigurationError, Kinematics, Scenario, TeamPerception, World
 from mrsan.gymnasium_env import GymnasiumEnv, GymnasiumVectorEnv
 from mrsan.pettingzoo_env import PettingZooEnv
 from mrsan.torchrl_env import TorchRLEnv
@@ -20,6 +20,7 @@ CASES = np.array([3, 50, 7])
 SCENARIOS = {
     "one robot": Scenario(robots=1, humans=4),
     "noisy": Scenario(robots=3, humans=4, fov_degrees=90.0, position_noise=0.1),
+    "told": Scenario(robots=3, humans=4, fov_degrees=90.0, team_perception=TeamPerception.tracks),
     "unicycles": Scenario(robots=2, humans=0, kinematics=Kinematics.unicycle),
 }
 
@@ -55,7 +56,10 @@ def test_all_wrappers_play_a_case_alike(scenario: Scenario) -> None:
     parallel = [env.reset(seed=int(case))[0] for env, case in zip(singles, CASES, strict=True)]
     single = [env.reset(seed=int(case))[0] for env, case in zip(gyms, CASES, strict=False)]
     for t in range(len(actions)):
-        for key, value in expected._asdict().items():
+        told = scenario.team_perception is TeamPerception.tracks
+        seen = expected._asdict() if told else dict(zip(expected._fields, expected.known))  # noqa: B905
+        assert set(td["agents", "observation"].keys()) == set(seen)
+        for key, value in seen.items():
             np.testing.assert_array_equal(td["agents", "observation", key].numpy(), value)
             for e in range(3):
                 for i in range(scenario.robots):

@@ -247,7 +247,7 @@ def test_every_malformed_configuration_ends_in_one_line(
         (["agent.max_neighbours=3"], "did you mean agent.max_neighbors?"),
         (["evaluation.case=1"], "evaluation.case is not known; did you mean evaluation.cases?"),
         (["agnt=orca"], "agnt is not known; did you mean agent?"),
-        (["scenario.crowd=orcas"], "expected one of [orca, social_force, still]"),
+        (["scenario.crowd=orcas"], "expected one of [orca, social_force, still, recorded]"),
         (["scenario.reward.progress=inf"], "scenario.reward.progress is inf; it must lie in"),
     ],
 )

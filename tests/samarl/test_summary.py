@@ -20,7 +20,7 @@ from samarl.evaluation.summary import (
     row_fields,
     summarise,
 )
-from samarl.evaluation.table import rows_as_cells, rows_as_markdown, table1_as_markdown
+from samarl.evaluation.table import grids_as_markdown, rows_as_cells, rows_as_markdown
 from samarl.files import find_folder
 
 
@@ -70,7 +70,8 @@ def four_episodes() -> Episodes:
 def test_a_row_by_hand() -> None:
     row = summarise(four_episodes(), Scenario(robots=2), "mine", "command", "abc", 7)
     expected: dict[str, Any] = {
-        "method": "mine", "fov_degrees": 360.0, "humans": 10, "robots": 2, "episodes": 4,
+        "method": "mine", "fov_degrees": 360.0, "humans": 10, "robots": 2, "layout": "circle",
+        "goal_turn_degrees": 0.0, "team_perception": "none", "recording": None, "episodes": 4,
         "success_rate": 25.0, "success_low": 4.56, "success_high": 69.94,
         # 100, 100 (1/4 + 1/2 (1/4 + 1/4)) = 50, 100 (5/12 + 1/2) = 91.67 and five zeros;
         # means of 75, 45.83, 0 and 0 per episode, so 30.21 -+ 1.96 * 31.92 / 2, cut off at 0.
@@ -134,16 +135,49 @@ def test_compare_shows_both_numbers() -> None:
     assert line.endswith("social score 30.2 -> 90.0: social_score is outside [0.0, 61.5]")
 
 
+def test_a_table_of_several_kinds_of_columns() -> None:
+    rows = [
+        row(),
+        row(layout="square", success_rate=50.0),
+        row(goal_turn_degrees=-30.0, success_rate=60.0),
+        row(team_perception="tracks", fov_degrees=90.0, success_rate=70.0),
+        row(recording="zara.txt", humans=64, success_rate=80.0),
+    ]
+    headings = [line for line in grids_as_markdown(rows).splitlines() if line.startswith("|")][::3]
+    names = [heading.split("|")[2:-1] for heading in headings]
+    assert [[name.strip() for name in some] for some in names] == [
+        ["360° 10h 2r"],
+        ["360° 10h 2r square", "360° 10h 2r -30°"],
+        ["90° 10h 2r team"],
+        ["360° 2r zara"],
+    ]
+    header, lines = rows_as_cells(rows)
+    place = header.index("place")
+    assert [line[place] for line in lines] == ["", "square", "-30°", "team", "zara"]
+    assert "place" not in rows_as_cells(rows[:1])[0]
+    assert compare(row(layout="square"), rows).startswith("DIFFERS  mine 360° 10h 2r square")
+
+
+def test_rows_of_older_tables_are_of_table_1(tmp_path: Path) -> None:
+    old = row()
+    for field in ("layout", "goal_turn_degrees", "team_perception", "recording"):
+        del old[field]
+    (tmp_path / "old.json").write_text(json.dumps([old]))
+    found = read_rows(tmp_path / "old.json")
+    assert found is not None
+    assert compare(row(), found).startswith("same ")
+
+
 def test_tables_line_up_and_show_the_papers_figures() -> None:
     rows = [row(method="orca", fov_degrees=90.0, robots=3), row(method="perimeter")]
-    for table in (rows_as_markdown(rows), table1_as_markdown(rows)):
+    for table in (rows_as_markdown(rows), grids_as_markdown(rows)):
         lines = table.splitlines()
         assert len({len(line) for line in lines}) == 1
         assert len({line.count("|") for line in lines}) == 1
     detailed = rows_as_markdown(rows).splitlines()
     assert detailed[2].split("|")[-2].strip() == "25"  # the paper's ORCA, 90°, 10 humans, 3 robots
     assert detailed[3].split("|")[-2].strip() == ""
-    first = table1_as_markdown(rows).splitlines()
+    first = grids_as_markdown(rows).splitlines()
     cells = {line.split("|")[1].strip(): line.split("|")[2].strip() for line in first}
     assert cells["orca"] == "25.0 / 30.2"
     assert cells["perimeter"] == ""

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
+import mrsan
 import samarl
 from mrsan import Outcome
 from samarl.evaluation.summary import row_fields
@@ -110,10 +111,28 @@ def test_the_bench_writes_table_1_in_the_documented_form(tmp_path: Path) -> None
     assert len(verdicts) == len(rows)
 
 
+def test_the_bench_plays_elsewhere_and_among_recorded_people(tmp_path: Path) -> None:
+    shipped = Path(mrsan.__file__).parent / "recordings"
+    words = ["table=transfer", "agents=[orca,straight]", "evaluation.cases=2", "output=mine"]
+    columns = "columns=[{layout: square}, {fov_degrees: 90, team_perception: tracks}]"
+    done = run("bench", *words, columns, f"recordings={shipped}", cwd=tmp_path)
+    rows = json.loads((tmp_path / "mine/transfer.json").read_text())
+    places = {(r["layout"], r["team_perception"], r["recording"]) for r in rows}
+    assert places == {("square", "none", None), ("circle", "tracks", None),
+                      ("circle", "none", "synthetic.txt")}  # fmt: skip
+    assert len(rows) == 6
+    page = (tmp_path / "mine/transfer.md").read_text()
+    assert "Cases that none of these agents passes: 360° 3r synthetic " in page
+    assert str(tmp_path) not in page
+    assert str(shipped) not in json.dumps(rows)
+    assert done.stdout.count("new ") >= 6
+
+
 @pytest.mark.parametrize(
     "arguments",
     [
         ["agents=[orca,nobody]"],
+        ["recordings=nowhere"],
         ["columns=[{fov: 90}]"],
         ["columns=[{robots: 99}]"],
         ["evaluation.cases=0"],
