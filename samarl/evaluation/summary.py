@@ -42,6 +42,7 @@ PROVENANCE = ("command", "commit", "seed")
 HEADLINE = (
     "success_rate", "success_low", "success_high", "social_score", "social_low", "social_high",
 )  # fmt: skip
+NEEDED = [f for f in (*IDENTITY, *HEADLINE, *PROVENANCE) if f not in Column._field_defaults]
 
 
 def row_fields() -> list[str]:
@@ -101,13 +102,11 @@ def read_rows(path: Path) -> list[Row] | None:
         raise ConfigurationError(f"{path} is not JSON ({error})") from error
     if not isinstance(content, list) or not any(map(_is_meant_as_row, content)):
         return None
-    older = Column._field_defaults
-    needed = [f for f in (*IDENTITY, *HEADLINE, *PROVENANCE) if f not in older]
     for number, row in enumerate(content):
-        for name in needed:
+        for name in NEEDED:
             if not isinstance(row, dict) or name not in row:
                 raise ConfigurationError(
-                    f"{path} has no {name} in row {number}; every row must have {', '.join(needed)}"
+                    f"{path} has no {name} in row {number}; every row must have {', '.join(NEEDED)}"
                 )
     return content
 

@@ -16,8 +16,7 @@ from samarl.commands.report import _methods
 from samarl.configuration import available_agents, load_agent
 from samarl.evaluation.metrics import METRICS, Metric
 from samarl.evaluation.recording import record_episode
-from samarl.evaluation.summary import Row
-from samarl.evaluation.table import column_of
+from samarl.evaluation.summary import Column, Row, column_of
 from samarl.files import find_folder
 from samarl.report.build import build_site, slug
 from samarl.report.figures import (
@@ -93,7 +92,9 @@ def test_whatever_is_in_the_results_is_shown(site: Path) -> None:
     panels = draw_table(rows).axes
     assert len(panels) == len({row["fov_degrees"] * 100 + row["robots"] for row in rows})
     drawn = sorted(bar.get_width() for bar in panels[0].patches)
-    assert drawn == sorted(row["success_rate"] for row in rows if column_of(row) == (90.0, 10, 3))
+    assert drawn == sorted(
+        row["success_rate"] for row in rows if column_of(row) == Column(90.0, 10, 3)
+    )
     assert "paper: SAMARL-PPO" in index
     figures = {figure.stem for figure in (site / "figures").glob("*.svg")}
     assert figures == {figure.stem for figure in (site / "figures").glob("*.png")}
@@ -150,7 +151,7 @@ def test_a_curve_is_the_mean_of_its_seeds_and_their_range(site: Path) -> None:
 def test_a_validation_curve_has_the_planners_of_its_column(site: Path) -> None:
     rows = json.loads((find_folder("results") / "table1.json").read_text())
     levels = baselines(rows, "validation/social_score_360_10h_5r")
-    of_column = {r["method"]: r for r in rows if column_of(r) == (360.0, 10, 5)}
+    of_column = {r["method"]: r for r in rows if column_of(r) == Column(360.0, 10, 5)}
     names = ("model_predictive", "perimeter")
     assert levels == {name: of_column[name]["social_score"] for name in names}
     assert baselines(rows, "charts/success") == {}

@@ -12,9 +12,7 @@ from samarl.commands.bench import compare
 from samarl.evaluation.metrics import METRICS, Metric, metric, metric_fields, wilson_interval
 from samarl.evaluation.seeds import across_seeds
 from samarl.evaluation.summary import (
-    HEADLINE,
-    IDENTITY,
-    PROVENANCE,
+    NEEDED,
     Row,
     read_rows,
     row_fields,
@@ -155,7 +153,9 @@ def test_a_table_of_several_kinds_of_columns() -> None:
     place = header.index("place")
     assert [line[place] for line in lines] == ["", "square", "-30°", "team", "zara"]
     assert "place" not in rows_as_cells(rows[:1])[0]
-    assert compare(row(layout="square"), rows).startswith("DIFFERS  mine 360° 10h 2r square")
+    assert compare(row(layout="square"), rows).startswith(
+        "close    mine 360° 10h 2r square: success 50.0 -> 25.0 %"
+    )
 
 
 def test_rows_of_older_tables_are_of_table_1(tmp_path: Path) -> None:
@@ -251,7 +251,7 @@ def test_names_of_metrics_are_their_own() -> None:
         wrong.of(four_episodes())
 
 
-@pytest.mark.parametrize("name", [*IDENTITY, *HEADLINE, *PROVENANCE])
+@pytest.mark.parametrize("name", NEEDED)
 def test_a_row_that_lacks_what_it_needs_is_refused(tmp_path: Path, name: str) -> None:
     rows = json.loads(COMMITTED.read_text())
     del rows[3][name]
