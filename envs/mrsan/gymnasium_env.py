@@ -57,9 +57,11 @@ def as_spaces(scenario: Scenario) -> tuple[spaces.Dict, spaces.Box]:
     return spaces.Dict(entries), spaces.Box(-1.0, 1.0, (scenario.action_size,), np.float32)
 
 
-def robot_observation(observation: Observation, world: int, robot: int) -> dict[str, Array]:
-    """What one robot observes, as `as_spaces` describes it."""
-    return {key: value[world, robot] for key, value in _arrays(observation).items()}
+def robot_observations(observation: Observation, world: int) -> list[dict[str, Array]]:
+    """What each robot of a world observes, as `as_spaces` describes it."""
+    arrays = _arrays(observation).items()
+    robots = range(observation.ego.shape[1])
+    return [{key: value[world, robot] for key, value in arrays} for robot in robots]
 
 
 def robot_reward_parts(step: Step, world: int, robot: int) -> NDArray[np.float32]:
@@ -133,7 +135,7 @@ class GymnasiumEnv(gymnasium.Env[dict[str, Array], Array]):
         self._fresh = False
         observation = self.world.reset(None if seed is None else [seed])
         self._renderer.moved(self.world)
-        return robot_observation(observation, 0, 0), {"arrived": False}
+        return robot_observations(observation, 0)[0], {"arrived": False}
 
     def step(self, action: Array) -> tuple[dict[str, Array], float, bool, bool, dict[str, Any]]:
         """Move by one time step.
@@ -155,7 +157,7 @@ class GymnasiumEnv(gymnasium.Env[dict[str, Array], Array]):
         }
         if terminated or truncated:
             info |= end_info(self.world, 0, 0)
-        observation = robot_observation(step.observation, 0, 0)
+        observation = robot_observations(step.observation, 0)[0]
         return observation, float(step.reward[0, 0]), terminated, truncated, info
 
     def render(self) -> Array | None:
@@ -266,7 +268,7 @@ class GymnasiumVectorEnv(VectorEnv[dict[str, Array], Array, Array]):
             if self.autoreset_mode is AutoresetMode.SAME_STEP:
                 infos["final_obs"] = np.full(self.num_envs, None, dtype=object)
                 for e in np.flatnonzero(done).tolist():
-                    infos["final_obs"][e] = robot_observation(observation, e, 0)
+                    infos["final_obs"][e] = robot_observations(observation, e)[0]
                 final = {
                     "arrived": infos["arrived"] & done,
                     "_arrived": done,

@@ -12,7 +12,7 @@ from pettingzoo import ParallelEnv
 from mrsan.gymnasium_env import (
     as_spaces,
     end_info,
-    robot_observation,
+    robot_observations,
     robot_reward_parts,
 )
 from mrsan.rendering import RENDER_MODES, Renderer
@@ -122,7 +122,7 @@ class PettingZooEnv(ParallelEnv[str, dict[str, Array], Array]):
                 infos[agent] |= end_info(self.world, 0, i)
             self.agents = []
         return (
-            {agent: robot_observation(step.observation, 0, i) for i, agent in enumerate(agents)},
+            self._split(step.observation),
             {agent: float(step.reward[0, i]) for i, agent in enumerate(agents)},
             dict.fromkeys(agents, terminated),
             dict.fromkeys(agents, truncated),
@@ -156,7 +156,4 @@ class PettingZooEnv(ParallelEnv[str, dict[str, Array], Array]):
         ).astype(np.float32)
 
     def _split(self, observation: Observation) -> dict[str, dict[str, Array]]:
-        return {
-            agent: robot_observation(observation, 0, i)
-            for i, agent in enumerate(self.possible_agents)
-        }
+        return dict(zip(self.possible_agents, robot_observations(observation, 0), strict=True))

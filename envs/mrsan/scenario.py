@@ -475,6 +475,26 @@ class Parameters(NamedTuple):
     reward_literal: bool
 
 
+class Sensor(NamedTuple):
+    """What of `Parameters` decides what a robot sees: fewer numbers are handed over faster."""
+
+    robot_radius: np.float32
+    robot_speed: np.float32
+    time_limit_steps: int
+    cos_half_fov: np.float32
+    sensing_range: np.float32
+    occlusion: bool
+    position_noise: np.float32
+    velocity_noise: np.float32
+    missed_detection: np.float32
+
+    @classmethod
+    def of(cls, scenario: Scenario) -> Sensor:
+        """That of a scenario."""
+        parameters = scenario.parameters()
+        return cls(*(getattr(parameters, name) for name in cls._fields))
+
+
 def overridden(scenario: Scenario | None, overrides: dict[str, Any]) -> Scenario:
     """`scenario` (None: SAMARL's) with some of its fields changed.
 

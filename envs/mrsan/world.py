@@ -20,7 +20,7 @@ from mrsan.kernels.step import advance
 from mrsan.kernels.team import tell
 from mrsan.metrics import Episodes, episodes_of
 from mrsan.reward import RewardParts
-from mrsan.scenario import Parameters, Scenario, TeamPerception
+from mrsan.scenario import Scenario, Sensor, TeamPerception
 from mrsan.state import Bools, Floats, Ints, State
 
 
@@ -100,7 +100,8 @@ class World:
         self.state = _empty_state(worlds, scenario)
         self._parameters = scenario.parameters()
         self._recording = scenario.load_recording()
-        self._all_seeing = _without_limits(scenario).parameters()
+        self._sensor = Sensor.of(scenario)
+        self._all_seeing = Sensor.of(_without_limits(scenario))
 
     def reset(self, cases: ArrayLike | None = None, worlds: ArrayLike | None = None) -> Observation:
         """Begin an episode in every world, or in some.
@@ -182,16 +183,17 @@ class World:
             robots_told=np.empty((*robots, (scenario.robots - 1) * told), np.bool_),
         )
         everywhere = np.ones(self.worlds, np.bool_)
-        self._look(observation, everywhere, self._all_seeing if all_seeing else self._parameters)
+        if all_seeing:
+            observe(self.worlds, everywhere, self.state, self._all_seeing, *observation.known)
+        else:
+            self._look(observation, everywhere)
         return observation
 
-    def _look(self, observation: Observation, worlds: Bools, parameters: Parameters) -> None:
-        """Write the observation of some worlds [E]."""
-        ego, humans, humans_visible, robots, robots_visible, *told = observation
-        seen = humans, humans_visible, robots, robots_visible
-        observe(self.worlds, worlds, self.state, parameters, ego, *seen)
-        if parameters.team_tracks:
-            tell(self.worlds, worlds, self.state, parameters, *seen, *told)
+    def _look(self, observation: Observation, worlds: Bools) -> None:
+        """Write what the robots of some worlds [E] see and are told."""
+        observe(self.worlds, worlds, self.state, self._sensor, *observation.known)
+        if self._parameters.team_tracks:
+            tell(self.worlds, worlds, self.state, self._parameters, *observation[1:])
 
     def step(self, actions: ArrayLike) -> Step:
         """Move every world by one time step.
@@ -219,7 +221,7 @@ class World:
         final, finished = observation.of_worlds(done), episodes_of(state, self.scenario, done)
         state.episode[done] += 1
         begin_episodes(self.worlds, done, state, self._parameters, self._recording)
-        self._look(observation, done, self._parameters)
+        self._look(observation, done)
         return Step(observation, reward, parts, terminated, truncated, final, finished)
 
     def _mask(self, worlds: ArrayLike | None) -> Bools:
@@ -255,7 +257,6 @@ def _without_limits(scenario: Scenario) -> Scenario:
         position_noise=0.0,
         velocity_noise=0.0,
         missed_detection=0.0,
-        team_perception=TeamPerception.none,
     )
 
 
