@@ -33,6 +33,8 @@ class Recording:
     driving: Bools  # [T + 1, N] not yet arrived
     humans_seen: Bools  # [T + 1, N, M]
     robots_seen: Bools  # [T + 1, N, N]
+    humans_told: Bools  # [T + 1, N, M] of these, whom only team-mates see
+    robots_told: Bools  # [T + 1, N, N]
     waypoint: Floats | None  # [T, N, 2] where each robot drives to, in the world frame
     human_attention: Floats | None  # [T, N, M] shares
     robot_attention: Floats | None  # [T, N, N] shares
@@ -52,9 +54,10 @@ def record_episode(agent: Agent, scenario: Scenario, case: int) -> Recording:
         thoughts.append(agent.explain() or Explanation())
         observation = world.step(action).observation
         frames.append(_frame(state, observation))
-    position, heading, humans, present, driving, humans_seen, robots_seen = (
+    position, heading, humans, present, driving, *known = (
         np.stack(part) for part in zip(*frames, strict=True)
     )
+    humans_seen, robots_seen, humans_told, robots_told = known
     met = present.any(0)
     waypoint, human_attention, robot_attention, stepped_in = (
         None if part[0] is None else np.concatenate(part) for part in zip(*thoughts, strict=True)
@@ -71,6 +74,8 @@ def record_episode(agent: Agent, scenario: Scenario, case: int) -> Recording:
         driving=driving,
         humans_seen=humans_seen[..., met],
         robots_seen=_of_all(robots_seen),
+        humans_told=humans_told[..., met],
+        robots_told=_of_all(robots_told),
         waypoint=waypoint,
         human_attention=None if human_attention is None else human_attention[..., met],
         robot_attention=None if robot_attention is None else _of_all(robot_attention),
@@ -88,7 +93,14 @@ def _frame(state: State, observation: Observation) -> tuple[NDArray, ...]:
         ~state.arrived[0],
         observation.humans_visible[0],
         observation.robots_visible[0],
+        _told(observation.humans_told[0], observation.humans_visible[0]),
+        _told(observation.robots_told[0], observation.robots_visible[0]),
     )
+
+
+def _told(told: Bools, visible: Bools) -> Bools:
+    """Without team perception the masks are empty: nobody was told of."""
+    return told if told.size else np.zeros_like(visible)
 
 
 def _of_all(of_others: NDArray) -> NDArray:

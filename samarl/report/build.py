@@ -17,8 +17,8 @@ from tqdm import tqdm
 from mrsan import ConfigurationError
 from samarl.evaluation.recording import Recording
 from samarl.evaluation.seeds import without_seed
-from samarl.evaluation.summary import Column, Row, read_rows
-from samarl.evaluation.table import column_name, grid_of, rows_as_cells
+from samarl.evaluation.summary import Row, place_of, read_rows
+from samarl.evaluation.table import column_name, grid_of, place_name, rows_as_cells
 from samarl.files import code_version, write_atomically
 from samarl.report.figures import (
     Curve,
@@ -210,16 +210,16 @@ def _write_replays(
     entries = []
     for method, case, recording in recordings:
         scenario = recording.scenario
-        column = column_name(Column(scenario.fov_degrees, scenario.humans, scenario.robots))
-        key = slug(f"{method}-{column}-{split}-{case}")
+        column = place_of(scenario)
+        key = slug(f"{method}-{column_name(column)}-{split}-{case}")
         data = json.dumps(as_replay(recording), separators=(",", ":"))
         write_atomically(site / f"replays/{key}.js", f"replay({json.dumps(key)},{data});\n")
-        words = (
-            f"{scenario.fov_degrees:g}° view, {scenario.humans} humans, {scenario.robots} robots"
-        )
+        people = "" if column.recording else f"{scenario.humans} humans"
+        words = [f"{scenario.fov_degrees:g}° view", people, f"{scenario.robots} robots"]
+        words.append(place_name(column))
         entries.append(
-            {"key": key, "method": method, "column": words, "case": f"{split} case {case}",
-             "success": bool(recording.episodes.success[0])}
+            {"key": key, "method": method, "column": ", ".join(filter(None, words)),
+             "case": f"{split} case {case}", "success": bool(recording.episodes.success[0])}
         )  # fmt: skip
     return entries
 

@@ -33,6 +33,8 @@ def as_replay(recording: Recording) -> dict[str, Any]:
         "humansPresent": _switches(recording.human_present[:, None])[0],
         "humansSeen": _switches(recording.humans_seen),
         "robotsSeen": _switches(recording.robots_seen),
+        "humansTold": _told(recording.humans_told),
+        "robotsTold": _told(recording.robots_told),
         "waypoints": None if recording.waypoint is None else _points(recording.waypoint),
         "humanAttention": _percent(recording.human_attention),
         "robotAttention": _percent(recording.robot_attention),
@@ -67,6 +69,11 @@ def _switches(seen: NDArray[np.bool_]) -> list[list[list[int]]]:
         [np.flatnonzero(changed[:, i, k]).tolist() for k in range(seen.shape[2])]
         for i in range(seen.shape[1])
     ]
+
+
+def _told(told: NDArray[np.bool_]) -> list[list[list[int]]] | None:
+    """The same of whom only team-mates see; most robots are told of nobody."""
+    return _switches(told) if told.any() else None
 
 
 def _steps_of(happened: NDArray[np.bool_] | None) -> list[list[int]] | None:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from matplotlib.axes import Axes
 
-from mrsan import Scenario
+from mrsan import Scenario, TeamPerception
 from samarl.agents import build_agent
 from samarl.commands.report import _methods
 from samarl.configuration import available_agents, load_agent
@@ -102,7 +102,7 @@ def test_whatever_is_in_the_results_is_shown(site: Path) -> None:
         "curve-charts-success", "curve-validation-success-90-10h-3r", "curve-losses-macro-critic",
         "noise-90-10h-3r", "table-1", *(slug(f"views {row['method']}") for row in rows),
     }  # fmt: skip
-    assert len(list((site / "replays").glob("mine-*.js"))) == 2 * 2
+    assert len(list((site / "replays").glob("mine-*.js"))) == 4 * 2
     assert "position noise" in (site / "figures/noise-90-10h-3r.svg").read_text()
 
 
@@ -229,6 +229,21 @@ def test_a_replay_says_what_the_recording_says() -> None:
             seen = [sum(step <= t for step in switches) % 2 == 1 for switches in of_robot]
             assert seen == recording.humans_seen[t, i].tolist()
     assert replay["waypoints"] is replay["humanAttention"] is replay["shielded"] is None
+
+
+def test_a_replay_says_who_was_only_told() -> None:
+    scenario = Scenario(fov_degrees=90.0, team_perception=TeamPerception.tracks)
+    recording = record_episode(build_agent(STRAIGHT, scenario), scenario, 3)
+    assert recording.humans_told.any()
+    assert not (recording.humans_told & ~recording.humans_seen).any()
+    replay = as_replay(recording)
+    for t in range(len(recording.robot_position)):
+        for name, told in (("humans", recording.humans_told), ("robots", recording.robots_told)):
+            for i, of_robot in enumerate(replay[f"{name}Told"]):
+                now = [sum(step <= t for step in switches) % 2 == 1 for switches in of_robot]
+                assert now == told[t, i].tolist()
+    alone = as_replay(recorded())
+    assert alone["humansTold"] is alone["robotsTold"] is None
 
 
 def test_a_replay_says_when_the_shield_stepped_in() -> None:

@@ -57,19 +57,21 @@ function between(series, t) {
   return series[k].map((value, axis) => value + share * (next[axis] - value));
 }
 
-// What one robot sees and attends to at step k: [kind, number, seen, percent of attention].
+// What one robot sees and attends to at step k: {kind, number, seen, told, percent of attention};
+// who was told is seen as well, but by team-mates only.
 function othersOf(episode, robot, k) {
   const at = Math.min(k, episode.last - 1);
   const list = [];
-  for (const [kind, seen, attention] of [
-    ["human", episode.humansSeen, episode.humanAttention],
-    ["robot", episode.robotsSeen, episode.robotAttention],
+  for (const [kind, seen, tellings, attention] of [
+    ["human", episode.humansSeen, episode.humansTold, episode.humanAttention],
+    ["robot", episode.robotsSeen, episode.robotsTold, episode.robotAttention],
   ]) {
     seen[robot].forEach((switches, number) => {
       if (kind === "robot" && number === robot) return;
       const percent = attention ? attention[at][robot][number] : null;
       if (kind === "human" && !isPresent(episode, number, k)) return;
-      list.push({ kind, number, seen: isSeen(switches, k), percent });
+      const told = Boolean(tellings) && isSeen(tellings[robot][number], k);
+      list.push({ kind, number, seen: isSeen(switches, k), told, percent });
     });
   }
   return list;
@@ -228,11 +230,11 @@ function drawSide({ canvas, episode }) {
   episode.humans.forEach((path, j) => { if (isPresent(episode, j, k)) arrow(path, colours.muted); });
   episode.robots.forEach((path, i) => { if (driving(i)) arrow(path, colourOf(i)); });
 
-  others.filter((o) => o.kind === "human").forEach(({ number, seen }) => {
-    disc(humans[number], episode.radii[number], seen
+  others.filter((o) => o.kind === "human").forEach(({ number, seen, told }) => {
+    disc(humans[number], episode.radii[number], seen && !told
       ? { fill: colours.muted, stroke: colours.ink, width: 1 }
-      : { fill: colours.panel, stroke: colours.muted, dash: [3, 3] });
-    write(String(number), place(humans[number]), seen ? colours.page : colours.muted, 10);
+      : { fill: colours.panel, stroke: colours.muted, dash: told ? [] : [3, 3], width: told ? 2.5 : 1.5 });
+    write(String(number), place(humans[number]), seen && !told ? colours.page : colours.muted, 10);
   });
 
   const star = [...Array(10).keys()].map((i) => [i / 10, i % 2 ? 0.42 : 1]);
@@ -365,7 +367,9 @@ function describe({ episode, outcome, sight, canvas, name }) {
   const others = othersOf(episode, state.robot, k);
   const count = (kind) => {
     const all = others.filter((o) => o.kind === kind);
-    return `${all.filter((o) => o.seen).length} of ${all.length} ${kind}s`;
+    const told = all.filter((o) => o.told).length;
+    return `${all.filter((o) => o.seen && !o.told).length} of ${all.length} ${kind}s`
+      + (told ? ` (and is told of ${told})` : "");
   };
   const shield = steppedIn(episode, state.robot, k) ? " The shield steps in." : "";
   const attended = others.filter((o) => o.percent >= 1).sort((a, b) => b.percent - a.percent);
