@@ -57,6 +57,7 @@ train: setup ## Train SAMARL with the default recipe, or go on with an interrupt
 
 results: setup ## Rewrite results/, the table and the pictures of the README (nothing else may)
 	@$(BIN)/samarl-bench seeds=true output=results
+	@$(BIN)/samarl-bench table=ablations output=results
 	@$(BIN)/python -m benchmarks.throughput --compile --output results/throughput.json
 	@$(BIN)/python -m benchmarks.latency --output results/latency.json
 	@$(BIN)/python -m benchmarks.training --output results/training_throughput.json

@@ -8,16 +8,18 @@ from mkdocs.plugins import event_priority
 from mkdocs.structure.files import File, Files
 
 ROOT = Path(__file__).parents[1]
-PAGES = ("../results/table1.md", "../examples/first_ten_minutes.ipynb")  # from elsewhere
+TABLES = [f"../results/{name}.md" for name in ("table1", "ablations")]
+PAGES = (*TABLES, "../examples/first_ten_minutes.ipynb")  # from elsewhere
 
 
 @event_priority(100)  # before notebooks are looked for
 def on_files(files: Files, config: Any) -> Files:
-    """The committed table and the notebook are pages too."""
+    """The committed tables and the notebook are pages too."""
     examples, site = str(ROOT / "examples"), config.site_dir
     files.append(File("first_ten_minutes.ipynb", examples, site, config.use_directory_urls))
-    table = (ROOT / "results/table1.md").read_text(encoding="utf-8")
-    files.append(File.generated(config, "table1.md", content=table))
+    for table in TABLES:
+        content = (ROOT / "docs" / table).read_text(encoding="utf-8")
+        files.append(File.generated(config, Path(table).name, content=content))
     return files
 
 

@@ -42,6 +42,9 @@ STATUS = """\
 (same: the committed row again; close: within its 95 % intervals, as processors round differently;
  DIFFERS: outside of them; other: the committed row is of another command; new: there is none)"""
 
+_OVER_SEEDS = """ Over training seeds: the interquartile mean (of fewer than four
+seeds the mean) with the 95 % interval of 10,000 bootstrap draws of seeds."""
+
 
 @dataclass
 class Bench:
@@ -50,6 +53,7 @@ class Bench:
     name: str = MISSING
     about: str = MISSING
     agents: list[str] | None = None
+    leave_out: list[str] = field(default_factory=list)
     columns: list[dict[str, Any]] = field(default_factory=list)
     recordings: str | None = None
     recorded: dict[str, Any] = field(default_factory=dict)
@@ -70,7 +74,8 @@ def bench(config: DictConfig) -> None:
     """Play, print and write the table; say how each row compares with the committed one."""
     evaluation = OmegaConf.to_object(config.evaluation)
     assert isinstance(evaluation, Evaluation)
-    names = available_agents() if config.agents is None else list(config.agents)
+    everybody = [name for name in available_agents() if name not in config.leave_out]
+    names = everybody if config.agents is None else list(config.agents)
     columns = [OmegaConf.to_container(column) for column in config.columns]
     if config.recordings is not None:
         columns += _recorded_columns(config)
@@ -226,8 +231,7 @@ def _page(
 {rows_as_markdown(rows)}
 
 Made by `make results` at commit {commit} on {machine()}. Each row of `{name}.json` holds the
-command that produces it alone. Over training seeds: the interquartile mean (of fewer than four
-seeds the mean) with the 95 % interval of 10,000 bootstrap draws of seeds.
+command that produces it alone.{_OVER_SEEDS if any("training_seeds" in row for row in rows) else ""}
 """
 
 
