@@ -17,7 +17,7 @@ from tqdm import tqdm
 from mrsan import ConfigurationError
 from samarl.evaluation.recording import Recording
 from samarl.evaluation.seeds import without_seed
-from samarl.evaluation.summary import Row, place_of, read_rows
+from samarl.evaluation.summary import Row, column_of, place_of, read_rows
 from samarl.evaluation.table import column_name, grid_of, place_name, rows_as_cells
 from samarl.files import code_version, write_atomically
 from samarl.report.figures import (
@@ -63,6 +63,15 @@ class Table:
         counts = sorted({row["episodes"] for row in self.rows})
         return " to ".join(str(count) for count in sorted({counts[0], counts[-1]}))
 
+    def by_kind(self) -> list[Table]:
+        """A table of each kind of columns; itself if there is one."""
+        kinds: dict[str, list[Row]] = {}
+        for row in self.rows:
+            kinds.setdefault(column_of(row).kind, []).append(row)
+        if len(kinds) == 1:
+            return [self]
+        return [Table(f"{self.name}: {kind.lower()}", rows) for kind, rows in kinds.items()]
+
 
 @dataclass
 class Picture:
@@ -101,10 +110,13 @@ def build_site(
     site = output.with_name(output.name + ".part")
     shutil.rmtree(site, ignore_errors=True)
     tables, sweeps = read_tables(results), read_tables(results / "sweeps")
+    elsewhere = [part for table in tables for part in table.by_kind() if part is not table]
+    tables = [table for table in tables if table in table.by_kind()]
     runs = read_runs(results / "curves")
-    pages = {"index": "Results", "curves": "Learning curves", "sweeps": "Sweeps",
-             "replays": "Replays"}  # fmt: skip
-    there = {"index": True, "curves": runs, "sweeps": sweeps, "replays": recordings}
+    pages = {"index": "Results", "elsewhere": "Elsewhere", "curves": "Learning curves",
+             "sweeps": "Sweeps", "replays": "Replays"}  # fmt: skip
+    there = {"index": True, "elsewhere": elsewhere, "curves": runs, "sweeps": sweeps,
+             "replays": recordings}  # fmt: skip
     environment = Environment(
         loader=FileSystemLoader(_TEMPLATES), autoescape=True, trim_blocks=True, lstrip_blocks=True,
         undefined=StrictUndefined,
@@ -114,7 +126,7 @@ def build_site(
         "commit": code_version(),
         "command": command,
         "grid_of": grid_of,
-        "column_name": column_name,
+        "place_name": place_name,
         "rows_as_cells": rows_as_cells,
         "groups": GROUPS,
         "ranked": ranked,
@@ -127,9 +139,12 @@ def build_site(
 
     write("site.css", palette=PALETTE)
     headlines = {
-        table.name: _save(draw_table(table.rows), table.key, table.name, site) for table in tables
+        table.name: _save(draw_table(table.rows), table.key, table.name, site)
+        for table in (*tables, *elsewhere)
     }
     write("index.html", tables=tables, headlines=headlines)
+    if elsewhere:
+        write("elsewhere.html", tables=elsewhere, headlines=headlines)
     if runs:
         rows = [row for table in tables for row in table.rows]
         write("curves.html", pictures=_draw_runs(runs, rows, site), runs=runs)

@@ -23,6 +23,7 @@ Curve = dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]  # column: st
 _BASELINES = ("model_predictive", "perimeter")  # planners that curves are compared with
 _AXES = {"fov_degrees": "field of view, degrees", "humans": "humans", "robots": "robots"}
 _POINTS = 200  # more do not show
+_PANELS = 5  # of a table, side by side
 _LIGHT_TEXT, _DARK_TEXT = "#FDFDFD", "#111111"  # on the colours of a heat map, in any mode
 
 
@@ -206,10 +207,14 @@ def draw_table(rows: Sequence[Row]) -> Figure:
     methods = [entry.name for entry in reversed(ranked(rows))]  # the first stands on top
     place = np.arange(len(methods))
     with rc_context({**STYLE, "axes.grid.axis": "x"}):
-        figure = Figure(
-            figsize=(1.6 + 1.9 * len(grid.columns), 0.9 + 0.24 * len(methods)), layout="constrained"
-        )
-        panels = figure.subplots(1, len(grid.columns), sharey=True, squeeze=False)[0]
+        across = min(len(grid.columns), _PANELS)
+        down = math.ceil(len(grid.columns) / across)
+        size = (1.6 + 1.9 * across, 0.5 + (0.4 + 0.24 * len(methods)) * down)
+        figure = Figure(figsize=size, layout="constrained")
+        panels = figure.subplots(down, across, sharey=True, squeeze=False).ravel()
+        for unused in panels[len(grid.columns) :]:
+            unused.set_visible(False)
+        panels = panels[: len(grid.columns)]
         for c, (axes, column) in enumerate(zip(panels, grid.columns, strict=True)):
             found = [grid.ours[name][c] for name in methods]
             there = np.array([row is not None for row in found])

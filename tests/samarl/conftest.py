@@ -20,6 +20,9 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (results / name).mkdir(parents=True)
     table = json.loads((find_folder("results") / "table1.json").read_text())
     (results / "table1.json").write_text(json.dumps(table))
+    places = ({"layout": "square"}, {"goal_turn_degrees": -30.0}, {"recording": "zara.txt"})
+    elsewhere = [row | place for row in table[:2] for place in places]
+    (results / "places.json").write_text(json.dumps(elsewhere))
     (results / "not_rows.json").write_text('{"worlds": 512}')
     (results / "sweeps/views.json").write_text(json.dumps(table))
     noisy = [

@@ -59,7 +59,7 @@ class Reader(HTMLParser):
 
 def test_the_pages_are_whole_light_and_need_no_network(site: Path) -> None:
     pages = sorted(page.stem for page in site.glob("*.html"))
-    assert pages == ["curves", "index", "replays", "sweeps"]
+    assert pages == ["curves", "elsewhere", "index", "replays", "sweeps"]
     for page in site.glob("*.html"):
         reader = Reader()
         reader.feed(page.read_text())
@@ -100,10 +100,22 @@ def test_whatever_is_in_the_results_is_shown(site: Path) -> None:
     assert figures == {figure.stem for figure in (site / "figures").glob("*.png")}
     assert figures == {
         "curve-charts-success", "curve-validation-success-90-10h-3r", "curve-losses-macro-critic",
-        "noise-90-10h-3r", "table-1", *(slug(f"views {row['method']}") for row in rows),
+        "noise-90-10h-3r", "table-1", "places-other-places", "places-recorded-people",
+        *(slug(f"views {row['method']}") for row in rows),
     }  # fmt: skip
     assert len(list((site / "replays").glob("mine-*.js"))) == 4 * 2
     assert "position noise" in (site / "figures/noise-90-10h-3r.svg").read_text()
+
+
+def test_tables_of_several_kinds_of_places_have_a_page_of_their_own(site: Path) -> None:
+    page, index = ((site / name).read_text() for name in ("elsewhere.html", "index.html"))
+    assert "Places: other places" in page
+    assert "Places: recorded people" in page
+    assert "Places:" not in index
+    assert page.count("90° view, 10 people, 3 robots, square</button>") == 1
+    assert page.count("90° view, 3 robots, zara</button>") == 1
+    assert 'aria-current="page">Elsewhere</a>' in page
+    assert "Elsewhere than" not in index
 
 
 def test_methods_stand_in_groups_best_first_and_say_what_they_are(site: Path) -> None:
