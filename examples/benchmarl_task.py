@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from benchmarl.algorithms import MappoConfig
@@ -118,6 +119,9 @@ def main() -> None:
     experiment.on_policy_collected_frames_per_batch = 64 * wanted.worlds
     experiment.on_policy_n_minibatch_iters, experiment.on_policy_minibatch_size = 4, 1024
     experiment.evaluation, experiment.loggers, experiment.create_json = False, [], False
+    outputs = Path("outputs")
+    outputs.mkdir(exist_ok=True)
+    experiment.save_folder = str(outputs)
     scenario = {"humans": wanted.humans, "robots": wanted.robots}
     Experiment(
         task=SocialNavigation.CIRCLE.get_task(scenario),

@@ -22,7 +22,7 @@ from mrsan.features import (
 )
 from mrsan.metrics import Outcome, episodes_of, social_score
 from mrsan.rendering import RENDER_MODES, Renderer
-from mrsan.scenario import ConfigurationError, Scenario, TeamPerception, overridden
+from mrsan.scenario import ConfigurationError, Scenario, overridden
 from mrsan.world import ActionError, Observation, Step, World
 
 Array = NDArray[Any]
@@ -50,7 +50,7 @@ def as_spaces(scenario: Scenario) -> tuple[spaces.Dict, spaces.Box]:
         "robots": floats(others, features),
         "robots_visible": flags(others),
     }
-    if scenario.team_perception is TeamPerception.tracks:
+    if scenario.team_tracks:
         entries |= {"humans_told": flags(scenario.humans), "robots_told": flags(others)}
     # No empty spaces: some libraries drop them on one side and not on the other.
     entries = {key: space for key, space in entries.items() if 0 not in (space.shape or ())}

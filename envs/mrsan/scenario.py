@@ -6,7 +6,7 @@ import dataclasses
 import math
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Any, NamedTuple, get_type_hints
+from typing import Any, get_type_hints
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from mrsan.kernels import layout as layout_kernel
 from mrsan.kernels import recorded as recorded_kernel
 from mrsan.kernels import step as step_kernel
 from mrsan.kernels import team as team_kernel
+from mrsan.parameters import Parameters
 from mrsan.recording import NOBODY, Recording, RecordingError, load_recording
 
 
@@ -292,6 +293,11 @@ class Scenario:
         return round(self.time_limit / self.time_step)
 
     @property
+    def team_tracks(self) -> bool:
+        """Whether robots tell each other whom they see."""
+        return self.team_perception is TeamPerception.tracks
+
+    @property
     def team_delay_steps(self) -> int:
         """The delay of what team-mates tell, in steps."""
         return round(self.team_delay / self.time_step)
@@ -362,7 +368,7 @@ class Scenario:
             position_noise=f(self.position_noise),
             velocity_noise=f(self.velocity_noise),
             missed_detection=f(self.missed_detection),
-            team_tracks=self.team_perception is TeamPerception.tracks,
+            team_tracks=self.team_tracks,
             team_range=f(self.team_range),
             team_delay_steps=self.team_delay_steps,
             team_loss=f(self.team_loss),
@@ -401,98 +407,6 @@ class Scenario:
             reward_progress=f(self.reward.progress),
             reward_literal=self.reward.literal,
         )
-
-
-class Parameters(NamedTuple):
-    """A scenario in the kernels' units: float32, radians, steps. See `Scenario` for meanings."""
-
-    humans_min: int
-    layout: int
-    circle_radius: np.float32
-    goal_turn: np.float32
-    goal_turn_spread: np.float32
-    floor_size: np.float32
-    crossing_width: np.float32
-    opposite_width: np.float32
-    robot_way_min: np.float32
-    robot_way_max: np.float32
-    spawn_jitter: np.float32
-    spawn_clearance: np.float32
-    arena_radius: np.float32
-    time_step: np.float32
-    time_limit_steps: int
-    kinematics: int
-    instant_velocity: bool
-    robot_radius: np.float32
-    robot_speed: np.float32
-    max_acceleration: np.float32
-    max_turn: np.float32
-    min_turning_radius: np.float32
-    turn_in_place: bool
-    cos_half_fov: np.float32
-    sensing_range: np.float32
-    occlusion: bool
-    position_noise: np.float32
-    velocity_noise: np.float32
-    missed_detection: np.float32
-    team_tracks: bool
-    team_range: np.float32
-    team_delay_steps: int
-    team_loss: np.float32
-    crowd: int
-    robots_visible: bool
-    human_radius_min: np.float32
-    human_radius_max: np.float32
-    human_speed_min: np.float32
-    human_speed_max: np.float32
-    human_safety_space: np.float32
-    goal_distance: np.float32
-    goal_change_steps: int
-    goal_change_probability: np.float32
-    stand_probability: np.float32
-    hurry_probability: np.float32
-    hurry_speed_min: np.float32
-    hurry_speed_max: np.float32
-    pair_probability: np.float32
-    late_probability: np.float32
-    late_steps: int
-    leave_probability: np.float32
-    people_come_and_go: bool
-    neighbor_distance: np.float32
-    max_neighbors: int
-    time_horizon: np.float32
-    relaxation_time: np.float32
-    force_strength: np.float32
-    force_range: np.float32
-    reward_none: np.float32
-    reward_arrival: np.float32
-    reward_team: np.float32
-    reward_collision: np.float32
-    reward_discomfort: np.float32
-    reward_discomfort_limit: np.float32
-    discomfort_distance: np.float32
-    reward_progress: np.float32
-    reward_literal: bool
-
-
-class Sensor(NamedTuple):
-    """What of `Parameters` decides what a robot sees: fewer numbers are handed over faster."""
-
-    robot_radius: np.float32
-    robot_speed: np.float32
-    time_limit_steps: int
-    cos_half_fov: np.float32
-    sensing_range: np.float32
-    occlusion: bool
-    position_noise: np.float32
-    velocity_noise: np.float32
-    missed_detection: np.float32
-
-    @classmethod
-    def of(cls, scenario: Scenario) -> Sensor:
-        """That of a scenario."""
-        parameters = scenario.parameters()
-        return cls(*(getattr(parameters, name) for name in cls._fields))
 
 
 def overridden(scenario: Scenario | None, overrides: dict[str, Any]) -> Scenario:

@@ -12,7 +12,7 @@ from torchrl.envs import EnvBase
 
 from mrsan.features import EGO_FEATURES, OTHER_FEATURES
 from mrsan.reward import RewardParts
-from mrsan.scenario import Scenario, TeamPerception, overridden
+from mrsan.scenario import Scenario, overridden
 from mrsan.world import Observation, World
 
 
@@ -77,7 +77,7 @@ class TorchRLEnv(EnvBase):
             robots_visible=flags(n, n - 1),
             shape=(e, n),
         )
-        if self.scenario.team_perception is TeamPerception.tracks:
+        if self.scenario.team_tracks:
             observation.set("humans_told", flags(n, m))
             observation.set("robots_told", flags(n, n - 1))
         self._seen = list(observation.keys())

@@ -19,8 +19,9 @@ from mrsan.kernels.spawn import begin_episodes
 from mrsan.kernels.step import advance
 from mrsan.kernels.team import tell
 from mrsan.metrics import Episodes, episodes_of
+from mrsan.parameters import Sensor
 from mrsan.reward import RewardParts
-from mrsan.scenario import Scenario, Sensor, TeamPerception
+from mrsan.scenario import Scenario
 from mrsan.state import Bools, Floats, Ints, State
 
 
@@ -100,8 +101,8 @@ class World:
         self.state = _empty_state(worlds, scenario)
         self._parameters = scenario.parameters()
         self._recording = scenario.load_recording()
-        self._sensor = Sensor.of(scenario)
-        self._all_seeing = Sensor.of(_without_limits(scenario))
+        self._sensor = Sensor.of(self._parameters)
+        self._all_seeing = Sensor.of(_without_limits(scenario).parameters())
 
     def reset(self, cases: ArrayLike | None = None, worlds: ArrayLike | None = None) -> Observation:
         """Begin an episode in every world, or in some.
@@ -172,7 +173,7 @@ class World:
         """
         scenario, others = self.scenario, len(OTHER_FEATURES)
         robots = (self.worlds, scenario.robots)
-        told = scenario.team_perception is TeamPerception.tracks and not all_seeing
+        told = scenario.team_tracks and not all_seeing
         observation = Observation(
             ego=np.empty((*robots, len(EGO_FEATURES)), np.float32),
             humans=np.empty((*robots, scenario.humans, others), np.float32),
@@ -262,7 +263,7 @@ def _without_limits(scenario: Scenario) -> Scenario:
 
 def _empty_state(e: int, scenario: Scenario) -> State:
     f, n, m = np.float32, scenario.robots, scenario.humans
-    telling = scenario.team_perception is TeamPerception.tracks
+    telling = scenario.team_tracks
     kept = scenario.team_delay_steps + 1 if telling else 0
     return State(
         case=np.arange(e, dtype=np.int64),

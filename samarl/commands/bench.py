@@ -111,7 +111,7 @@ def bench(config: DictConfig) -> None:
         played = Parallel(return_as="generator")(tasks)
         try:
             bar = tqdm(played, config.name, len(tasks), unit="row", disable=None)
-            rows, passed = zip(*bar, strict=True)
+            rows, passed = map(list, zip(*bar, strict=True))
         except ActionError as error:
             raise error from None  # without the traceback of the other process
     committed = find_folder("results") / f"{config.name}.json"
@@ -136,10 +136,13 @@ def _recorded_columns(config: DictConfig) -> list[dict[str, Any]]:
         raise ConfigurationError(
             f"recordings is {config.recordings!r}; it must be a folder with *.txt files in it"
         )
-    seconds = {file.stem: config.frame_seconds.get(file.stem) for file in files}
     return [
-        {**config.recorded, "crowd": "recorded", "recording": str(file)}
-        | ({"frame_seconds": seconds[file.stem]} if seconds[file.stem] else {})
+        {
+            **config.recorded,
+            "crowd": "recorded",
+            "recording": str(file),
+            "frame_seconds": config.frame_seconds.get(file.stem, Scenario().frame_seconds),
+        }
         for file in files
     ]
 

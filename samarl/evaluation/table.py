@@ -128,11 +128,17 @@ def _over_seeds(row: Row) -> list[str]:
     return [str(row["training_seeds"]), *of_both]
 
 
-def grids_as_markdown(rows: Sequence[Row]) -> str:
-    """A grid for each kind of column, under a heading if there are several."""
+def by_kind(rows: Sequence[Row]) -> dict[str, list[Row]]:
+    """The rows of each kind of column."""
     kinds: dict[str, list[Row]] = {}
     for row in rows:
         kinds.setdefault(column_of(row).kind, []).append(row)
+    return kinds
+
+
+def grids_as_markdown(rows: Sequence[Row]) -> str:
+    """A grid for each kind of column, under a heading if there are several."""
+    kinds = by_kind(rows)
     if len(kinds) == 1:
         return grid_as_markdown(rows)
     return "\n\n".join(f"### {kind}\n\n{grid_as_markdown(of)}" for kind, of in kinds.items())

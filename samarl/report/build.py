@@ -17,8 +17,8 @@ from tqdm import tqdm
 from mrsan import ConfigurationError
 from samarl.evaluation.recording import Recording
 from samarl.evaluation.seeds import without_seed
-from samarl.evaluation.summary import Row, column_of, place_of, read_rows
-from samarl.evaluation.table import column_name, grid_of, place_name, rows_as_cells
+from samarl.evaluation.summary import Row, place_of, read_rows
+from samarl.evaluation.table import by_kind, column_name, grid_of, place_name, rows_as_cells
 from samarl.files import code_version, write_atomically
 from samarl.report.figures import (
     Curve,
@@ -63,13 +63,11 @@ class Table:
         counts = sorted({row["episodes"] for row in self.rows})
         return " to ".join(str(count) for count in sorted({counts[0], counts[-1]}))
 
-    def by_kind(self) -> list[Table]:
-        """A table of each kind of columns; itself if there is one."""
-        kinds: dict[str, list[Row]] = {}
-        for row in self.rows:
-            kinds.setdefault(column_of(row).kind, []).append(row)
+    def parts(self) -> list[Table]:
+        """A table of each kind of columns; none if there is one kind."""
+        kinds = by_kind(self.rows)
         if len(kinds) == 1:
-            return [self]
+            return []
         return [Table(f"{self.name}: {kind.lower()}", rows) for kind, rows in kinds.items()]
 
 
@@ -110,8 +108,8 @@ def build_site(
     site = output.with_name(output.name + ".part")
     shutil.rmtree(site, ignore_errors=True)
     tables, sweeps = read_tables(results), read_tables(results / "sweeps")
-    elsewhere = [part for table in tables for part in table.by_kind() if part is not table]
-    tables = [table for table in tables if table in table.by_kind()]
+    elsewhere = [part for table in tables for part in table.parts()]
+    tables = [table for table in tables if not table.parts()]
     runs = read_runs(results / "curves")
     pages = {"index": "Results", "elsewhere": "Elsewhere", "curves": "Learning curves",
              "sweeps": "Sweeps", "replays": "Replays"}  # fmt: skip

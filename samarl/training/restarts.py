@@ -103,17 +103,9 @@ class Crowd:
         ahead = np.stack([np.cos(heading), np.sin(heading)], -1)
         steps = (done * way).mean(1) * radius / (scenario.robot_speed * scenario.time_step)
         people = {
-            f"human_{name}": getattr(crowd, f"human_{name}")[chosen]
-            for name in (
-                "present",
-                "entry",
-                "track",
-                "position",
-                "velocity",
-                "goal",
-                "radius",
-                "speed",
-            )
+            name: getattr(crowd, name)[chosen]
+            for name in State._fields
+            if name.startswith("human_")
         }
         self._change(
             world,

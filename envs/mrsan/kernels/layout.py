@@ -45,10 +45,16 @@ def draw_robot_way(start, goal, key, i, attempt, layout, p):
             goal[0], goal[1] = cos * goal[0] - sin * goal[1], sin * goal[0] + cos * goal[1]
         return True
     half = _floor(attempt, p)
-    start[0] = rng.uniform_between(-half, half, key, rng.START, i, attempt, 0)
-    start[1] = rng.uniform_between(-half, half, key, rng.START, i, attempt, 1)
-    goal[0] = rng.uniform_between(-half, half, key, rng.START, i, attempt, 2)
-    goal[1] = rng.uniform_between(-half, half, key, rng.START, i, attempt, 3)
+    return draw_way_on_floor(start, goal, key, i, attempt, half, half, p)
+
+
+@function
+def draw_way_on_floor(start, goal, key, i, attempt, half_x, half_y, p):
+    """A start and a goal of robot `i` anywhere on a floor; whether the way is of fair length."""
+    start[0] = rng.uniform_between(-half_x, half_x, key, rng.START, i, attempt, 0)
+    start[1] = rng.uniform_between(-half_y, half_y, key, rng.START, i, attempt, 1)
+    goal[0] = rng.uniform_between(-half_x, half_x, key, rng.START, i, attempt, 2)
+    goal[1] = rng.uniform_between(-half_y, half_y, key, rng.START, i, attempt, 3)
     dx, dy = goal[0] - start[0], goal[1] - start[1]
     squared = dx * dx + dy * dy
     shortest, longest = p.robot_way_min, p.robot_way_max

@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from mrsan.kernels import function, rng
+from mrsan.kernels.layout import draw_way_on_floor
 
 RECORDED = 3  # the crowd
 
@@ -34,14 +35,7 @@ def draw_recorded_way(start, goal, key, i, attempt, begin, recording, p):
         Whether they are that, and the way from one to the other of fair length.
     """
     half_x, half_y = recording.half_size[0], recording.half_size[1]
-    start[0] = rng.uniform_between(-half_x, half_x, key, rng.START, i, attempt, 0)
-    start[1] = rng.uniform_between(-half_y, half_y, key, rng.START, i, attempt, 1)
-    goal[0] = rng.uniform_between(-half_x, half_x, key, rng.START, i, attempt, 2)
-    goal[1] = rng.uniform_between(-half_y, half_y, key, rng.START, i, attempt, 3)
-    dx, dy = goal[0] - start[0], goal[1] - start[1]
-    squared = dx * dx + dy * dy
-    shortest, longest = p.robot_way_min, p.robot_way_max
-    if not shortest * shortest <= squared <= longest * longest:
+    if not draw_way_on_floor(start, goal, key, i, attempt, half_x, half_y, p):
         return False
     share = np.float32(max(_LEAST_ROOM - attempt // _TRIES, 0)) / np.float32(_LEAST_ROOM)
     gap = p.robot_radius + p.human_radius_max + p.spawn_clearance * share

@@ -37,7 +37,7 @@ def observe(chunks, worlds, state, p, ego, humans, humans_visible, robots, robot
         chunks: number of pieces the loop over worlds is cut into.
         worlds: [E] bool, the worlds to observe.
         state: the worlds.
-        p: the sensor, see `mrsan.scenario.Sensor`.
+        p: the sensor, see `mrsan.parameters.Sensor`.
         ego: [E, N, 11], see `mrsan.features.EGO_FEATURES`.
         humans: [E, N, M, 5], see `mrsan.features.OTHER_FEATURES`; zero where not visible.
         humans_visible: [E, N, M] bool.

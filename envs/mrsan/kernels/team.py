@@ -19,6 +19,7 @@ NONE = 0
 TRACKS = 1
 
 _ZERO = np.float32(0.0)
+NOBODY = 64  # no slot to leave out: there are fewer people
 
 
 @kernel
@@ -56,23 +57,16 @@ def tell(
             step, kept = clock[e], said.shape[1]
             now, heard = step % kept, (step - delay) % kept
             for i in range(n):
-                row = said[e, now, i]
-                for j in range(m):
-                    _say(
-                        humans[e, i, j], humans_visible[e, i, j],
-                        position[e, i], velocity[e, i], heading[e, i], row[j],
-                    )  # fmt: skip
-                for j in range(n - 1):
-                    _say(
-                        robots[e, i, j], robots_visible[e, i, j],
-                        position[e, i], velocity[e, i], heading[e, i], row[m + j + (j >= i)],
-                    )  # fmt: skip
+                pose, row = (position[e, i], velocity[e, i], heading[e, i]), said[e, now, i]
+                _say(humans[e, i], humans_visible[e, i], pose, row, 0, NOBODY)
+                _say(robots[e, i], robots_visible[e, i], pose, row, m, i)
                 own = row[m + i]
                 own[OTHER_X], own[OTHER_Y] = position[e, i, 0], position[e, i, 1]
                 own[OTHER_VELOCITY_X], own[OTHER_VELOCITY_Y] = velocity[e, i, 0], velocity[e, i, 1]
                 own[OTHER_RADIUS] = radius
             for i in range(n):
                 humans_told[e, i, :], robots_told[e, i, :] = False, False
+                pose = position[e, i], velocity[e, i], heading[e, i]
                 for k in range(n):
                     dx = position[e, k, 0] - position[e, i, 0]
                     dy = position[e, k, 1] - position[e, i, 1]
@@ -81,45 +75,52 @@ def tell(
                     if loss > _ZERO and rng.uniform(keys[e], rng.TOLD, i * n + k, step, 0) < loss:
                         continue
                     row = said[e, heard, k]
-                    for j in range(m):
-                        if not humans_visible[e, i, j] and row[j, OTHER_RADIUS] > _ZERO:
-                            _hear(
-                                row[j], late, position[e, i], velocity[e, i], heading[e, i],
-                                humans[e, i, j],
-                            )  # fmt: skip
-                            humans_visible[e, i, j] = humans_told[e, i, j] = True
-                    for j in range(n - 1):
-                        other = m + j + (j >= i)
-                        if not robots_visible[e, i, j] and row[other, OTHER_RADIUS] > _ZERO:
-                            _hear(
-                                row[other], late, position[e, i], velocity[e, i], heading[e, i],
-                                robots[e, i, j],
-                            )  # fmt: skip
-                            robots_visible[e, i, j] = robots_told[e, i, j] = True
+                    _hear(
+                        row, 0, NOBODY, late, pose, humans[e, i], humans_visible[e, i],
+                        humans_told[e, i],
+                    )  # fmt: skip
+                    _hear(
+                        row, m, i, late, pose, robots[e, i], robots_visible[e, i],
+                        robots_told[e, i],
+                    )  # fmt: skip
 
 
 @function
-def _say(seen, visible, position, velocity, heading, out):
-    """What a robot sees of one other, in the world frame; a radius of 0 says nothing."""
-    if not visible:
-        out[:] = _ZERO
-        return
+def _say(seen, visible, pose, row, first, skip):
+    """What a robot sees of others, in the world frame, from slot `first` on but for its own.
+
+    A radius of 0 says nothing.
+    """
+    position, velocity, heading = pose
     cos, sin = math.cos(heading), math.sin(heading)
-    x, y = seen[OTHER_X], seen[OTHER_Y]
-    vx, vy = seen[OTHER_VELOCITY_X], seen[OTHER_VELOCITY_Y]
-    out[OTHER_X], out[OTHER_Y] = position[0] + cos * x - sin * y, position[1] + sin * x + cos * y
-    out[OTHER_VELOCITY_X] = velocity[0] + cos * vx - sin * vy
-    out[OTHER_VELOCITY_Y] = velocity[1] + sin * vx + cos * vy
-    out[OTHER_RADIUS] = seen[OTHER_RADIUS]
+    for j in range(seen.shape[0]):
+        out = row[first + j + (j >= skip)]
+        if not visible[j]:
+            out[:] = _ZERO
+            continue
+        x, y = seen[j, OTHER_X], seen[j, OTHER_Y]
+        vx, vy = seen[j, OTHER_VELOCITY_X], seen[j, OTHER_VELOCITY_Y]
+        out[OTHER_X] = position[0] + cos * x - sin * y
+        out[OTHER_Y] = position[1] + sin * x + cos * y
+        out[OTHER_VELOCITY_X] = velocity[0] + cos * vx - sin * vy
+        out[OTHER_VELOCITY_Y] = velocity[1] + sin * vx + cos * vy
+        out[OTHER_RADIUS] = seen[j, OTHER_RADIUS]
 
 
 @function
-def _hear(told, late, position, velocity, heading, out):
-    """What a robot was told of one other, seen from it, `late` seconds after."""
+def _hear(row, first, skip, late, pose, seen, visible, told):
+    """What a robot does not see and was told of others, seen from it, `late` seconds after."""
+    position, velocity, heading = pose
     cos, sin = math.cos(heading), math.sin(heading)
-    dx = told[OTHER_X] + told[OTHER_VELOCITY_X] * late - position[0]
-    dy = told[OTHER_Y] + told[OTHER_VELOCITY_Y] * late - position[1]
-    vx, vy = told[OTHER_VELOCITY_X] - velocity[0], told[OTHER_VELOCITY_Y] - velocity[1]
-    out[OTHER_X], out[OTHER_Y] = cos * dx + sin * dy, cos * dy - sin * dx
-    out[OTHER_VELOCITY_X], out[OTHER_VELOCITY_Y] = cos * vx + sin * vy, cos * vy - sin * vx
-    out[OTHER_RADIUS] = told[OTHER_RADIUS]
+    for j in range(seen.shape[0]):
+        of = row[first + j + (j >= skip)]
+        if visible[j] or of[OTHER_RADIUS] == _ZERO:
+            continue
+        dx = of[OTHER_X] + of[OTHER_VELOCITY_X] * late - position[0]
+        dy = of[OTHER_Y] + of[OTHER_VELOCITY_Y] * late - position[1]
+        vx, vy = of[OTHER_VELOCITY_X] - velocity[0], of[OTHER_VELOCITY_Y] - velocity[1]
+        out = seen[j]
+        out[OTHER_X], out[OTHER_Y] = cos * dx + sin * dy, cos * dy - sin * dx
+        out[OTHER_VELOCITY_X], out[OTHER_VELOCITY_Y] = cos * vx + sin * vy, cos * vy - sin * vx
+        out[OTHER_RADIUS] = of[OTHER_RADIUS]
+        visible[j] = told[j] = True
