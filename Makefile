@@ -38,8 +38,8 @@ setup: ## Install everything into .venv, unless it is there
 	echo "$$wanted" > $(STAMP); \
 	echo "Set up in $$(($$(date +%s) - start)) s."
 
-bench: setup ## Play every planner in every column of Table I and compare with results/ (minutes)
-	@$(BIN)/samarl-bench
+bench: setup ## Play everything in every column of Table I and compare with results/ (minutes)
+	@$(BIN)/samarl-bench $(if $(LEARNED_CASES),learned_cases=$(LEARNED_CASES))
 
 test: setup ## Run the tests on all cores
 	@$(BIN)/pytest -n auto --maxprocesses 8 --durations 20

@@ -21,9 +21,18 @@ from mrsan import ActionError, ConfigurationError, Reward, Scenario
 from samarl.agents import build_agent
 from samarl.commands.cli import run_command
 from samarl.configuration import available_agents, import_plugins, load_agent, scenario_of
+from samarl.evaluation.regression import compare
 from samarl.evaluation.runner import Evaluation, run_cases
 from samarl.evaluation.seeds import across_seeds, other_seeds
-from samarl.evaluation.summary import Column, Row, column_of, place_of, read_rows, summarise
+from samarl.evaluation.summary import (
+    Column,
+    Row,
+    column_of,
+    passed,
+    place_of,
+    read_rows,
+    summarise,
+)
 from samarl.evaluation.table import (
     column_name,
     grids_as_markdown,
@@ -60,6 +69,8 @@ class Bench:
     frame_seconds: dict[str, float] = field(default_factory=dict)
     plugins: list[str] = field(default_factory=list)
     seeds: bool = False
+    learned_cases: int | None = None
+    merge: bool = False
     jobs: int = -1
     output: str = MISSING
     evaluation: Any = MISSING
@@ -74,6 +85,8 @@ def bench(config: DictConfig) -> None:
     """Play, print and write the table; say how each row compares with the committed one."""
     evaluation = OmegaConf.to_object(config.evaluation)
     assert isinstance(evaluation, Evaluation)
+    fewer = evaluation.cases if config.learned_cases is None else config.learned_cases
+    learned = dataclasses.replace(evaluation, cases=min(fewer, evaluation.cases))
     everybody = [name for name in available_agents() if name not in config.leave_out]
     names = everybody if config.agents is None else list(config.agents)
     columns = [OmegaConf.to_container(column) for column in config.columns]
@@ -103,7 +116,8 @@ def bench(config: DictConfig) -> None:
                 continue
             others = other_seeds(str(agent.get("checkpoint"))) if config.seeds else []
             variants = [agent, *({**agent, "checkpoint": other} for other in others)]
-            tasks.append(delayed(_row)(name, variants, scenario, evaluation, commit, plugins))
+            cases = learned if "checkpoint" in agent else evaluation
+            tasks.append(delayed(_row)(name, variants, scenario, cases, commit, plugins))
     if not tasks:
         raise ConfigurationError(f"columns has nothing to play: {'; '.join(left_out.values())}")
     os.environ.setdefault("PYTHONWARNINGS", "ignore:resource_tracker")  # when it is interrupted
@@ -111,7 +125,7 @@ def bench(config: DictConfig) -> None:
         played = Parallel(return_as="generator")(tasks)
         try:
             bar = tqdm(played, config.name, len(tasks), unit="row", disable=None)
-            rows, passed = map(list, zip(*bar, strict=True))
+            rows = list(bar)
         except ActionError as error:
             raise error from None  # without the traceback of the other process
     committed = find_folder("results") / f"{config.name}.json"
@@ -123,8 +137,10 @@ def bench(config: DictConfig) -> None:
     print(STATUS)
     if left_out:
         print(f"not played in views that they were not trained for: {', '.join(left_out)}")
+    if config.merge and (output / f"{config.name}.json").exists():
+        rows = merged(rows, read_rows(output / f"{config.name}.json") or [])
     write_json(output / f"{config.name}.json", rows)
-    page = _page(config.name, config.about, rows, passed, commit)
+    page = _page(config.name, config.about, rows, commit)
     write_atomically(output / f"{config.name}.md", page)
     print(f"\nwritten to {output}/{config.name}.json and {config.name}.md")
 
@@ -154,12 +170,10 @@ def _row(
     evaluation: Evaluation,
     commit: str,
     plugins: list[str],
-) -> tuple[Row, NDArray[np.bool_]]:
+) -> Row:
     """Play one agent in one column, in a process of its own.
 
-    Returns:
-        The row of the first variant (the others are the same with other training seeds), and which
-        cases it passed.
+    The row is that of the first variant; the others are the same with other training seeds.
     """
     import_plugins(plugins)
     cases = evaluation.numbers()
@@ -169,35 +183,15 @@ def _row(
         for agent in variants
     ]
     rows = [summarise(of, scenario, name, command, commit, int(cases[0])) for of in played]
-    row = rows[0] | across_seeds(rows) if len(rows) > 1 else rows[0]
-    return row, played[0].success
+    return rows[0] | across_seeds(rows) if len(rows) > 1 else rows[0]
 
 
-def compare(row: Row, committed: Sequence[Row]) -> str:
-    """One line: how a row compares with the committed row of the same method and column."""
-    name = f"{row['method']} {column_name(column_of(row))}"
-    same = [r for r in committed if (r["method"], column_of(r)) == (row["method"], column_of(row))]
-    if not same:
-        return f"new      {name}: no committed row"
-    old = same[0]
-    change = (
-        f"{name}: success {old['success_rate']:.1f} -> {row['success_rate']:.1f} %, "
-        f"social score {old['social_score']:.1f} -> {row['social_score']:.1f}"
-    )
-    measured = ("episodes", "success_rate", "social_score", "collision_rate", "timeout_rate")
-    if all(row[key] == old.get(key) for key in measured):
-        return f"same     {change}"
-    if row["command"] != old["command"]:
-        return f"other    {change}; the committed row is of {old['command']}"
-    one_episode = 100.0 / row["episodes"]  # may end otherwise on another processor
-    for key, low, high, slack in (
-        ("success_rate", "success_low", "success_high", 0.0),
-        ("social_score", "social_low", "social_high", one_episode),
-    ):
-        smallest, largest = old[low], old[high]
-        if not smallest - slack <= row[key] <= largest + slack:
-            return f"DIFFERS  {change}: {key} is outside [{smallest:.1f}, {largest:.1f}]"
-    return f"close    {change}, within the committed intervals"
+def merged(rows: Sequence[Row], earlier: Sequence[Row]) -> list[Row]:
+    """The rows and those earlier ones whose method and column they lack, column by column."""
+    every = {(column_of(row), row["method"]): row for row in (*earlier, *rows)}
+    columns = list(dict.fromkeys(column for column, _ in every))
+    order = sorted(every, key=lambda key: (columns.index(key[0]), key[1]))
+    return [every[key] for key in order]
 
 
 def _command(name: str, scenario: Scenario, evaluation: Evaluation) -> str:
@@ -223,12 +217,10 @@ def _command(name: str, scenario: Scenario, evaluation: Evaluation) -> str:
     return shlex.join(words)
 
 
-def _page(
-    name: str, about: str, rows: Sequence[Row], passed: Sequence[NDArray[np.bool_]], commit: str
-) -> str:
+def _page(name: str, about: str, rows: Sequence[Row], commit: str) -> str:
     return f"""# {about}
 {grids_as_markdown(rows)}
-{_nobody_passed(rows, passed)}
+{_nobody_passed(rows)}
 ## Every row
 
 {rows_as_markdown(rows)}
@@ -238,12 +230,12 @@ command that produces it alone.{_OVER_SEEDS if any("training_seeds" in row for r
 """
 
 
-def _nobody_passed(rows: Sequence[Row], passed: Sequence[NDArray[np.bool_]]) -> str:
+def _nobody_passed(rows: Sequence[Row]) -> str:
     """How many cases among recorded people no agent passes: nobody may be able to."""
     ever: dict[str, NDArray[np.bool_]] = {}
-    for row, of_row in zip(rows, passed, strict=True):
-        if row["recording"]:
-            column = column_name(column_of(row))
+    for row in rows:
+        if row.get("recording") and "case_success" in row:
+            column, of_row = column_name(column_of(row)), passed(row)
             ever[column] = ever.get(column, np.zeros_like(of_row)) | of_row
     if not ever:
         return ""

@@ -104,6 +104,12 @@ def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
     return min(max(centre - half, 0.0), share), max(min(centre + half, 1.0), share)
 
 
+def mean_interval(scores: NDArray[np.float64]) -> tuple[float, float, float]:
+    """The mean of scores from 0 to 100, [B], and its normal 95 % interval."""
+    mean, half = float(scores.mean()), _Z95 * float(scores.std()) / math.sqrt(len(scores))
+    return mean, max(mean - half, 0.0), min(mean + half, 100.0)
+
+
 @metric(
     "success_rate", "success_low", "success_high",
     heading="success % [95 %]", form="{:.1f} [{:.1f}, {:.1f}]",
@@ -118,9 +124,7 @@ def _success(episodes: Episodes) -> tuple[float, float, float]:
 @metric("social_score", "social_low", "social_high", heading="social score")
 def _social(episodes: Episodes) -> tuple[float, float, float]:
     """Mean of F, with the normal interval of the mean over episodes."""
-    scores = social_score(episodes).mean(axis=1)
-    mean, half = float(scores.mean()), _Z95 * float(scores.std()) / math.sqrt(len(scores))
-    return mean, max(mean - half, 0.0), min(mean + half, 100.0)
+    return mean_interval(social_score(episodes).mean(axis=1))
 
 
 @metric("collision_rate", heading="collision %", detail=True)

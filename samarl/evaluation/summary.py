@@ -6,8 +6,11 @@ import json
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from mrsan import ConfigurationError, Crowd, Episodes, Scenario
-from samarl.evaluation.metrics import METRICS, metric_fields
+import numpy as np
+from numpy.typing import NDArray
+
+from mrsan import ConfigurationError, Crowd, Episodes, Scenario, social_score
+from samarl.evaluation.metrics import METRICS, mean_interval, metric_fields, wilson_interval
 
 # One method in one column of the table: who and where, the metrics, and where it comes from.
 Row = dict[str, Any]
@@ -38,6 +41,9 @@ class Column(NamedTuple):
 
 IDENTITY = ("method", *Column._fields, "episodes")
 PROVENANCE = ("command", "commit", "seed")
+# What came of each case, in hexadecimal digits: whether it was a success, a bit each from the
+# highest of the first byte on, and the rounded social score, a byte each.
+BY_CASE = ("case_success", "case_social_score")
 # What a row needs to be shown; other metrics may be missing where a row is older than they are.
 HEADLINE = (
     "success_rate", "success_low", "success_high", "social_score", "social_low", "social_high",
@@ -47,7 +53,7 @@ NEEDED = [f for f in (*IDENTITY, *HEADLINE, *PROVENANCE) if f not in Column._fie
 
 def row_fields() -> list[str]:
     """The fields of a row, in order."""
-    return [*IDENTITY, *metric_fields(), *PROVENANCE]
+    return [*IDENTITY, *metric_fields(), *PROVENANCE, *BY_CASE]
 
 
 def column_of(row: Row) -> Column:
@@ -85,7 +91,32 @@ def summarise(
     row: Row = {"method": method, **place_of(scenario)._asdict(), "episodes": len(episodes.case)}
     for known in METRICS.values():
         row |= known.of(episodes)
-    return row | {"command": command, "commit": commit, "seed": seed}
+    score = social_score(episodes).mean(axis=1).round().astype(np.uint8)
+    row |= {"command": command, "commit": commit, "seed": seed}
+    return row | _in_digits(episodes.success, score)
+
+
+def passed(row: Row) -> NDArray[np.bool_]:
+    """Which cases of a row were a success, [B]."""
+    bits = np.frombuffer(bytes.fromhex(row["case_success"]), np.uint8)
+    return np.unpackbits(bits)[: row["episodes"]].astype(np.bool_)
+
+
+def first_cases(row: Row, cases: int) -> Row:
+    """The row of the first `cases` alone: with success rate and social score, to a hundredth."""
+    success = passed(row)[:cases]
+    low, high = wilson_interval(int(success.sum()), cases)
+    scores = np.frombuffer(bytes.fromhex(row["case_social_score"]), np.uint8)[:cases]
+    rates = 100 * success.mean(), 100 * low, 100 * high, *mean_interval(scores.astype(np.float64))
+    kept = {name: row[name] for name in (*IDENTITY, *PROVENANCE) if name in row}
+    return kept | {"episodes": cases, **dict(zip(HEADLINE, rates, strict=True)),
+                   **_in_digits(success, scores)}  # fmt: skip
+
+
+def _in_digits(success: NDArray[np.bool_], scores: NDArray[np.uint8]) -> Row:
+    """`BY_CASE` of a row."""
+    digits = np.packbits(success).tobytes().hex(), scores.tobytes().hex()
+    return dict(zip(BY_CASE, digits, strict=True))
 
 
 def read_rows(path: Path) -> list[Row] | None:

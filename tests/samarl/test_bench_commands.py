@@ -1,10 +1,18 @@
-"""The command beside a row makes that row, whatever was set."""
+"""The rows of a table: their commands, and that they show when something gets worse."""
 
 from dataclasses import replace
+from pathlib import Path
+
+import torch
 
 from mrsan import Crowd, Reward, Scenario, Split
-from samarl.commands.bench import _command
+from samarl.commands.bench import _command, _row
+from samarl.configuration import load_agent
+from samarl.evaluation.regression import compare
 from samarl.evaluation.runner import Evaluation
+from samarl.evaluation.summary import Row, read_rows
+from samarl.files import find_folder
+from samarl.policies.checkpoint import find_policy, load_policy, save_policy
 
 
 def test_the_command_names_all_that_is_not_as_by_default() -> None:
@@ -18,3 +26,33 @@ def test_the_command_names_all_that_is_not_as_by_default() -> None:
         " scenario.occlusion=True scenario.crowd=still scenario.reward.arrival=3.0"
         " evaluation.split=validation evaluation.first_case=7 evaluation.cases=9"
     )
+
+
+def committed() -> list[Row]:
+    rows = read_rows(find_folder("results") / "table1.json")
+    assert rows is not None
+    return rows
+
+
+def test_a_policy_with_damaged_weights_shows(tmp_path: Path) -> None:
+    """With the share of the cases that is played with policies in every check."""
+    policy, card = load_policy(find_policy("samarl_flat"))
+    with torch.no_grad():
+        for parameter in policy.networks[0].encoder.humans.parameters():
+            parameter.zero_()  # it sees nobody
+    save_policy(tmp_path / "damaged.safetensors", policy, card.policy, {})
+    agent, cases = load_agent("samarl_flat"), Evaluation(cases=100)
+    whole = compare(_row("samarl_flat", [agent], Scenario(), cases, "", []), committed())
+    assert whole.startswith(("same ", "close "))
+    agent["checkpoint"] = str(tmp_path / "damaged.safetensors")
+    damaged = compare(_row("samarl_flat", [agent], Scenario(), cases, "", []), committed())
+    assert damaged.startswith("DIFFERS ")
+
+
+def test_a_planner_that_is_five_points_worse_shows() -> None:
+    agent = load_agent("perimeter")
+    good = _row("perimeter", [agent], Scenario(), Evaluation(), "", [])
+    assert compare(good, committed()).startswith(("same ", "close "))
+    worse = _row("perimeter", [{**agent, "radius": 7.0}], Scenario(), Evaluation(), "", [])
+    assert 4.0 < good["success_rate"] - worse["success_rate"] < 6.0
+    assert compare(worse, committed()).startswith("DIFFERS ")

@@ -8,12 +8,15 @@ import numpy as np
 import pytest
 
 from mrsan import ConfigurationError, Episodes, Outcome, Scenario
-from samarl.commands.bench import compare
+from samarl.commands.bench import merged
 from samarl.evaluation.metrics import METRICS, Metric, metric, metric_fields, wilson_interval
+from samarl.evaluation.regression import compare
 from samarl.evaluation.seeds import across_seeds
 from samarl.evaluation.summary import (
     NEEDED,
     Row,
+    first_cases,
+    passed,
     read_rows,
     row_fields,
     summarise,
@@ -78,6 +81,8 @@ def test_a_row_by_hand() -> None:
         "timeout_rate": 25.0, "path_length": 14.0, "time_to_goal": 11.0,
         "closest_human": 0.9, "close_share": 12.5, "jerk": 2.0,
         "command": "command", "commit": "abc", "seed": 7,
+        "case_success": "80",  # 1000 0000
+        "case_social_score": "4b00002e",  # 75, 0, 0, 46
     }  # fmt: skip
     assert row == expected
     assert list(row) == row_fields()
@@ -185,8 +190,44 @@ def test_tables_line_up_and_show_the_papers_figures() -> None:
 
 
 def test_other_cases_are_not_held_against_the_committed_row() -> None:
-    line = compare(row(success_rate=80.0, command="command evaluation.cases=50"), [row()])
+    line = compare(row(success_rate=80.0, command="command evaluation.split=other"), [row()])
     assert line.startswith("other    mine 360° 10h 2r: success 25.0 -> 80.0 %")
+
+
+def test_the_first_cases_of_a_row_by_hand() -> None:
+    assert passed(row()).tolist() == [True, False, False, False]
+    first = first_cases(row(), 2)
+    low, high = wilson_interval(1, 2)
+    assert first["success_rate"] == 50
+    assert (first["success_low"], first["success_high"]) == (100 * low, 100 * high)
+    assert first["social_score"] == 75 / 2
+    assert first["episodes"] == 2
+    assert (first["case_success"], first["case_social_score"]) == ("80", "4b00")
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({}, "same     mine 360° 10h 2r: success 33.3 -> 33.3 %, social score 25.0 -> 25.0"),
+        ({"case_social_score": "4b0100"}, "close "),
+        ({"case_success": "c0"}, "close "),
+        ({"case_success": "e0"}, "DIFFERS "),
+        ({"seed": 8, "success_rate": 33.3}, "other "),
+        ({"command": "command occlusion=True evaluation.cases=3", "case_success": "c0"}, "other "),
+    ],
+)
+def test_fewer_cases_are_compared_with_the_first_of_the_committed_row(
+    change: dict[str, Any], said: str
+) -> None:
+    fewer = first_cases(row(), 3) | {"command": "command evaluation.cases=3"} | change
+    assert compare(fewer, [row()]).startswith(said)
+
+
+def test_rows_that_are_not_played_again_are_kept() -> None:
+    earlier = [row(), row(method="other"), row(robots=3)]
+    rows = merged([row(success_rate=80.0), row(method="a", robots=3)], earlier)
+    found = [(r["method"], r["robots"], r["success_rate"]) for r in rows]
+    assert found == [("mine", 2, 80.0), ("other", 2, 25.0), ("a", 3, 25.0), ("mine", 3, 25.0)]
 
 
 COMMITTED = find_folder("results") / "table1.json"
