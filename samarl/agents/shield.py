@@ -21,9 +21,9 @@ from mrsan.kernels import function, kernel
 from mrsan.kernels.contact import closest_approach
 from mrsan.scenario import check_numbers, number
 from samarl.agents.agent import Agent
-from samarl.agents.planners.detour import way_left
-from samarl.agents.planners.tracking import SHARP, gather, move, steer, track_velocity
 from samarl.observations.tracker import Tracker, Tracks
+from samarl.planning.detour import way_left
+from samarl.planning.tracking import SHARP, gather, move, steer, track_velocity
 from samarl.policies.explanation import Explanation
 
 DIRECTIONS = 16  # of the ways of going on: at full speed, at half, and turning on the spot first

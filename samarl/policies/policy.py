@@ -89,6 +89,7 @@ class Known(NamedTuple):
     active: NDArray[np.bool_]  # [E, N] the robots to decide for
     is_init: NDArray[np.bool_]  # [E]
     scenario: Scenario
+    tracks: Tracks  # what they know of others
 
 
 class Sequences(NamedTuple):
@@ -267,7 +268,7 @@ class Policy(nn.Module, ABC):
                     rows[mine] // sets,
                 ),
             )  # fmt: skip
-            known = Known(observation.ego, active, is_init, scenario)
+            known = Known(observation.ego, active, is_init, scenario, tracks)
             levels, told, mean, std = self._decide(
                 scene, now.ego[:, 0], rows, known, state, explore
             )

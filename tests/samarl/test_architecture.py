@@ -6,8 +6,8 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 # Each room may import from those before it.
 ROOMS = [
-    "mrsan", "samarl.files", "samarl.registry", "samarl.observations", "samarl.encoders",
-    "samarl.policies", "samarl.rollout", "samarl.algorithms", "samarl.agents",
+    "mrsan", "samarl.files", "samarl.registry", "samarl.observations", "samarl.planning",
+    "samarl.encoders", "samarl.policies", "samarl.rollout", "samarl.algorithms", "samarl.agents",
     "samarl.evaluation", "samarl.configuration", "samarl.training", "samarl.report",
     "samarl.commands",
 ]  # fmt: skip

@@ -15,7 +15,7 @@ from mrsan.kernels import kernel
 from mrsan.kernels.orca import orca_velocity
 from mrsan.scenario import required
 from samarl.agents.agent import Agent
-from samarl.agents.planners.tracking import gather, track_velocity
+from samarl.planning.tracking import gather, track_velocity
 
 
 @dataclass

@@ -12,7 +12,7 @@ from mrsan import Observation, Scenario
 from mrsan.features import GOAL, VELOCITY_X, VELOCITY_Y
 from mrsan.kernels import kernel
 from samarl.agents.agent import Agent
-from samarl.agents.planners.tracking import track_velocity
+from samarl.planning.tracking import track_velocity
 
 
 @dataclass

@@ -1,0 +1,1 @@
+"""What planners, the shield and policies share: dynamics, plans and what they cost."""
