@@ -19,6 +19,7 @@ from samarl.planning.tracking import gather, move, steer, track_velocity
 _ZERO = np.float32(0.0)
 _ONE = np.float32(1.0)
 _TWO_PI = np.float32(2.0 * math.pi)
+_ROUNDING = np.float32(1e-3)
 
 
 @dataclass
@@ -164,11 +165,13 @@ def _cost(
 ):
     """What a plan costs: time, distance left, discomfort, a discounted collision.
 
-    Gives up as soon as the cost exceeds that of the cheapest plan so far.
+    It gives up as soon as it is clear that the plan will cost more than the cheapest so far.
     """
     x, y, vx, vy, heading = _ZERO, _ZERO, rows[0, 2], rows[0, 3], _ZERO
     cost = _ZERO
+    left = _ZERO
     discount = _ONE
+    least_collision = collision_weight * collision_discount ** np.float32(horizon)
     for k in range(1, horizon + 1):
         wanted_x, wanted_y = plan_vx, plan_vy
         dx, dy = goal_x - x, goal_y - y
@@ -189,9 +192,12 @@ def _cost(
         if gap < comfort:
             cost += comfort_weight * discount * (_ONE - gap / comfort)
         discount *= collision_discount
-        if cost >= cheapest:
-            return cost
         dx, dy = goal_x - x, goal_y - y
-        if dx * dx + dy * dy < p.robot_radius * p.robot_radius:
+        left = math.sqrt(dx * dx + dy * dy)
+        if left < p.robot_radius:
             return cost + p.robot_speed * time
-    return cost + p.robot_speed * time + math.sqrt(dx * dx + dy * dy)
+        # It will cost at least the way that is left, or a collision at the end of the horizon.
+        way = p.robot_speed * time + left - p.robot_radius - _ROUNDING
+        if cost + min(way, least_collision) >= cheapest:
+            return np.float32(np.inf)
+    return cost + p.robot_speed * time + left
