@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
+from enum import Enum
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -26,6 +28,7 @@ class Column(NamedTuple):
     goal_turn_degrees: float = 0.0
     team_perception: str = "none"
     recording: str | None = None  # the name of the file
+    changes: str = ""  # other fields of the scenario that are not as by default: `a=1 b=2`
 
     @property
     def kind(self) -> str:
@@ -34,6 +37,8 @@ class Column(NamedTuple):
             return "Recorded people"
         if self.team_perception != "none":
             return "Robots that tell each other what they see"
+        if self.changes:
+            return "Disturbances"
         if self.layout != "circle" or self.goal_turn_degrees:
             return "Other places"
         return "The circle"
@@ -72,7 +77,21 @@ def place_of(scenario: Scenario) -> Column:
         scenario.goal_turn_degrees,
         scenario.team_perception.name,
         Path(file).name if scenario.crowd is Crowd.recorded else None,
+        _changes(scenario),
     )
+
+
+def _changes(scenario: Scenario) -> str:
+    """The fields that no other field of a column tells of and that are not as by default."""
+    told = {*Column._fields, "frame_seconds", "reward"}
+    if scenario.crowd is Crowd.recorded:
+        told |= {"crowd", "robot_way_min", "robot_way_max"}
+    default, found = Scenario(), []
+    for field in dataclasses.fields(Scenario):
+        value = getattr(scenario, field.name)
+        if field.name not in told and value != getattr(default, field.name):
+            found.append(f"{field.name}={value.name if isinstance(value, Enum) else value}")
+    return " ".join(found)
 
 
 def summarise(

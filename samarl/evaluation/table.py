@@ -47,7 +47,8 @@ def place_name(column: Column) -> str:
         words.append(f"{column.goal_turn_degrees:+g}°")
     if column.team_perception != "none":
         words.append("team")
-    return " ".join(words)
+    words += column.changes.replace("_", " ").replace("=", " ").replace(" True", "").split(" ")
+    return " ".join(filter(None, words))
 
 
 def settings_of(row: Row) -> list[str]:

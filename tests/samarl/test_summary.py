@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mrsan import ConfigurationError, Episodes, Outcome, Scenario
+from mrsan import ConfigurationError, Crowd, Episodes, Layout, Outcome, Scenario
 from samarl.commands.bench import merged
 from samarl.evaluation.metrics import METRICS, Metric, metric, metric_fields, wilson_interval
 from samarl.evaluation.regression import compare
@@ -17,6 +17,7 @@ from samarl.evaluation.summary import (
     Row,
     first_cases,
     passed,
+    place_of,
     read_rows,
     row_fields,
     summarise,
@@ -72,7 +73,8 @@ def test_a_row_by_hand() -> None:
     row = summarise(four_episodes(), Scenario(robots=2), "mine", "command", "abc", 7)
     expected: dict[str, Any] = {
         "method": "mine", "fov_degrees": 360.0, "humans": 10, "robots": 2, "layout": "circle",
-        "goal_turn_degrees": 0.0, "team_perception": "none", "recording": None, "episodes": 4,
+        "goal_turn_degrees": 0.0, "team_perception": "none", "recording": None, "changes": "",
+        "episodes": 4,
         "success_rate": 25.0, "success_low": 4.56, "success_high": 69.94,
         # 100, 100 (1/4 + 1/2 (1/4 + 1/4)) = 50, 100 (5/12 + 1/2) = 91.67 and five zeros;
         # means of 75, 45.83, 0 and 0 per episode, so 30.21 -+ 1.96 * 31.92 / 2, cut off at 0.
@@ -145,6 +147,7 @@ def test_a_table_of_several_kinds_of_columns() -> None:
         row(goal_turn_degrees=-30.0, success_rate=60.0),
         row(team_perception="tracks", fov_degrees=90.0, success_rate=70.0),
         row(recording="zara.txt", humans=64, success_rate=80.0),
+        row(changes="occlusion=True position_noise=0.1"),
     ]
     headings = [line for line in grids_as_markdown(rows).splitlines() if line.startswith("|")][::3]
     names = [heading.split("|")[2:-1] for heading in headings]
@@ -153,19 +156,32 @@ def test_a_table_of_several_kinds_of_columns() -> None:
         ["360° 10h 2r square", "360° 10h 2r -30°"],
         ["90° 10h 2r team"],
         ["360° 2r zara"],
+        ["360° 10h 2r occlusion position noise 0.1"],
     ]
     header, lines = rows_as_cells(rows)
     place = header.index("place")
-    assert [line[place] for line in lines] == ["", "square", "-30°", "team", "zara"]
+    assert [line[place] for line in lines] == [
+        "", "square", "-30°", "team", "zara", "occlusion position noise 0.1"
+    ]  # fmt: skip
     assert "place" not in rows_as_cells(rows[:1])[0]
     assert compare(row(layout="square"), rows).startswith(
         "close    mine 360° 10h 2r square: success 50.0 -> 25.0 %"
     )
 
 
+def test_a_column_tells_all_that_is_not_as_by_default() -> None:
+    assert place_of(Scenario(fov_degrees=90.0, humans=3, layout=Layout.square)).changes == ""
+    changed = Scenario(position_noise=0.1, crowd=Crowd.social_force, occlusion=True, humans_min=2)
+    assert place_of(changed).changes == (
+        "humans_min=2 occlusion=True position_noise=0.1 crowd=social_force"
+    )
+    among = Scenario(crowd=Crowd.recorded, robot_way_max=9.0, frame_seconds=0.1, missed_detection=1)
+    assert place_of(among).changes == "missed_detection=1"
+
+
 def test_rows_of_older_tables_are_of_table_1(tmp_path: Path) -> None:
     old = row()
-    for field in ("layout", "goal_turn_degrees", "team_perception", "recording"):
+    for field in ("layout", "goal_turn_degrees", "team_perception", "recording", "changes"):
         del old[field]
     (tmp_path / "old.json").write_text(json.dumps([old]))
     found = read_rows(tmp_path / "old.json")
