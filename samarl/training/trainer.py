@@ -79,7 +79,7 @@ class Trainer:
             stages: what is trained on.
             command: what started it, for the record.
             init_from: a policy of the same sizes whose weights to begin with; how much is explored
-                begins anew.
+                and what that policy does not have begin anew.
 
         Raises:
             ConfigurationError: a number is wrong, or the saved state is of another configuration.
@@ -231,9 +231,11 @@ class Trainer:
 
     def _begin_with(self, init_from: Path) -> None:
         weights, card = load_policy(init_from)
-        anew = {k: v for k, v in self.policy.state_dict().items() if k.endswith("log_std")}
+        given = weights.state_dict()
+        begun = self.policy.state_dict()
+        anew = {k: v for k, v in begun.items() if k not in given or k.endswith("log_std")}
         try:
-            self.policy.load_state_dict({**weights.state_dict(), **anew})
+            self.policy.load_state_dict({**given, **anew})
         except RuntimeError as error:
             raise ConfigurationError(
                 f"init_from is {str(init_from)!r} with {card.config}; its sizes must be those of "

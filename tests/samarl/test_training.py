@@ -221,7 +221,18 @@ def test_a_run_begins_with_the_weights_of_a_policy_but_explores_anew(
     assert begins["networks.0.heads.local.log_std"].min() > -3.0
     assert begun[0].made["init_from"]["command"] == "test"
 
+    flat = policy("flat", hidden=8, encoder_numbers=numbers)
+    save_policy(tmp_path / "flat.safetensors", flat, "flat", {})
+    more = ["policy=planned", "init_from=flat.safetensors", "run_dir=planned"]
+    monkeypatch.setattr(sys, "argv", ["samarl-train", *SMALL, *more])
+    main()
+    begins, weights = begun[1].policy.state_dict(), flat.state_dict()
+    anew = {key for key in begins if key.endswith("log_std") or ".trust." in key}
+    assert begins.keys() - anew == weights.keys() - anew
+    assert all(torch.equal(begins[key], weights[key]) for key in begins.keys() - anew)
+
     for wrong, message in {
+        "init_from=first.safetensors policy=flat": "init_from is 'first.safetensors' with",
         "init_from=first.safetensors encoder.width=16": "init_from is 'first.safetensors' with",
         "init_from=none.safetensors": "init_from is 'none.safetensors'; it must be a .safetensors",
     }.items():
