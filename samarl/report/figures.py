@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter
 from numpy.typing import NDArray
 
+from mrsan import Scenario
 from samarl.evaluation.summary import Column, Row, column_of
 from samarl.evaluation.table import column_name, grid_of, settings_of
 from samarl.report.leaderboard import ranked
@@ -145,25 +146,28 @@ def draw_heat_map(rows: Sequence[Row], title: str) -> Figure:
     return figure
 
 
-def draw_lines(rows: Sequence[Row], values: Sequence[float], name: str, title: str) -> Figure:
-    """Success of each method over a number, with its interval as a band.
+def draw_lines(
+    rows: Sequence[Row], values: Sequence[float], name: str, title: str, lines: Sequence[str]
+) -> Figure:
+    """Success over a number, with its interval as a band.
 
     Args:
         rows: of all methods.
         values: the number in each row.
         name: what it is called.
         title: of the figure.
+        lines: the name of the line that each row is on.
     """
     with rc_context(STYLE):
         figure = Figure(figsize=(4.6, 3.0), layout="constrained")
         axes = figure.add_subplot()
-        for m, method in enumerate(dict.fromkeys(row["method"] for row in rows)):
+        for m, line in enumerate(dict.fromkeys(lines)):
             mine = sorted((x, row["success_rate"], row["success_low"], row["success_high"])
-                          for x, row in zip(values, rows, strict=True)
-                          if row["method"] == method)  # fmt: skip
+                          for x, row, of in zip(values, rows, lines, strict=True)
+                          if of == line)  # fmt: skip
             x, rate, low, high = np.array(mine).T
             colour = COLOURS[m % len(COLOURS)]
-            axes.plot(x, rate, marker="o", markersize=4, color=colour, label=method)
+            axes.plot(x, rate, marker="o", markersize=4, color=colour, label=line)
             axes.fill_between(x, low, high, color=colour, alpha=0.18, linewidth=0)
         axes.set_ylim(0, 100)
         axes.set_xlabel(name)
@@ -249,36 +253,43 @@ def sweep_figures(rows: Sequence[Row]) -> Iterable[tuple[str, Figure]]:
     """What a sweep varies: a number alone as lines, views and crowds as maps, the rest as bars."""
     labels = settings_labels(rows)
     several = len(set(labels)) > 1
+    varied = [key for key in _AXES if len({row[key] for row in rows}) > 1]
     settings: dict[str, list[Row]] = {}
     columns: dict[Column, list[tuple[Row, str]]] = {}
     for row, label in zip(rows, labels, strict=True):
         settings.setdefault(label, []).append(row)
         columns.setdefault(Column(*column_of(row)[:3]), []).append((row, label))
-    for label, mine in settings.items():
-        varied = [key for key in _AXES if len({row[key] for row in mine}) > 1]
-        suffix = f", {label}" if several else ""
-        if len(varied) == 1:
-            title = _AXES[varied[0]] + suffix
-            values = [float(row[varied[0]]) for row in mine]
-            yield title, draw_lines(mine, values, _AXES[varied[0]], title)
-        elif varied:
+    if len(varied) == 1:
+        lines = [
+            f"{row['method']}, {label}" if several else row["method"]
+            for row, label in zip(rows, labels, strict=True)
+        ]
+        title, values = _AXES[varied[0]], [float(row[varied[0]]) for row in rows]
+        yield title, draw_lines(rows, values, title, title, lines)
+        return
+    if varied:
+        for label, mine in settings.items():
             for method in dict.fromkeys(row["method"] for row in mine):
-                title = method + suffix
+                title = f"{method}, {label}" if several else method
                 yield title, draw_heat_map([row for row in mine if row["method"] == method], title)
     for column, found in columns.items():
         of_column, of_label = [row for row, _ in found], [label for _, label in found]
         if len(set(of_label)) > 1:
             title = column_name(column)
             if number := _one_number(of_label):
-                yield title, draw_lines(of_column, number[1], number[0], title)
+                lines = [row["method"] for row in of_column]
+                yield title, draw_lines(of_column, number[1], number[0], title, lines)
             else:
                 yield title, draw_bars(of_column, title)
 
 
 def _one_number(labels: Sequence[str]) -> tuple[str, list[float]] | None:
-    """The name and the values of the one number that all labels set; None if it is not one."""
+    """The name and the values of the one number that labels set; None if it is not one."""
     pairs = [label.partition("=") for label in labels]
-    names, values = {pair[0] for pair in pairs}, [_number(pair[2]) for pair in pairs]
-    if len(names) > 1 or not np.isfinite(values).all():
+    names = {name for name, sign, _ in pairs if sign}
+    if len(names) != 1:
         return None
-    return names.pop().replace("_", " "), values
+    name = names.pop()
+    default = str(getattr(Scenario(), name, ""))
+    values = [_number(value if sign else default) for _, sign, value in pairs]
+    return (name.replace("_", " "), values) if np.isfinite(values).all() else None

@@ -196,6 +196,13 @@ def test_what_a_sweep_varies_says_how_it_is_drawn() -> None:
     (axes,) = numbers.values()
     assert axes.get_xlabel() == "position noise"
     np.testing.assert_allclose(axes.lines[0].get_xdata(), [0.0, 0.1])
+    (axes,) = drawn([with_setting("team_delay=0.5"), one]).values()  # 0 by default
+    np.testing.assert_allclose(axes.lines[0].get_xdata(), [0.0, 0.5])
+    pairs = [other | {"fov_degrees": view} for view in (60.0, 90.0)
+             for other in (one, with_setting("occlusion=true"))]  # fmt: skip
+    (axes,) = drawn(pairs).values()
+    assert [line.get_label() for line in axes.lines] == ["orca, default", "orca, occlusion=true"]
+    np.testing.assert_allclose(axes.lines[1].get_xdata(), [60.0, 90.0])
     (axes,) = drawn([with_setting("occlusion=true"), one]).values()
     assert axes.get_xlabel().startswith("success %")  # bars
     (axes,) = drawn([one | {"humans": 5}, one]).values()
