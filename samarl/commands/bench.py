@@ -23,7 +23,7 @@ from samarl.commands.cli import run_command
 from samarl.configuration import available_agents, import_plugins, load_agent, scenario_of
 from samarl.evaluation.regression import compare
 from samarl.evaluation.runner import Evaluation, run_cases
-from samarl.evaluation.seeds import across_seeds, other_seeds
+from samarl.evaluation.seeds import across_seeds, other_seeds, probability_of_improvement
 from samarl.evaluation.summary import (
     Column,
     Row,
@@ -34,6 +34,7 @@ from samarl.evaluation.summary import (
     summarise,
 )
 from samarl.evaluation.table import (
+    as_text,
     column_name,
     grids_as_markdown,
     rows_as_markdown,
@@ -50,6 +51,8 @@ from samarl.files import (
 STATUS = """\
 (same: the committed row again; close: within its 95 % intervals, as processors round differently;
  DIFFERS: outside of them; other: the committed row is of another command; new: there is none)"""
+
+_OURS = ("samarl", "samarl_unshielded")  # whose seeds are compared with those of other methods
 
 _OVER_SEEDS = """ Over training seeds: the interquartile mean (of fewer than four
 seeds the mean) with the 95 % interval of 10,000 bootstrap draws of seeds."""
@@ -220,7 +223,7 @@ def _command(name: str, scenario: Scenario, evaluation: Evaluation) -> str:
 def _page(name: str, about: str, rows: Sequence[Row], commit: str) -> str:
     return f"""# {about}
 {grids_as_markdown(rows)}
-{_nobody_passed(rows)}
+{_nobody_passed(rows)}{_improvement(rows)}
 ## Every row
 
 {rows_as_markdown(rows)}
@@ -228,6 +231,27 @@ def _page(name: str, about: str, rows: Sequence[Row], commit: str) -> str:
 Made by `make results` at commit {commit} on {machine()}. Each row of `{name}.json` holds the
 command that produces it alone.{_OVER_SEEDS if any("training_seeds" in row for row in rows) else ""}
 """
+
+
+def _improvement(rows: Sequence[Row]) -> str:
+    """How likely a training seed of SAMARL is better than one of each other learned method."""
+    with_seeds = [row for row in rows if "success_of_seeds" in row]
+    lines = []
+    for ours in (row for row in with_seeds if row["method"] in _OURS):
+        for theirs in with_seeds:
+            if column_of(theirs) == column_of(ours) and theirs["method"] != ours["method"]:
+                found = [
+                    probability_of_improvement(ours[key], theirs[key])
+                    for key in ("success_of_seeds", "social_of_seeds")
+                ]
+                cells = ["{:.2f} [{:.2f}, {:.2f}]".format(*of) for of in found]
+                lines.append(
+                    [ours["method"], theirs["method"], column_name(column_of(ours)), *cells]
+                )
+    if not lines:
+        return ""
+    header = ("a seed of", "is better than one of", "in", "success", "social score")
+    return f"\nProbability of improvement (Agarwal et al., 2021):\n\n{as_text(header, lines)}\n"
 
 
 def _nobody_passed(rows: Sequence[Row]) -> str:
