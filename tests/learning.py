@@ -22,6 +22,7 @@ SCENARIO = Scenario(humans=4, robots=2, fov_degrees=120.0, time_limit=5.0)
 ENCODERS: dict[str, dict[str, Any]] = {
     "spatio_temporal": {"width": 16, "heads": 2, "history": 4, "features": 16},
     "gru": {"width": 16, "features": 16},
+    "structural_rnn": {"embedding": 16, "edge": 16, "node": 16, "attention": 8, "features": 16},
 }
 POLICIES: dict[str, dict[str, Any]] = {
     "flat": {},

@@ -36,6 +36,7 @@ STATE_OTHER_FEATURES = 12  # of the true state of another
 
 # Where some of them stand in what a robot knows of itself, see `_own`:
 EGO_TARGET = slice(0, 5)  # see `features_of_target`
+EGO_VELOCITY = slice(5, 7)
 EGO_PLACE = slice(7, 9)  # the map's origin
 EGO_TIME = slice(9, 10)
 

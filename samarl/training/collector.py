@@ -243,7 +243,7 @@ class RolloutCollector:
         e, found = self.world.worlds, []
         for leaf in (self.is_init, *tree_leaves(self.policy.memory(self.state))):
             tensor = torch.from_numpy(leaf) if isinstance(leaf, np.ndarray) else leaf
-            found.append(tensor.view(e, -1, *tensor.shape[1:]))
+            found.append(tensor.view(e, len(tensor) // e, *tensor.shape[1:]))
         return found
 
     def _rollout(

@@ -9,11 +9,17 @@ from torch import Tensor
 from samarl.encoders import ENCODERS, Encoder
 from samarl.encoders.encoder import State
 from samarl.encoders.spatio_temporal import Pool, nearness
-from samarl.observations.features import NEAR_NOW, NEAR_SOON
+from samarl.encoders.structural_rnn import RecurrentUnit
+from samarl.observations.features import (
+    NEAR_NOW,
+    NEAR_SOON,
+    NETWORK_EGO_FEATURES,
+    NETWORK_OTHER_FEATURES,
+)
 from samarl.observations.frames import Frames
 from tests.learning import ENCODERS as NUMBERS
 
-EGO, OTHER = 5, 10
+EGO, OTHER = NETWORK_EGO_FEATURES, NETWORK_OTHER_FEATURES
 every = pytest.mark.parametrize("name", list(ENCODERS))
 
 
@@ -200,3 +206,53 @@ def test_attention_begins_with_the_near_and_with_those_who_will_be_near() -> Non
     weights = torch.exp(torch.tensor([-0.5, -1.5]))
     torch.testing.assert_close(shares[0, :2], weights / (1 + weights.sum()))
     assert shares[0, 2] == 0
+
+
+def test_a_recurrent_unit_is_torchs_on_the_frames_that_are_known() -> None:
+    unit, cell = RecurrentUnit(7, 8), torch.nn.GRUCell(7, 8)
+    data, begins = torch.randn(20, 6, 5, 7), some_begin(t=20).T
+    known, before = torch.rand(20, 6, 5) < 0.6, torch.randn(6, 5, 8)
+    begins[0, :3] = False  # these go on from what was before
+    with torch.no_grad():
+        for ours, theirs in ((unit.of_input, "ih"), (unit.of_hidden, "hh")):
+            for name in ("weight", "bias"):  # ours: how much is taken in, not what stays
+                reset, stays, new = getattr(cell, f"{name}_{theirs}").chunk(3)
+                getattr(ours, name).copy_(torch.cat([-stays, reset, new]))
+        found = unit(data, known, begins, before)
+        for b in range(6):
+            for m in range(5):
+                hidden = before[b, m]
+                for t in range(20):
+                    if begins[t, b]:
+                        hidden = torch.zeros(8)
+                    if known[t, b, m]:
+                        hidden = cell(data[t, b, m], hidden)
+                    torch.testing.assert_close(found[t, b, m], hidden, atol=1e-5, rtol=0)
+
+
+def test_an_edge_keeps_its_state_while_its_agent_is_not_known_and_until_an_episode_begins() -> None:
+    model, data = encoder("structural_rnn"), frames()
+    state, never = start(model, data), torch.zeros(6, dtype=torch.bool)
+    for t in range(11):
+        before = {key: value.clone() for key, value in state.items()}
+        model.step(data.at(slice(t, t + 1)), never, state)
+        for name, known in (("humans", data.humans_known), ("robots", data.robots_known)):
+            assert torch.equal((state[name] == before[name]).all(-1), ~known[:, t])
+    assert state["humans"].any(-1).all()  # everybody has been known
+    model.step(data.at(slice(0, 1)), ~never, state)
+    assert torch.equal((state["humans"] == 0).all(-1), ~data.humans_known[:, 0])
+
+
+def test_the_attention_of_the_temporal_edge_is_shared_out_among_those_who_are_known() -> None:
+    model, data, begins = encoder("structural_rnn"), frames(), some_begin()
+    data.humans_known[0, 3] = False
+    data.robots_known[0, 3] = False  # nobody
+    scene = model.observe(data, begins, start(model, data))
+    robots, humans = model.attention(scene, data.ego.flatten(0, 1))
+    shares = torch.cat([robots, humans], -1)
+    known = torch.cat([data.robots_known, data.humans_known], -1).flatten(0, 1)
+    assert not shares[~known].any()
+    assert (shares[known] > 0).all()
+    torch.testing.assert_close(shares.sum(-1), known.any(-1).float())
+    assert not known[3].any()
+    assert shares[known].std() > 0.01  # not the same for all

@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 import torch
 
+from samarl.encoders import ENCODERS
 from samarl.policies.policy import LOCAL
 from tests.learning import SCENARIO, choices, collector, crowded, policy
 
 
 @pytest.mark.parametrize("actors", [1, 2])
-@pytest.mark.parametrize("encoder", ["spatio_temporal", "gru"])
+@pytest.mark.parametrize("encoder", list(ENCODERS))
 @pytest.mark.parametrize("name", ["flat", "hierarchical", "planned"])
 def test_training_computes_the_log_probabilities_of_acting(
     name: str, encoder: str, actors: int
@@ -31,7 +32,7 @@ def test_training_computes_the_log_probabilities_of_acting(
         assert (rollout.steps["mask"][:12].sum(1) > 0).all()
         for level, (choice, stored, sequence) in choices(model, rollout).items():
             exact = torch.ones_like(stored, dtype=torch.bool)
-            if encoder == "gru":  # its hidden state after a restart is only about the same
+            if not model.history:  # a hidden state after a restart is only about the same
                 exact = began[sequence]
             torch.testing.assert_close(
                 choice.log_prob[exact],
@@ -113,6 +114,15 @@ def test_with_a_narrow_view_progress_is_measured_on_the_way_round() -> None:
     # They set out towards the goal, through the middle: that is no progress on the way round.
     assert rewards[0] > 0.05
     assert rewards[1] < -0.05
+
+
+@pytest.mark.parametrize("scene", [{"robots": 1}, {"humans": 0}])
+def test_collisions_are_tried_again_where_nobody_else_is(scene: dict[str, int]) -> None:
+    going = collector(
+        policy("flat"), 6, 8, replace(SCENARIO, **scene), failure_restart_probability=1.0
+    )
+    for _ in range(3):
+        assert torch.isfinite(going.collect().steps["agents", "action"]).all()
 
 
 def test_a_collision_is_tried_again_from_shortly_before() -> None:

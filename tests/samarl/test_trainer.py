@@ -11,6 +11,7 @@ import pytest
 import torch
 
 from mrsan import ConfigurationError, Scenario
+from samarl.encoders import ENCODERS
 from samarl.training.curriculum import CurriculumStage
 from samarl.training.run_dir import LAST, STATE, RunDir
 from samarl.training.trainer import MOST_SEEDS, Trainer, TrainerConfig
@@ -42,7 +43,7 @@ def rounds(of: Trainer, number: int) -> Trainer:
     return of
 
 
-@pytest.mark.parametrize("encoder", ["spatio_temporal", "gru"])
+@pytest.mark.parametrize("encoder", list(ENCODERS))
 def test_a_run_goes_on_bit_for_bit_with_worlds_that_are_taken_back(
     encoder: str, tmp_path: Path
 ) -> None:

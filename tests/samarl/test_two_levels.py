@@ -12,6 +12,7 @@ from mrsan import ConfigurationError, World
 from mrsan.features import GOAL
 from samarl.agents.learned import Deployed
 from samarl.algorithms.action_limits import excess
+from samarl.encoders import ENCODERS
 from samarl.observations.features import to_body
 from samarl.policies.policy import LOCAL, MACRO
 from tests.learning import SCENARIO, algorithm, choices, collector, policy
@@ -97,7 +98,7 @@ def test_near_the_goal_waypoints_are_moved_less_unless_the_local_level_knows_the
 
 @pytest.mark.parametrize("local_goal", [False, True])
 def test_without_local_goal_the_goal_changes_no_bit_of_the_local_level(local_goal: bool) -> None:
-    for encoder in ("spatio_temporal", "gru"):
+    for encoder in ENCODERS:
         model, world = policy(encoder=encoder, gain=30.0, local_goal=local_goal), World(SCENARIO, 4)
         state = model.initial_state(4, SCENARIO)
         observation = world.reset(np.arange(4))
