@@ -4,14 +4,16 @@
 PYTHON ?= python3
 TORCH := 2.13.0
 PICTURE_CASE := 28
+TEAM := samarl_general
 
 VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input --quiet --quiet
 STAMP := $(VENV)/.installed
+SWEEP := $(BIN)/samarl-evaluate -m evaluation.cases=200 hydra.sweep.dir=outputs/sweeps
 
 .DEFAULT_GOAL := help
-.PHONY: help setup bench test test-browser lint train results pictures report docs latency throughput soak wheel check-wheel clean
+.PHONY: help setup bench test test-browser lint train results sweeps pictures report docs latency throughput soak wheel check-wheel clean
 
 help: ## List what can be made
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -67,6 +69,22 @@ results: setup ## Rewrite results/ and the README's table and pictures (RECORDIN
 	  /<!-- \/table1 -->/ { inside = 0 } !inside' results/table1.md README.md > README.md.part
 	@mv README.md.part README.md
 	@$(MAKE) --no-print-directory pictures
+
+sweeps: setup ## Play the sweeps of results/sweeps/ (hours; the same again goes on)
+	@$(SWEEP)/crowds agent=samarl,perimeter,model_predictive \
+	  scenario.fov_degrees=60,90,135,180,270,360 scenario.humans=0,5,10,15,20 scenario.robots=1,2,3,5,8
+	@$(SWEEP)/team_view agent=$(TEAM) scenario.fov_degrees=60,90,120,180,270,360 \
+	  scenario.team_perception=none,tracks
+	@$(SWEEP)/team_size agent=$(TEAM) scenario.fov_degrees=90 scenario.robots=2,3,5,8 \
+	  scenario.team_perception=none,tracks
+	@$(SWEEP)/team_range agent=$(TEAM) scenario.fov_degrees=90 scenario.team_perception=tracks \
+	  scenario.team_range=2,4,6,8,10,20
+	@$(SWEEP)/team_delay agent=$(TEAM) scenario.fov_degrees=90 scenario.team_perception=tracks \
+	  scenario.team_delay=0,0.25,0.5,1,2
+	@$(SWEEP)/team_loss agent=$(TEAM) scenario.fov_degrees=90 scenario.team_perception=tracks \
+	  scenario.team_loss=0,0.25,0.5,0.75,0.95
+	@mkdir -p results/sweeps; for table in outputs/sweeps/*/table.json; do \
+	  cp "$$table" results/sweeps/$$(basename $$(dirname "$$table")).json; done
 
 pictures: report ## Draw the pictures of the README: a case that plays, and the table as a figure
 	@$(BIN)/samarl-render agent=samarl against=orca case=$(PICTURE_CASE) output=docs/images/case.gif

@@ -20,6 +20,7 @@ from samarl.policies.heads import Gaussian
 from samarl.policies.policy import LOCAL, POLICIES, Known, Level, Networks, PolicyConfig, State
 
 STD = {2: (0.3, 0.3), 3: (0.3, 0.1, 0.3)}
+TRUST = 2.0  # so it begins with 0.88
 PROPOSAL = 3  # numbers of a proposal; the last is 0 for robots with two
 
 
@@ -31,7 +32,7 @@ class PlannedConfig(Plans, PolicyConfig):
 class Mixture(Gaussian):
     """A Gaussian about (1 - w) times a mean of its own and w times a proposal.
 
-    The trust w, between 0 and 1, depends on all that is known and begins near a half.
+    The trust w, between 0 and 1, depends on all that is known and begins near sigmoid(TRUST).
     """
 
     def __init__(
@@ -44,7 +45,7 @@ class Mixture(Gaussian):
             nn.Linear(features + PROPOSAL, hidden), nn.Tanh(), last, nn.Sigmoid()
         )
         nn.init.orthogonal_(last.weight, gain=0.01)
-        nn.init.zeros_(last.bias)
+        nn.init.constant_(last.bias, TRUST)
 
     def forward(self, inputs: Tensor) -> tuple[Tensor, Tensor]:
         """Mean and standard deviation, [..., A]."""
