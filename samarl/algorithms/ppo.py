@@ -324,7 +324,7 @@ class PPO(Algorithm):
 
 
 def _told(level: str, features: Tensor, told: Tensor) -> Tensor:
-    """What the critic of a level reads: the local one is told the waypoint, as its actor is."""
+    """What the critic of a level reads: the local one is told all that its actor is."""
     return torch.cat([features, told], -1) if level == LOCAL else features
 
 

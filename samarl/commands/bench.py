@@ -11,9 +11,7 @@ from enum import Enum
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from joblib import Parallel, delayed, parallel_config
-from numpy.typing import NDArray
 from omegaconf import MISSING, DictConfig, OmegaConf
 from tqdm import tqdm
 
@@ -21,21 +19,19 @@ from mrsan import ActionError, ConfigurationError, Reward, Scenario
 from samarl.agents import build_agent
 from samarl.commands.cli import run_command
 from samarl.configuration import available_agents, import_plugins, load_agent, scenario_of
+from samarl.evaluation.page import page
 from samarl.evaluation.regression import compare
 from samarl.evaluation.runner import Evaluation, run_cases
-from samarl.evaluation.seeds import across_seeds, other_seeds, probability_of_improvement
+from samarl.evaluation.seeds import across_seeds, other_seeds
 from samarl.evaluation.summary import (
     Column,
     Row,
     column_of,
-    passed,
     place_of,
     read_rows,
     summarise,
 )
 from samarl.evaluation.table import (
-    as_text,
-    column_name,
     grids_as_markdown,
     rows_as_markdown,
 )
@@ -43,19 +39,13 @@ from samarl.files import (
     check_writable,
     code_version,
     find_folder,
-    machine,
     write_atomically,
     write_json,
 )
 
 STATUS = """\
 (same: the committed row again; close: within its 95 % intervals, as processors round differently;
- DIFFERS: outside of them; other: the committed row is of another command; new: there is none)"""
-
-_OURS = ("samarl", "samarl_unshielded")  # whose seeds are compared with those of other methods
-
-_OVER_SEEDS = """ Over training seeds: the interquartile mean (of fewer than four
-seeds the mean) with the 95 % interval of 10,000 bootstrap draws of seeds."""
+ DIFFERS: outside of them; other: it is of other settings or cases; new: there is none)"""
 
 
 @dataclass
@@ -66,6 +56,7 @@ class Bench:
     about: str = MISSING
     agents: list[str] | None = None
     leave_out: list[str] = field(default_factory=list)
+    improvement_of: list[str] = field(default_factory=list)
     columns: list[dict[str, Any]] = field(default_factory=list)
     recordings: str | None = None
     recorded: dict[str, Any] = field(default_factory=dict)
@@ -109,7 +100,7 @@ def bench(config: DictConfig) -> None:
     commit = code_version()
     plugins = list(config.plugins)
     agents = [(name, load_agent(name)) for name in names]
-    tasks = []
+    tasks, coming = [], []
     left_out: dict[str, str] = {}
     for scenario in scenarios:
         for name, agent in agents:
@@ -120,9 +111,11 @@ def bench(config: DictConfig) -> None:
             others = other_seeds(str(agent.get("checkpoint"))) if config.seeds else []
             variants = [agent, *({**agent, "checkpoint": other} for other in others)]
             cases = learned if "checkpoint" in agent else evaluation
+            coming.append((name, scenario, cases.cases))
             tasks.append(delayed(_row)(name, variants, scenario, cases, commit, plugins))
     if not tasks:
         raise ConfigurationError(f"columns has nothing to play: {'; '.join(left_out.values())}")
+    earlier = _kept(config, output / f"{config.name}.json", coming)
     os.environ.setdefault("PYTHONWARNINGS", "ignore:resource_tracker")  # when it is interrupted
     with parallel_config("loky", n_jobs=config.jobs, inner_max_num_threads=1):
         played = Parallel(return_as="generator")(tasks)
@@ -140,11 +133,10 @@ def bench(config: DictConfig) -> None:
     print(STATUS)
     if left_out:
         print(f"not played in views that they were not trained for: {', '.join(left_out)}")
-    if config.merge and (output / f"{config.name}.json").exists():
-        rows = merged(rows, read_rows(output / f"{config.name}.json") or [])
+    rows = merged(rows, earlier)
     write_json(output / f"{config.name}.json", rows)
-    page = _page(config.name, config.about, rows, commit)
-    write_atomically(output / f"{config.name}.md", page)
+    text = page(config.name, config.about, rows, config.improvement_of)
+    write_atomically(output / f"{config.name}.md", text)
     print(f"\nwritten to {output}/{config.name}.json and {config.name}.md")
 
 
@@ -189,11 +181,34 @@ def _row(
     return rows[0] | across_seeds(rows) if len(rows) > 1 else rows[0]
 
 
+def _kept(config: DictConfig, path: Path, tasks: Sequence[tuple[str, Scenario, int]]) -> list[Row]:
+    """The rows of an earlier file that rows are to be merged into.
+
+    Raises:
+        ConfigurationError: it is no table, or a row to come would say less than its own.
+    """
+    if not config.merge or not path.exists():
+        return []
+    earlier = read_rows(path)
+    if earlier is None:
+        raise ConfigurationError(f"output has {path}, which is no table to merge rows into")
+    coming = {(name, place_of(scenario)): cases for name, scenario, cases in tasks}
+    for row in earlier:
+        cases = coming.get((row["method"], column_of(row)), row["episodes"])
+        if cases < row["episodes"] or ("training_seeds" in row and not config.seeds
+                                       and (row["method"], column_of(row)) in coming):  # fmt: skip
+            raise ConfigurationError(
+                f"merge is true, but {path} says more of {row['method']}: {row['episodes']} cases"
+                + (", several seeds (seeds=true)" if "training_seeds" in row else "")
+            )
+    return earlier
+
+
 def merged(rows: Sequence[Row], earlier: Sequence[Row]) -> list[Row]:
-    """The rows and those earlier ones whose method and column they lack, column by column."""
+    """The rows in the place of earlier ones of the same method and column; new ones at the end."""
     every = {(column_of(row), row["method"]): row for row in (*earlier, *rows)}
     columns = list(dict.fromkeys(column for column, _ in every))
-    order = sorted(every, key=lambda key: (columns.index(key[0]), key[1]))
+    order = sorted(every, key=lambda key: columns.index(key[0]))  # stable
     return [every[key] for key in order]
 
 
@@ -218,53 +233,6 @@ def _command(name: str, scenario: Scenario, evaluation: Evaluation) -> str:
                 value = Path(value).name if key == "scenario.recording" else value
                 words.append(f"{key}={value}")
     return shlex.join(words)
-
-
-def _page(name: str, about: str, rows: Sequence[Row], commit: str) -> str:
-    return f"""# {about}
-{grids_as_markdown(rows)}
-{_nobody_passed(rows)}{_improvement(rows)}
-## Every row
-
-{rows_as_markdown(rows)}
-
-Made by `make results` at commit {commit} on {machine()}. Each row of `{name}.json` holds the
-command that produces it alone.{_OVER_SEEDS if any("training_seeds" in row for row in rows) else ""}
-"""
-
-
-def _improvement(rows: Sequence[Row]) -> str:
-    """How likely a training seed of SAMARL is better than one of each other learned method."""
-    with_seeds = [row for row in rows if "success_of_seeds" in row]
-    lines = []
-    for ours in (row for row in with_seeds if row["method"] in _OURS):
-        for theirs in with_seeds:
-            if column_of(theirs) == column_of(ours) and theirs["method"] != ours["method"]:
-                found = [
-                    probability_of_improvement(ours[key], theirs[key])
-                    for key in ("success_of_seeds", "social_of_seeds")
-                ]
-                cells = ["{:.2f} [{:.2f}, {:.2f}]".format(*of) for of in found]
-                lines.append(
-                    [ours["method"], theirs["method"], column_name(column_of(ours)), *cells]
-                )
-    if not lines:
-        return ""
-    header = ("a seed of", "is better than one of", "in", "success", "social score")
-    return f"\nProbability of improvement (Agarwal et al., 2021):\n\n{as_text(header, lines)}\n"
-
-
-def _nobody_passed(rows: Sequence[Row]) -> str:
-    """How many cases among recorded people no agent passes: nobody may be able to."""
-    ever: dict[str, NDArray[np.bool_]] = {}
-    for row in rows:
-        if row.get("recording") and "case_success" in row:
-            column, of_row = column_name(column_of(row)), passed(row)
-            ever[column] = ever.get(column, np.zeros_like(of_row)) | of_row
-    if not ever:
-        return ""
-    shares = ", ".join(f"{name} {100 * (1 - of.mean()):.1f} %" for name, of in ever.items())
-    return f"\nCases that none of these agents passes: {shares}.\n"
 
 
 if __name__ == "__main__":

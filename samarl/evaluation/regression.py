@@ -35,7 +35,9 @@ def compare(row: Row, committed: Sequence[Row]) -> str:
         for of in (row, old)
     ]
     if row["episodes"] != old["episodes"] or settings[0] != settings[1]:
-        return f"other    {change}; the committed row is of {old['command']}"
+        return (
+            f"other    {change}; the committed row is of {old['command']}, {old['episodes']} cases"
+        )
     one_episode = 100.0 / row["episodes"]  # may end otherwise on another processor
     for key, low, high, slack in (
         ("success_rate", "success_low", "success_high", 0.0),

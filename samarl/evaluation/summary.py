@@ -38,7 +38,7 @@ class Column(NamedTuple):
         if self.team_perception != "none":
             return "Robots that tell each other what they see"
         if self.changes:
-            return "Disturbances"
+            return "Other settings"
         if self.layout != "circle" or self.goal_turn_degrees:
             return "Other places"
         return "The circle"
@@ -122,7 +122,7 @@ def passed(row: Row) -> NDArray[np.bool_]:
 
 
 def first_cases(row: Row, cases: int) -> Row:
-    """The row of the first `cases` alone: with success rate and social score, to a hundredth."""
+    """The row of the first `cases` alone: success rate, and the mean of rounded social scores."""
     success = passed(row)[:cases]
     low, high = wilson_interval(int(success.sum()), cases)
     scores = np.frombuffer(bytes.fromhex(row["case_social_score"]), np.uint8)[:cases]

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numba import prange
 from numpy.typing import NDArray
 
-from mrsan import Observation, Scenario
+from mrsan import Scenario
 from mrsan.features import GOAL_X, GOAL_Y
 from mrsan.kernels import function, kernel
 from mrsan.scenario import required
-from samarl.observations.tracker import Tracks
 from samarl.planning.tracking import gather, move, steer, track_velocity
 
 _ZERO = np.float32(0.0)
@@ -24,9 +25,10 @@ _ROUNDING = np.float32(1e-3)
 
 @dataclass
 class Plans:
-    """A plan drives in one direction at one speed for `hold` steps and then towards the goal.
+    """A set of plans, and what they cost.
 
-    The set is fixed, not random, so a decision is a function of what is known.
+    A plan drives in one direction at one speed for `hold` steps and then towards the goal. The set
+    is fixed, not random, so a decision is a function of what is known.
     """
 
     horizon: int = required(1, 200)  # steps looked ahead
@@ -41,22 +43,21 @@ class Plans:
     collision_discount: float = required(0.0, 1.0)  # per step: a late collision may not happen
 
 
-def begin_cheapest(
-    plans: Plans, known: Observation | Tracks, scenario: Scenario
+def first_action(
+    plans: Plans, known: Sequence[NDArray[Any]], scenario: Scenario
 ) -> NDArray[np.float32]:
     """The first action of every robot's cheapest plan, [E, N, A].
 
     Args:
         plans: the set, and what it costs.
-        known: what every robot sees, or sees and remembers; all of them go on at constant velocity.
+        known: `Observation.known` or `Tracks`: all of them go on at constant velocity.
         scenario: the dynamics.
     """
-    seen = known.known if isinstance(known, Observation) else known
-    worlds, robots = known.ego.shape[:2]
+    worlds, robots = known[0].shape[:2]
     action = np.empty((worlds, robots, scenario.action_size), np.float32)
     _choose(
         worlds,
-        *seen,
+        *known,
         scenario.parameters(),
         plans.horizon,
         plans.directions,

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor, nn
 
 from samarl.encoders import Encoder
-from samarl.planning.sampling import Plans, begin_cheapest
+from samarl.planning.sampling import Plans, first_action
 from samarl.policies.flat import MEAN, FlatPolicy
 from samarl.policies.heads import Gaussian
 from samarl.policies.policy import LOCAL, POLICIES, Known, Level, Networks, PolicyConfig, State
@@ -58,6 +58,8 @@ class Mixture(Gaussian):
 class PlannedPolicy(FlatPolicy):
     """A Gaussian of the local action about a mixture of its own and of the planner's."""
 
+    begins_anew = ("log_std", ".trust.")
+
     def _make_networks(self, encoder: Encoder) -> Networks:
         n = self.action_size
         head = Mixture(encoder.features, self.config.hidden, MEAN[n], STD[n])
@@ -68,7 +70,7 @@ class PlannedPolicy(FlatPolicy):
     ) -> tuple[dict[str, Level], Tensor, Tensor, Tensor]:
         """It is told the planner's proposal, which also counts on those who left the view."""
         told = torch.zeros(*known.active.shape, PROPOSAL)
-        proposal = begin_cheapest(self.config, known.tracks, known.scenario)
+        proposal = first_action(self.config, known.tracks, known.scenario)
         told[..., : self.action_size] = torch.from_numpy(proposal)
         mine = told[torch.from_numpy(known.active)].to(ego.device)
         return {}, told, *self._ask(LOCAL, scene, ego, mine, rows)

@@ -70,7 +70,7 @@ class Decision(NamedTuple):
 
     levels: dict[str, Level]
     noise: Tensor  # [E, N, A] of the local level in the step before, in standard deviations
-    target: Tensor  # [E, N, 3] what the local level was told of where to drive
+    target: Tensor  # [E, N, 3] what the local level was told: a waypoint or a planner's proposal
     mean: Tensor  # [E, N, A] what the local level would do without noise
     tracks: Tracks  # [E, N, ...] what was known
     frames: Frames  # [B, 1, ...] the same, as the encoders are given it
@@ -132,6 +132,7 @@ class Policy(nn.Module, ABC):
     """Drives all robots of E worlds, each from its own observations alone."""
 
     levels: tuple[str, ...] = (LOCAL,)
+    begins_anew: tuple[str, ...] = ("log_std",)  # parameters not taken over from another policy
     networks: Sequence[Networks]
 
     def __init__(self, config: Any, action_size: int) -> None:
@@ -167,7 +168,7 @@ class Policy(nn.Module, ABC):
             scene: [R, ...].
             ego: [R, F_e] their own states.
             rows: [R] which of the B robots.
-            known: what all robots know of themselves, and which are active.
+            known: what all robots know, and which are active.
             state: updated in place.
             explore: draw instead of taking the mean.
 

@@ -253,22 +253,28 @@ def sweep_figures(rows: Sequence[Row]) -> Iterable[tuple[str, Figure]]:
     """What a sweep varies: a number alone as lines, views and crowds as maps, the rest as bars."""
     labels = settings_labels(rows)
     several = len(set(labels)) > 1
-    varied = [key for key in _AXES if len({row[key] for row in rows}) > 1]
     settings: dict[str, list[Row]] = {}
     columns: dict[Column, list[tuple[Row, str]]] = {}
     for row, label in zip(rows, labels, strict=True):
         settings.setdefault(label, []).append(row)
         columns.setdefault(Column(*column_of(row)[:3]), []).append((row, label))
-    if len(varied) == 1:
-        lines = [
-            f"{row['method']}, {label}" if several else row["method"]
-            for row, label in zip(rows, labels, strict=True)
-        ]
+    varied = [key for key in _AXES if len({row[key] for row in rows}) > 1]
+    lines = [
+        f"{row['method']}, {label}" if several else row["method"]
+        for row, label in zip(rows, labels, strict=True)
+    ]
+    if len(varied) == 1 and len(set(lines)) <= len(COLOURS):
         title, values = _AXES[varied[0]], [float(row[varied[0]]) for row in rows]
         yield title, draw_lines(rows, values, title, title, lines)
         return
-    if varied:
-        for label, mine in settings.items():
+    for label, mine in settings.items():
+        varied = [key for key in _AXES if len({row[key] for row in mine}) > 1]
+        if len(varied) == 1:
+            title = _AXES[varied[0]] + (f", {label}" if several else "")
+            values = [float(row[varied[0]]) for row in mine]
+            methods = [row["method"] for row in mine]
+            yield title, draw_lines(mine, values, _AXES[varied[0]], title, methods)
+        elif varied:
             for method in dict.fromkeys(row["method"] for row in mine):
                 title = f"{method}, {label}" if several else method
                 yield title, draw_heat_map([row for row in mine if row["method"] == method], title)

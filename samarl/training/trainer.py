@@ -233,7 +233,8 @@ class Trainer:
         weights, card = load_policy(init_from)
         given = weights.state_dict()
         begun = self.policy.state_dict()
-        anew = {k: v for k, v in begun.items() if k not in given or k.endswith("log_std")}
+        own = self.policy.begins_anew
+        anew = {k: v for k, v in begun.items() if any(part in k for part in own)}
         try:
             self.policy.load_state_dict({**given, **anew})
         except RuntimeError as error:
@@ -257,6 +258,7 @@ class Trainer:
                 continue
             full = replace(stage.scenario, humans_min=None)
             name = f"{full.fov_degrees:g}_{full.humans}h_{full.robots}r"
+            name += "_team" if full.team_tracks else ""
             if f"validation/success_{name}" in row:
                 continue
             episodes = run_cases(Deployed(policy, full), full, cases, len(cases), "validation")

@@ -1,12 +1,14 @@
 """The rows of a table: their commands, and that they show when something gets worse."""
 
+import sys
 from dataclasses import replace
 from pathlib import Path
 
+import pytest
 import torch
 
 from mrsan import Crowd, Reward, Scenario, Split
-from samarl.commands.bench import _command, _row
+from samarl.commands.bench import _command, _row, main
 from samarl.configuration import load_agent
 from samarl.evaluation.regression import compare
 from samarl.evaluation.runner import Evaluation
@@ -26,6 +28,34 @@ def test_the_command_names_all_that_is_not_as_by_default() -> None:
         " scenario.occlusion=True scenario.crowd=still scenario.reward.arrival=3.0"
         " evaluation.split=validation evaluation.first_case=7 evaluation.cases=9"
     )
+
+
+def played(monkeypatch: pytest.MonkeyPatch, *words: str) -> None:
+    monkeypatch.setattr(sys, "argv", ["samarl-bench", "output=mine", "jobs=1", *words])
+    main()
+
+
+def test_rows_are_merged_where_they_say_no_less(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    columns = "columns=[{robots: 1, humans: 0}]"
+    played(monkeypatch, "agents=[straight,samarl_flat]", "learned_cases=2", columns,
+           "evaluation.cases=3")  # fmt: skip
+    path = tmp_path / "mine" / "table1.json"
+    rows = read_rows(path)
+    assert rows is not None
+    assert [(r["method"], r["episodes"]) for r in rows] == [("straight", 3), ("samarl_flat", 2)]
+    played(monkeypatch, "agents=[orca]", "merge=true", columns, "evaluation.cases=3")
+    rows = read_rows(path)
+    assert rows is not None
+    assert [row["method"] for row in rows] == ["straight", "samarl_flat", "orca"]
+    assert "orca" in (path.with_suffix(".md")).read_text()
+    before = path.read_bytes()
+    with pytest.raises(SystemExit):
+        played(monkeypatch, "agents=[straight]", "merge=true", columns, "evaluation.cases=2")
+    assert "says more of straight: 3 cases" in capsys.readouterr().err
+    assert path.read_bytes() == before
 
 
 def committed() -> list[Row]:

@@ -10,6 +10,7 @@ import pytest
 from mrsan import ConfigurationError, Crowd, Episodes, Layout, Outcome, Scenario
 from samarl.commands.bench import merged
 from samarl.evaluation.metrics import METRICS, Metric, metric, metric_fields, wilson_interval
+from samarl.evaluation.page import page
 from samarl.evaluation.regression import compare
 from samarl.evaluation.seeds import across_seeds
 from samarl.evaluation.summary import (
@@ -243,7 +244,31 @@ def test_rows_that_are_not_played_again_are_kept() -> None:
     earlier = [row(), row(method="other"), row(robots=3)]
     rows = merged([row(success_rate=80.0), row(method="a", robots=3)], earlier)
     found = [(r["method"], r["robots"], r["success_rate"]) for r in rows]
-    assert found == [("mine", 2, 80.0), ("other", 2, 25.0), ("a", 3, 25.0), ("mine", 3, 25.0)]
+    assert found == [("mine", 2, 80.0), ("other", 2, 25.0), ("mine", 3, 25.0), ("a", 3, 25.0)]
+
+
+def test_the_page_says_which_cases_nobody_passed() -> None:
+    among = {"recording": "zara.txt", "humans": 64}
+    rows = [row(**among), row(method="other", case_success="c0", **among)]
+    assert "passes: 360° 2r zara 50.0 %." in page("transfer", "Title", rows)
+    for change in ({"seed": 8}, {"episodes": 3}):  # other cases
+        assert "passes" not in page("transfer", "Title", [rows[0], rows[1] | change])
+    older = {name: value for name, value in rows[1].items() if name != "case_success"}
+    assert "passes" not in page("transfer", "Title", [rows[0], older])
+
+
+def test_the_page_compares_training_seeds() -> None:
+    def seeds(method: str, *rates: float) -> Row:
+        found = [row(method=method, success_rate=rate) for rate in rates]
+        return found[0] | across_seeds(found)
+
+    rows = [seeds("samarl", 90.0, 80.0), seeds("ppo", 70.0, 85.0), row(method="one")]
+    text = page("table1", "Title", rows, ["samarl"])
+    (line,) = [line for line in text.splitlines() if line.startswith("| samarl (2 seeds)")]
+    assert [cell.strip() for cell in line.split("|")][1:-2] == [
+        "samarl (2 seeds)", "ppo (2 seeds)", "360° 10h 2r", "0.75 [0.00, 1.00]"
+    ]  # fmt: skip
+    assert "improvement" not in page("table1", "Title", rows)
 
 
 COMMITTED = find_folder("results") / "table1.json"

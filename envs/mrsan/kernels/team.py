@@ -19,7 +19,6 @@ NONE = 0
 TRACKS = 1
 
 _ZERO = np.float32(0.0)
-NOBODY = 64  # no slot to leave out: there are fewer people
 
 
 @kernel
@@ -58,7 +57,7 @@ def tell(
             now, heard = step % kept, (step - delay) % kept
             for i in range(n):
                 pose, row = (position[e, i], velocity[e, i], heading[e, i]), said[e, now, i]
-                _say(humans[e, i], humans_visible[e, i], pose, row, 0, NOBODY)
+                _say(humans[e, i], humans_visible[e, i], pose, row, 0, m)
                 _say(robots[e, i], robots_visible[e, i], pose, row, m, i)
                 own = row[m + i]
                 own[OTHER_X], own[OTHER_Y] = position[e, i, 0], position[e, i, 1]
@@ -76,7 +75,7 @@ def tell(
                         continue
                     row = said[e, heard, k]
                     _hear(
-                        row, 0, NOBODY, late, pose, humans[e, i], humans_visible[e, i],
+                        row, 0, m, late, pose, humans[e, i], humans_visible[e, i],
                         humans_told[e, i],
                     )  # fmt: skip
                     _hear(
@@ -87,7 +86,7 @@ def tell(
 
 @function
 def _say(seen, visible, pose, row, first, skip):
-    """What a robot sees of others, in the world frame, from slot `first` on but for its own.
+    """What a robot sees of others, in the world frame, from slot `first` on without slot `skip`.
 
     A radius of 0 says nothing.
     """

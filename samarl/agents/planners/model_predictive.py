@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from mrsan import Observation
 from samarl.agents.agent import Agent
-from samarl.planning.sampling import Plans, begin_cheapest
+from samarl.planning.sampling import Plans, first_action
 
 
 @dataclass
@@ -18,4 +18,4 @@ class ModelPredictive(Plans, Agent):
 
     def act(self, observation: Observation) -> NDArray[np.float32]:
         """The first action of the cheapest plan."""
-        return begin_cheapest(self, observation, self.scenario)
+        return first_action(self, observation.known, self.scenario)
