@@ -23,9 +23,14 @@ ENCODERS: dict[str, dict[str, Any]] = {
     "spatio_temporal": {"width": 16, "heads": 2, "history": 4, "features": 16},
     "gru": {"width": 16, "features": 16},
     "structural_rnn": {"embedding": 16, "edge": 16, "node": 16, "attention": 8, "features": 16},
+    "pairwise": {"width": 16},
 }
 POLICIES: dict[str, dict[str, Any]] = {
     "flat": {},
+    "lookahead": {
+        "discount": 0.9, "turns": 5, "speeds": 5, "directions": 16, "neighbor_distance": 10.0,
+        "max_neighbors": 10, "time_horizon": 5.0, "safety_space": 0.5,
+    },
     "hierarchical": {
         "macro_steps": 4, "waypoint_ahead": 2.0, "waypoint_range": 2.0, "waypoint_progress": 1.5,
         "local_goal": True, "arrival_bonus": 18.75,
@@ -43,6 +48,11 @@ PPO_NUMBERS: dict[str, Any] = {
     "action_limit_slack": 1.0, "std_start": 1.0, "std_end": 0.1, "critic_width": 8,
     "critic_heads": 2, "critic_features": 8, "shield_coefficient": 0.0,
     "path_penalty": 0.0, "macro_std": 0.0,
+}  # fmt: skip
+VALUE_NUMBERS: dict[str, Any] = {
+    "learning_rate": 1e-3, "imitation": 0.5, "epsilon_start": 0.5, "epsilon_end": 0.1,
+    "epsilon_share": 0.4, "replay": 1000, "learning_starts": 16, "batch": 16, "updates": 4,
+    "target_every": 2, "max_gradient_norm": 10.0,
 }  # fmt: skip
 
 

@@ -1,6 +1,11 @@
 """From what a robot knows to the features its networks read."""
 
-from samarl.encoders import gru, spatio_temporal, structural_rnn  # noqa: F401 (makes them known)
+from samarl.encoders import (  # noqa: F401 (makes them known)
+    gru,
+    pairwise,
+    spatio_temporal,
+    structural_rnn,
+)
 from samarl.encoders.encoder import ENCODERS, Encoder
 
 __all__ = ["ENCODERS", "Encoder"]

@@ -23,7 +23,12 @@ from torch.utils._pytree import tree_flatten, tree_leaves, tree_unflatten
 
 from mrsan import ConfigurationError
 from samarl.files import find_folder, unfinished, write_json
-from samarl.policies import flat, hierarchical, planned  # noqa: F401 (makes them known)
+from samarl.policies import (  # noqa: F401 (makes them known)
+    flat,
+    hierarchical,
+    lookahead,
+    planned,
+)
 from samarl.policies.policy import POLICIES, Policy
 
 FORMAT = 2

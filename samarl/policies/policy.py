@@ -34,7 +34,7 @@ from samarl.observations.frames import Frames
 from samarl.observations.route import way_round
 from samarl.observations.tracker import Tracker, Tracks
 from samarl.policies.explanation import Explanation
-from samarl.policies.heads import Gaussian, log_prob
+from samarl.policies.heads import log_prob
 from samarl.registry import Registry, needed
 
 POLICIES: Registry[Policy] = Registry("policy")
@@ -118,11 +118,11 @@ class Choice(NamedTuple):
 
 
 class Networks(nn.Module):
-    """An encoder and a head for each level."""
+    """An encoder and a head for each level, a `Gaussian` unless the policy needs no noise."""
 
-    heads: Mapping[str, Gaussian]
+    heads: Mapping[str, Any]
 
-    def __init__(self, encoder: Encoder, heads: Mapping[str, Gaussian]) -> None:
+    def __init__(self, encoder: Encoder, heads: Mapping[str, nn.Module]) -> None:
         super().__init__()
         self.encoder = encoder
         self.heads = nn.ModuleDict(heads)  # type: ignore[assignment]

@@ -68,7 +68,10 @@ def test_an_encoder_of_ones_own(tmp_path: Path) -> None:
         cwd=tmp_path, capture_output=True, text=True,
     )  # fmt: skip
     assert done.returncode == 2  # nothing of mine is imported unless I say so
-    assert "encoder.name is 'deep_sets'; it must be among gru, spatio_temporal" in done.stderr
+    assert (
+        "encoder.name is 'deep_sets'; it must be among gru, pairwise, spatio_temporal"
+        in done.stderr
+    )
 
 
 def test_an_algorithm_in_samarl_train(tmp_path: Path) -> None:

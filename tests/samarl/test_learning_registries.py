@@ -34,8 +34,12 @@ STAGES = (
 )
 SMALL = [
     STAGES, "trainer.rollout=4", "trainer.steps=24", "trainer.threads=1",
-    "trainer.validation_cases=1", "algorithm.minibatches=2", "algorithm.epochs=1",
+    "trainer.validation_cases=1",
 ]  # fmt: skip
+VALUES = "policy=lookahead encoder=pairwise algorithm=value_learning algorithm.learning_starts=4"
+PPO = "algorithm.minibatches=2 algorithm.epochs=1"
+TOGETHER = {"policy=lookahead": VALUES, "algorithm=value_learning": VALUES}
+"""What only works with others; everything else works with the defaults."""
 
 
 @pytest.fixture(autouse=True)
@@ -67,7 +71,8 @@ def test_every_name_has_a_file_and_every_file_a_name(kind: str) -> None:
     + ["policy.actors=2", "encoder=gru policy.actors=2 algorithm=ippo"],
 )
 def test_every_name_trains_and_its_checkpoint_drives_as_before(choice: str, tmp_path: Path) -> None:
-    overrides = [*SMALL, *choice.split(), f"run_dir={tmp_path}/run"]
+    choices = TOGETHER.get(choice, f"{choice} {PPO}").split()
+    overrides = [*SMALL, *choices, f"run_dir={tmp_path}/run"]
     trainer = build_trainer(compose("train", overrides), "test")
     before = {key: value.clone() for key, value in trainer.policy.state_dict().items()}
     trainer.algorithm.set_progress(0.0)
@@ -94,7 +99,7 @@ def test_every_name_trains_and_its_checkpoint_drives_as_before(choice: str, tmp_
         (
             "encoder",
             {"name": "os.system"},
-            "encoder.name is 'os.system'; it must be among gru, spatio",
+            "encoder.name is 'os.system'; it must be among gru, pairwise, spatio",
         ),
         ("policy", {"name": None}, "policy.name is 'None'; it must be among flat"),
         ("encoder", {"name": "gru", "width": 8, "wdith": 8}, "encoder.wdith"),

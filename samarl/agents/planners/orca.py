@@ -1,98 +1,21 @@
-"""ORCA as a robot planner: everybody is expected to do half of the avoiding."""
+"""ORCA as a robot planner."""
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
 from mrsan import Observation
-from mrsan.features import GOAL_X, GOAL_Y
-from mrsan.kernels import kernel
-from mrsan.kernels.orca import orca_velocity
-from mrsan.scenario import required
 from samarl.agents.agent import Agent
-from samarl.planning.tracking import gather, track_velocity
+from samarl.planning.orca import Avoidance, avoid
 
 
 @dataclass
-class Orca(Agent):
+class Orca(Avoidance, Agent):
     """Optimal reciprocal collision avoidance (van den Berg et al., 2011) of visible agents."""
-
-    neighbor_distance: float = required(0.1, 1000.0)
-    max_neighbors: int = required(1, 80)
-    time_horizon: float = required(0.01, 100.0)
-    safety_space: float = required(0.0, 5.0)
 
     def act(self, observation: Observation) -> NDArray[np.float32]:
         """The ORCA velocity, as far as the robot's limits allow it."""
-        worlds, robots = observation.ego.shape[:2]
-        action = np.empty((worlds, robots, self.scenario.action_size), np.float32)
-        _orca(
-            worlds,
-            *observation.known,
-            self.scenario.parameters(),
-            np.float32(self.neighbor_distance),
-            self.max_neighbors,
-            np.float32(self.time_horizon),
-            np.float32(self.safety_space),
-            action,
-        )
-        return action
-
-
-@kernel
-def _orca(
-    chunks,
-    ego,
-    humans,
-    humans_visible,
-    robots,
-    robots_visible,
-    p,
-    neighbor_distance,
-    max_neighbors,
-    time_horizon,
-    safety_space,
-    action,
-):
-    total = ego.shape[0]
-    for chunk in prange(chunks):
-        rows = np.empty((1 + humans.shape[2] + robots.shape[2], 5), np.float32)
-        neighbors = np.empty((max_neighbors, 2), np.float32)
-        lines = np.empty((max_neighbors, 4), np.float32)
-        projected = np.empty((max_neighbors, 4), np.float32)
-        for e in range(chunk * total // chunks, (chunk + 1) * total // chunks):
-            for i in range(ego.shape[1]):
-                count = gather(
-                    ego[e, i],
-                    humans[e, i],
-                    humans_visible[e, i],
-                    robots[e, i],
-                    robots_visible[e, i],
-                    safety_space,
-                    safety_space,
-                    rows,
-                )
-                x, y = ego[e, i, GOAL_X], ego[e, i, GOAL_Y]
-                scale = p.robot_speed / max(math.sqrt(x * x + y * y), np.float32(1e-6))
-                vx, vy = orca_velocity(
-                    rows,
-                    count,
-                    0,
-                    x * scale,
-                    y * scale,
-                    p.robot_speed,
-                    neighbor_distance,
-                    max_neighbors,
-                    time_horizon,
-                    p.time_step,
-                    neighbors,
-                    lines,
-                    projected,
-                )
-                speed = math.sqrt(rows[0, 2] * rows[0, 2] + rows[0, 3] * rows[0, 3])
-                track_velocity(vx, vy, speed, action[e, i], p)
+        return avoid(self, observation, self.scenario)

@@ -1,0 +1,187 @@
+"""Value learning with replay and a target network, imitation of ORCA first.
+
+How CADRL (Chen et al., 2017) and SARL (Chen et al., 2019) learn: V of a state is regressed on what
+the step was paid and on what the target network says of the state it led to.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from tensordict import TensorDict
+from torch import Tensor, nn
+from torch.nn import functional
+from torchrl.data import LazyTensorStorage, ReplayBuffer
+
+from mrsan import ConfigurationError
+from mrsan.scenario import required
+from samarl.algorithms.advantages import streams
+from samarl.algorithms.algorithm import ALGORITHMS, Algorithm
+from samarl.observations.frames import Frames
+from samarl.policies.lookahead import LookaheadPolicy
+from samarl.policies.policy import Policy
+from samarl.rollout import Rollout
+
+OTHERS = ("humans", "humans_known", "robots", "robots_known")  # `Frames` with slots for others
+
+
+@dataclass
+class ValueLearningConfig:
+    """Numbers of the update; discounted as the policy does it."""
+
+    learning_rate: float = required(0.0, 1.0)  # falls linearly
+    imitation: float = required(0.0, 1.0)  # share of the training in which ORCA drives, first
+    epsilon_start: float = required(0.0, 1.0)  # probability of a random command after that ...
+    epsilon_end: float = required(0.0, 1.0)  # ... falls linearly to this ...
+    epsilon_share: float = required(0.0, 1.0)  # ... within this share of the training
+    replay: int = required(1, 10**8)  # samples that are kept, each a step of one robot
+    learning_starts: int = required(1, 10**8)  # with so many samples, also after a resume
+    batch: int = required(1, 10**6)  # samples of a gradient step
+    updates: int = required(1, 10**6)  # gradient steps per round
+    target_every: int = required(1, 10**6)  # rounds until the target network is renewed
+    max_gradient_norm: float = required(0.0, 1e6)
+
+
+@ALGORITHMS.register("value_learning", ValueLearningConfig)
+class ValueLearning(Algorithm):
+    """Nobody is paid for the team: a robot cannot foresee when the others arrive.
+
+    The replay is not saved with the run: after a resume it fills up to `learning_starts` again
+    before updates go on.
+    """
+
+    policy: LookaheadPolicy
+    rounds: Tensor  # of updates until now
+
+    def __init__(self, policy: Policy, config: Any) -> None:
+        """See `Algorithm`.
+
+        Raises:
+            ConfigurationError: the policy has no values, or `replay` is too small to begin.
+        """
+        super().__init__(policy, config)
+        if not isinstance(policy, LookaheadPolicy):
+            raise ConfigurationError(
+                "algorithm.name is value_learning; policy.name must be one with values: lookahead"
+            )
+        if config.learning_starts > config.replay:
+            raise ConfigurationError(
+                f"algorithm.learning_starts is {config.learning_starts}; it must not exceed "
+                f"algorithm.replay ({config.replay})"
+            )
+        self.target = type(policy)(policy.config, policy.action_size)
+        self.target.load_state_dict(policy.state_dict())
+        self.target.requires_grad_(False)
+        self.register_buffer("rounds", torch.zeros((), dtype=torch.long))
+        self.to(policy.device)
+        self.optimiser = torch.optim.Adam(policy.parameters(), lr=config.learning_rate)
+        self.slots = [0] * len(OTHERS)  # in the replay, for so many others
+        self.replay = self._empty_replay()
+        self.set_progress(0.0)
+
+    def set_progress(self, share: float) -> None:
+        """ORCA drives first; then epsilon falls linearly, and the learning rate all the time."""
+        c = self.config
+        for group in self.optimiser.param_groups:
+            group["lr"] = c.learning_rate * max(1.0 - share, 0.02)
+        over = min(max(share - c.imitation, 0.0) / max(c.epsilon_share, 1e-6), 1.0)
+        self.policy.imitating = share < c.imitation
+        self.policy.epsilon = c.epsilon_start + (c.epsilon_end - c.epsilon_start) * over
+
+    def optimisers(self) -> dict[str, Any]:
+        """See `Algorithm.optimisers`."""
+        return {"adam": self.optimiser}
+
+    def update(self, rollouts: list[Rollout]) -> dict[str, float]:
+        """Keep the samples of a round, then take `updates` gradient steps on drawn ones."""
+        c = self.config
+        self._keep([samples_of(rollout) for rollout in rollouts])
+        statistics = {"charts/epsilon": 0.0 if self.policy.imitating else self.policy.epsilon}
+        if len(self.replay) < c.learning_starts:
+            return statistics
+        total = torch.zeros(4, device=self.policy.device)
+        for _ in range(c.updates):
+            batch = self.replay.sample(c.batch)
+            value = self.policy.value(Frames(**batch["now"]), batch["robot"])
+            target = self.targets(batch)
+            loss = functional.mse_loss(value, target)
+            self.optimiser.zero_grad(set_to_none=True)
+            loss.backward()
+            norm = nn.utils.clip_grad_norm_(self.policy.parameters(), c.max_gradient_norm)
+            if not torch.isfinite(norm):
+                raise FloatingPointError("the gradient of the value is not finite")
+            self.optimiser.step()
+            total += torch.stack([loss.detach(), value.detach().mean(), target.mean(), norm])
+        self.rounds += 1
+        if self.rounds % c.target_every == 0:
+            self.target.load_state_dict(self.policy.state_dict())
+        names = ("value", "mean_value", "mean_target", "gradient_norm")
+        means = zip(names, (total / c.updates).tolist(), strict=True)
+        return statistics | {f"losses/{name}": mean for name, mean in means}
+
+    @torch.no_grad()
+    def targets(self, samples: TensorDict) -> Tensor:
+        """What the values of samples [P] are regressed on: r + discount V(next), [P]."""
+        later = self.target.value(Frames(**samples["next"]), samples["robot"])
+        return samples["reward"] + self.policy.config.discount * later * samples["going"]
+
+    def _empty_replay(self) -> ReplayBuffer:
+        storage = LazyTensorStorage(self.config.replay, device=self.policy.device)
+        return ReplayBuffer(storage=storage)
+
+    def _keep(self, found: list[TensorDict]) -> None:
+        """Keep samples; the replay gets more slots where there are more people or robots now."""
+        shapes = [[samples["now", part].shape[2] for part in OTHERS] for samples in found]
+        slots = [max(sizes) for sizes in zip(self.slots, *shapes, strict=True)]
+        if slots != self.slots:
+            found = [*([self.replay[:]] if len(self.replay) else []), *found]
+            self.slots, self.replay = slots, self._empty_replay()
+        samples = torch.cat([widened(part, slots) for part in found])
+        if len(samples) > 0:
+            self.replay.extend(samples)
+
+
+def samples_of(rollout: Rollout) -> TensorDict:
+    """What there is to learn from a rollout, one sample for each step of a robot on its way.
+
+    Where the time limit or a team-mate's collision cut its episode short the last step is left
+    out, as nobody knows what would have come (see `advantages.Streams`).
+
+    Returns:
+        [P] with `now` and `next` (the parts of `Frames`, [P, 1, ...]), `reward`, `robot` and
+        `going`: it was still on its way in the next step, else it had arrived or collided.
+    """
+    steps, of, n = rollout.steps, streams(rollout.steps), rollout.robots
+    world, step, robot = of.acts.nonzero(as_tuple=True)
+    at, row = (world, step, robot), world * n + robot
+    after = steps["next", "agents"]
+    goes_on = steps["agents", "active_mask"][:, 1:] & ~of.terminated
+
+    def seen(step: Tensor) -> TensorDict:
+        parts = rollout.frames._asdict().items()
+        return TensorDict({name: part[row, step, None] for name, part in parts}, [len(row)])
+
+    return TensorDict(
+        {
+            "now": seen(step),  # encoders without history: frame t is that of step t
+            "next": seen(step + 1),
+            "reward": (after["reward"] - after["team_reward"])[at],
+            "going": goes_on[at],
+            "robot": robot,
+        },
+        [len(row)],
+    )
+
+
+def widened(samples: TensorDict, slots: Sequence[int]) -> TensorDict:
+    """The same with unknown others in the slots that are missing, as many as of `OTHERS`."""
+    wide = samples.clone()
+    for frames in (wide["now"], wide["next"]):
+        for part, most in zip(OTHERS, slots, strict=True):
+            p, t, m, *features = frames[part].shape
+            unknown = frames[part].new_zeros(p, t, most - m, *features)
+            frames[part] = torch.cat([frames[part], unknown], 2)
+    return wide

@@ -1,0 +1,69 @@
+"""One number: the least of what the robot's encounters with each other agent are worth alone.
+
+The value network of CADRL (Chen et al., Decentralized non-communicating multiagent collision
+avoidance with deep reinforcement learning, 2017) among many: the minimum over pairs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+from mrsan.scenario import required
+from samarl.encoders.encoder import ENCODERS, Encoder, State
+from samarl.observations.frames import Frames
+
+Scene = tuple[Tensor, Tensor, Tensor]
+"""The robot's own state [P, F_e], the others embedded [P, M + N - 1, D] and whether known."""
+
+
+@dataclass
+class PairwiseConfig:
+    """Sizes of the pairwise network."""
+
+    width: int = required(8, 1024)  # of both hidden layers
+
+
+@ENCODERS.register("pairwise", PairwiseConfig)
+class PairwiseEncoder(Encoder):
+    """The minimum over pairs; humans and robots differ in the first layer.
+
+    Where nobody is known, it is what the robot's way is worth to it alone.
+    """
+
+    features = 1
+
+    def __init__(self, config: PairwiseConfig, ego_features: int, other_features: int) -> None:
+        """See `Encoder`."""
+        super().__init__(config, ego_features, other_features)
+        width = config.width
+        self.own = nn.Linear(2 * ego_features, width)
+        self.humans, self.robots = (nn.Linear(other_features, width, bias=False) for _ in range(2))
+        self.pair, self.alone = (
+            nn.Sequential(nn.ReLU(), nn.Linear(width, width), nn.ReLU(), nn.Linear(width, 1))
+            for _ in range(2)
+        )
+        self.own_alone = nn.Linear(2 * ego_features, width)
+
+    def observe(
+        self, frames: Frames, is_init: Tensor, state: State, samples: Tensor | None = None
+    ) -> Scene:
+        """See `Encoder.observe`."""
+        ego, humans, humans_known, robots, robots_known = (
+            tensor.flatten(0, 1) if samples is None else tensor.flatten(0, 1)[samples]
+            for tensor in frames
+        )
+        others = torch.cat([self.humans(humans), self.robots(robots)], 1)
+        return ego, others, torch.cat([humans_known, robots_known], 1)
+
+    def read(self, scene: Scene, query: Tensor) -> Tensor:
+        """See `Encoder.read`; the least value, [P, 1]."""
+        ego, others, known = scene
+        own = torch.cat([ego, query], -1)
+        values = self.pair(others + self.own(own).unsqueeze(1)).squeeze(-1)
+        values = torch.where(known, values, torch.inf)
+        alone = self.alone(self.own_alone(own))
+        alone = torch.where(known.any(1, keepdim=True), torch.inf, alone)
+        return torch.cat([alone, values], 1).amin(1, keepdim=True)

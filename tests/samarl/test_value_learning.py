@@ -1,0 +1,592 @@
+"""CADRL: what a command leads to, the least over pairs, and what a value is regressed on."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from tensordict import TensorDict
+
+from mrsan import ConfigurationError, Crowd, Kinematics, Observation, Scenario, World
+from mrsan.features import GOAL, HEADING_COS, HEADING_SIN, PREFERRED_SPEED, RADIUS, VELOCITY_X
+from mrsan.scenario import required
+from samarl.agents import build_agent
+from samarl.agents.learned import Deployed, Learned
+from samarl.algorithms import ALGORITHMS
+from samarl.algorithms.value_learning import OTHERS, ValueLearning, samples_of, widened
+from samarl.configuration import load_agent
+from samarl.encoders import ENCODERS, Encoder
+from samarl.observations.features import frames_of
+from samarl.observations.frames import Frames
+from samarl.observations.tracker import AGE, Tracker, Tracks
+from samarl.planning.lookahead import Commands, command_set, look_ahead
+from samarl.policies.checkpoint import make_policy
+from samarl.policies.lookahead import LookaheadPolicy
+from samarl.registry import Entry
+from samarl.rollout import Rollout
+from samarl.training.curriculum import CurriculumStage
+from samarl.training.run_dir import LAST
+from samarl.training.trainer import Trainer, TrainerConfig
+from tests.learning import VALUE_NUMBERS, policy_numbers
+from tests.learning import algorithm as ppo
+
+SIZES = Commands(turns=5, speeds=5, directions=16)
+
+
+def lookahead(action_size: int = 3, encoder: str = "pairwise", **changes: Any) -> LookaheadPolicy:
+    torch.manual_seed(0)
+    numbers = policy_numbers("lookahead", encoder, **changes)
+    made = make_policy(numbers.pop("name"), numbers, action_size)
+    assert isinstance(made, LookaheadPolicy)
+    return made
+
+
+def learner(of: LookaheadPolicy, **changes: Any) -> ValueLearning:
+    numbers = {"name": "value_learning", **VALUE_NUMBERS, **changes}
+    made = ALGORITHMS["value_learning"].made(of, ALGORITHMS.config(numbers))
+    assert isinstance(made, ValueLearning)
+    return made
+
+
+def known(observation: Observation, scenario: Scenario) -> Tracks:
+    e, n, m = observation.humans_visible.shape
+    tracker = Tracker(8, scenario.time_step)
+    return tracker.update(observation, tracker.initial(e, n, m), np.ones(e, np.bool_))
+
+
+# What a command leads to
+
+
+def test_the_commands_of_each_kind_of_robot() -> None:
+    for kinematics, count, still in (
+        (Kinematics.acceleration_heading, 25, (-1.0, 0.0, 0.0)),
+        (Kinematics.unicycle, 25, (-1.0, 0.0)),
+        (Kinematics.holonomic, 81, (0.0, 0.0)),
+    ):
+        commands = command_set(SIZES, kinematics)
+        assert len(np.unique(commands.round(5), axis=0)) == len(commands) == count
+        assert (np.linalg.norm(commands[:, :2], axis=1) <= math.sqrt(2.0)).all()
+        assert np.abs(commands).max() == 1.0
+        assert (np.abs(commands - np.array(still)).max(1) < 1e-6).any()
+
+
+@pytest.mark.parametrize("kinematics", Kinematics)
+def test_a_robot_alone_is_foreseen_as_the_world_moves_it(kinematics: Kinematics) -> None:
+    scenario = Scenario(robots=1, humans=0, kinematics=kinematics)
+    commands = command_set(SIZES, kinematics)
+    world = World(scenario, len(commands))
+    world.reset(np.full(len(commands), 3))
+    for way in (22, 13, 14):  # it moves, and looks somewhere else than to its goal
+        observation = world.step(np.tile(commands[way], (len(commands), 1, 1))).observation
+    for ahead in (5.0, 0.45):  # far from the goal, and just before it
+        ego = observation.ego[0, 0]
+        heading = math.atan2(ego[HEADING_SIN], ego[HEADING_COS])
+        world.state.robot_goal[:, 0] = world.state.robot_position[:, 0] + ahead * np.array(
+            [math.cos(heading), math.sin(heading)], np.float32
+        )
+        observation = world.observe()
+        active = np.zeros((len(commands), 1), np.bool_)
+        active[0] = True
+        tracks = known(observation, scenario)
+        outcomes = look_ahead(tracks, active, observation.ego[..., GOAL], commands, scenario)
+        before = world.snapshot()
+        step = world.step(commands[:, None])
+        np.testing.assert_allclose(outcomes.tracks.ego, step.observation.ego, atol=1e-5)
+        assert outcomes.ended[:, 0].tolist() == world.state.arrived[:, 0].tolist()
+        assert outcomes.ended.any() == (ahead < 1.0)
+        paid = (step.reward - step.reward_parts.team)[:, 0]
+        np.testing.assert_allclose(outcomes.reward[:, 0], paid, atol=1e-4)
+        world.restore(before)
+    assert 1 <= outcomes.ended.sum() < len(commands)
+
+
+@pytest.mark.parametrize("kinematics", Kinematics)
+def test_where_all_others_keep_their_velocity_the_world_does_as_foreseen(
+    kinematics: Kinematics,
+) -> None:
+    """Contacts, discomfort, arrivals and everybody's next place, in random crowds."""
+    scenario = Scenario(robots=3, humans=4, kinematics=kinematics, crowd=Crowd.still)
+    e, rng = 200, np.random.default_rng(0)
+    world = World(scenario, e)
+    world.reset(np.arange(e))
+    state = world.state
+    heading = rng.uniform(-np.pi, np.pi, (e, 3)).astype(np.float32)
+    speed = rng.uniform(0.2, 1.0, (e, 3)).astype(np.float32)
+    direction = np.stack([np.cos(heading), np.sin(heading)], -1)
+    state.robot_heading[:] = heading
+    state.robot_velocity[:] = speed[..., None] * direction
+    state.robot_position[:] = rng.uniform(-1.2, 1.2, (e, 3, 2))
+    state.robot_goal[:, 0] = state.robot_position[:, 0] + rng.uniform(-0.7, 0.7, (e, 2))
+    state.human_position[:] = rng.uniform(-2.0, 2.0, (e, 4, 2))
+    state.human_velocity[:] = 0.0
+    keep = {
+        Kinematics.acceleration_heading: lambda v: (0 * v, 0 * v, 0 * v),
+        Kinematics.holonomic: lambda v: (v, 0 * v),
+        Kinematics.unicycle: lambda v: (2 * v - 1, 0 * v),
+    }[kinematics]
+    commands = command_set(SIZES, kinematics)
+    chosen = rng.integers(len(commands), size=e)
+    action = np.stack(keep(speed), -1).astype(np.float32)
+    action[:, 0] = commands[chosen]
+    observation = world.observe()
+    active = np.zeros((e, 3), np.bool_)
+    active[:, 0] = True
+    outcomes = look_ahead(
+        known(observation, scenario), active, observation.ego[..., GOAL], commands, scenario
+    )
+    step = world.step(action)
+    rows, after = np.arange(e), step.observation
+    tracks = Tracks(*(kept[chosen, rows] for kept in outcomes.tracks))
+    np.testing.assert_allclose(tracks.ego, after.ego[:, 0], atol=1e-5)
+    for foreseen, there in ((tracks.humans, after.humans), (tracks.robots, after.robots)):
+        np.testing.assert_allclose(foreseen[..., :AGE], there[:, 0], atol=1e-5)
+    assert tracks.humans_known.all()
+    assert tracks.robots_known.all()
+    hit, arrived = state.collision[:, 0] != 0, state.arrived[:, 0]
+    assert (outcomes.ended[chosen, rows] == (hit | arrived)).all()
+    paid = (step.reward - step.reward_parts.team)[:, 0]
+    np.testing.assert_allclose(outcomes.reward[chosen, rows], paid, atol=2e-4)
+    assert min(hit.sum(), arrived.sum(), (step.reward_parts.discomfort[:, 0] < 0).sum()) > 10
+
+
+def scene_of(
+    humans: list[list[float]], goal: tuple[float, float], speed: float, scenario: Scenario
+) -> Tracks:
+    """A robot at the origin that looks and moves along x; people relative to it."""
+    ego = np.zeros((1, 1, 11), np.float32)
+    ego[..., GOAL], ego[..., VELOCITY_X], ego[..., HEADING_COS] = goal, speed, 1.0
+    ego[..., RADIUS], ego[..., PREFERRED_SPEED] = scenario.robot_radius, scenario.robot_speed
+    people = np.zeros((1, 1, len(humans), 6), np.float32)
+    for j, row in enumerate(humans):
+        people[0, 0, j, : len(row)] = row
+    others = np.zeros((1, 1, 0, 6), np.float32), np.zeros((1, 1, 0), np.bool_)
+    return Tracks(ego, people, np.ones((1, 1, len(humans)), np.bool_), *others)
+
+
+def test_a_person_in_constant_motion_is_where_paper_and_pencil_say() -> None:
+    scenario = Scenario(robots=1, humans=1)
+    # The person is at (2, 1) and walks at (-1, 0); the robot drives on at 0.5 m/s, turning left.
+    tracks = scene_of([[2.0, 1.0, -1.5, 0.0, 0.3, 0.25]], (4.0, 0.0), 0.5, scenario)
+    command = np.array([[0.0, 0.0, 1.0]], np.float32)
+    active = np.ones((1, 1), np.bool_)
+    outcomes = look_ahead(tracks, active, tracks.ego[..., GOAL], command, scenario)
+    turn = 0.25 * 0.5 / 1.0  # Eq. 3: speed over the turning radius of 1 m, less than 15 degrees
+    vx, vy = 0.5 * math.cos(turn), 0.5 * math.sin(turn)
+    x, y = 0.25 * (0.5 + vx) / 2, 0.25 * vy / 2
+
+    def turned(dx: float, dy: float) -> tuple[float, float]:
+        cos, sin = math.cos(turn), math.sin(turn)
+        return cos * dx + sin * dy, cos * dy - sin * dx
+
+    expected = (*turned(2.0 - 0.25 - x, 1.0 - y), *turned(-1.0 - vx, 0.0 - vy), 0.3, 0.25)
+    assert outcomes.tracks.humans[0, 0, 0].tolist() == pytest.approx(expected, abs=1e-6)
+    progress = 4.0 - math.hypot(4.0 - x, y)
+    assert outcomes.reward[0, 0] == pytest.approx(2.0 * progress, abs=1e-5)
+    assert not outcomes.ended[0, 0]
+
+
+def test_a_collision_between_two_moments_is_foreseen() -> None:
+    """A runner is on one side before the step and on the other after it."""
+    scenario = Scenario(robots=1, humans=1)
+    still = np.array([[-1.0, 0.0, 0.0]], np.float32)
+    active = np.ones((1, 1), np.bool_)
+    for aside, hit in ((0.0, True), (0.55, True), (0.65, False)):
+        tracks = scene_of([[1.0, aside, -8.0, 0.0, 0.3]], (4.0, 0.0), 0.0, scenario)
+        outcomes = look_ahead(tracks, active, tracks.ego[..., GOAL], still, scenario)
+        assert outcomes.tracks.humans[0, 0, 0, 0] == -1.0
+        assert outcomes.ended[0, 0] == hit
+        assert outcomes.reward[0, 0] == (scenario.reward.collision if hit else 0.0)
+
+
+def test_who_is_not_known_is_not_foreseen() -> None:
+    scenario = Scenario(robots=3, humans=6, fov_degrees=90.0)
+    world = World(scenario, 4)
+    observation = world.reset(np.arange(4))
+    tracks = known(observation, scenario)
+    rng = np.random.default_rng(0)
+    garbage = Tracks(
+        tracks.ego,
+        np.where(tracks.humans_known[..., None], tracks.humans, rng.normal(size=6)).astype("f"),
+        tracks.humans_known,
+        np.where(tracks.robots_known[..., None], tracks.robots, rng.normal(size=6)).astype("f"),
+        tracks.robots_known,
+    )
+    assert (garbage.humans != tracks.humans).any()
+    commands, active = command_set(SIZES, scenario.kinematics), np.ones((4, 3), np.bool_)
+    target = observation.ego[..., GOAL]
+    one, other = (look_ahead(t, active, target, commands, scenario) for t in (tracks, garbage))
+    for a, b in zip((*one.tracks, *one[1:]), (*other.tracks, *other[1:]), strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+# The policy
+
+
+def flattened(policy: LookaheadPolicy) -> None:
+    """Every state is worth the same: what counts is the reward of the step."""
+    with torch.no_grad():
+        for network in policy.networks:
+            for parameter in network.parameters():
+                parameter.zero_()
+
+
+def test_without_a_value_it_takes_the_step_that_is_paid_best() -> None:
+    scenario = Scenario(robots=1, humans=1)
+    policy = lookahead()
+    flattened(policy)
+    for aside, expected in ((3.0, [1.0, 0.0, 0.0]), (0.0, [-1.0, 0.0])):
+        # Somebody stands 0.9 m ahead, and 3 m to the left or not: full speed, or none.
+        tracks = scene_of([[0.9, aside, -0.2, 0.0, 0.3]], (4.0, 0.0), 0.2, scenario)
+        chosen = policy._best(tracks, np.ones((1, 1), np.bool_), scenario, 0.0)
+        assert chosen[0, : len(expected)].tolist() == expected
+
+
+def test_it_drives_to_what_is_worth_more_and_only_who_is_on_the_way() -> None:
+    scenario = Scenario(robots=2, humans=0)
+    policy = lookahead()
+    flattened(policy)
+    world = World(scenario, 3)
+    observation = world.reset([0, 1, 2])
+    state = policy.initial_state(3, scenario)
+    active = np.array([[True, False], [False, True], [True, True]])
+    decision = policy.act(observation, state, np.ones(3, np.bool_), scenario, None, active)
+    assert (decision.action != 0).any(-1).tolist() == active.tolist()
+    assert decision.levels["local"].decided.tolist() == active.tolist()
+    encoder = policy.networks[0].encoder
+    with torch.no_grad():  # the goal had better be to the left: it turns to the right
+        for own, values in ((encoder.own, encoder.pair), (encoder.own_alone, encoder.alone)):
+            own.weight[0, 1] = values[1].weight[0, 0] = 1.0
+            values[3].weight[0, 0] = 1e3
+    turns = policy.act(observation, state, np.zeros(3, np.bool_), scenario).action[..., 2]
+    assert (turns == -1.0).all()
+
+
+def test_it_imitates_orca_and_explores_with_epsilon() -> None:
+    scenario = Scenario(robots=2, humans=5)
+    policy = lookahead()
+    world = World(scenario, 50)
+    observation = world.reset(np.arange(50))
+    state, begins = policy.initial_state(50, scenario), np.ones(50, np.bool_)
+    policy.imitating = True
+    orca = build_agent(load_agent("orca"), scenario).act(observation)
+    action = policy.act(observation, state, begins, scenario, 0.0).action
+    np.testing.assert_array_equal(action, orca)
+    greedy = policy.act(observation, state, begins, scenario).action
+    assert (greedy != orca).any()
+    policy.imitating, policy.epsilon = False, 1.0
+    action = policy.act(observation, state, begins, scenario, 0.0).action
+    commands = command_set(SIZES, scenario.kinematics)
+    number = (action[:, :, None] == commands).all(-1)
+    assert (number.sum(-1) == 1).all()
+    assert len(np.unique(number.argmax(-1))) > 20
+    policy.epsilon = 0.0
+    action = policy.act(observation, state, begins, scenario, 0.0).action
+    np.testing.assert_array_equal(action, greedy)
+
+
+def test_what_does_not_fit_together_is_refused() -> None:
+    for encoder in ("gru", "spatio_temporal"):
+        with pytest.raises(ConfigurationError, match=f"policy.encoder is {encoder}, which rem"):
+            lookahead(encoder=encoder)
+    with pytest.raises(ConfigurationError, match="must be one with values: lookahead"):
+        ALGORITHMS["value_learning"].made(
+            make_policy(**_flat(), action_size=3),
+            ALGORITHMS.config({"name": "value_learning", **VALUE_NUMBERS}),
+        )
+    with pytest.raises(ConfigurationError, match="one that learns values: value_learning"):
+        ppo(lookahead()).set_progress(0.0)
+    with pytest.raises(ConfigurationError, match=r"learning_starts is 1001; it must not exceed"):
+        learner(lookahead(), learning_starts=1001)
+
+
+def _flat() -> dict[str, Any]:
+    numbers = policy_numbers("flat", "gru")
+    return {"name": numbers.pop("name"), "config": numbers}
+
+
+# The encoder
+
+
+def test_a_value_is_the_least_over_pairs() -> None:
+    policy = lookahead(encoder_numbers={"name": "pairwise", "width": 32})
+    scenario = Scenario(robots=3, humans=4)
+    world = World(scenario, 20)
+    frames = frames_of(known(world.reset(np.arange(20)), scenario), scenario)
+    rows = torch.arange(60)
+    alone = []
+    for part, count in (("humans_known", 4), ("robots_known", 2)):
+        for j in range(count):
+            only = blind(frames)
+            getattr(only, part)[..., j] = True
+            here = getattr(frames, part)[:, 0, j]
+            assert here.any()
+            alone.append(torch.where(here, policy.value(only, rows), torch.inf))
+    torch.testing.assert_close(policy.value(frames, rows), torch.stack(alone).amin(0))
+    assert len(torch.stack(alone).argmin(0).unique()) > 2
+    encoder, ego = policy.networks[0].encoder, frames.ego[:, 0]
+    by_itself = encoder.alone(encoder.own_alone(torch.cat([ego, ego], -1)))[:, 0]
+    torch.testing.assert_close(policy.value(blind(frames), rows), 10.0 * by_itself)
+
+
+def blind(frames: Frames) -> Frames:
+    """The same with nobody known."""
+    return frames._replace(
+        humans_known=torch.zeros_like(frames.humans_known),
+        robots_known=torch.zeros_like(frames.robots_known),
+    )
+
+
+@dataclass
+class PooledConfig:
+    """Sizes of an encoder for this test."""
+
+    features: int = required(2, 64)
+
+
+class Pooled(Encoder):
+    """The sum of the people who are known, who share the attention."""
+
+    def __init__(self, config: PooledConfig, ego_features: int, other_features: int) -> None:
+        super().__init__(config, ego_features, other_features)
+        self.features = config.features
+        self.human = torch.nn.Linear(other_features, config.features)
+
+    def observe(self, frames: Frames, is_init: Any, state: Any, samples: Any = None) -> Any:
+        known = frames.humans_known.unsqueeze(-1)
+        return (self.human(frames.humans) * known).sum(2).flatten(0, 1), known[:, 0, :, 0]
+
+    def read(self, scene: Any, query: torch.Tensor) -> torch.Tensor:
+        return torch.relu(scene[0])
+
+    def attention(self, scene: Any, query: torch.Tensor) -> Any:
+        return torch.zeros(len(query), 1), scene[1] / scene[1].sum(-1, keepdim=True)
+
+
+def test_attention_instead_of_the_minimum_needs_an_encoder_alone(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setitem(ENCODERS._entries, "pooled", Entry(Pooled, PooledConfig))
+    policy = lookahead(encoder_numbers={"name": "pooled", "features": 8})
+    assert policy.networks[0].heads["local"][-1].out_features == 1
+    scenario = Scenario(robots=2, humans=4, sensing_range=20.0)
+    observation = World(scenario, 2).reset([0, 1])
+    deployed = Deployed(policy, scenario)
+    deployed.act(observation)
+    explanation = deployed.explain()
+    assert explanation is not None
+    assert np.asarray(explanation.humans) == pytest.approx(np.full((2, 2, 4), 0.25))
+
+
+# What is learned
+
+
+def rollout_of(
+    active: list[list[list[bool]]], reward: list[list[list[float]]], done: list[list[bool]],
+    terminated: list[list[list[bool]]], ego: torch.Tensor | None = None,
+    mask: list[list[bool]] | None = None, humans: int = 2,
+) -> Rollout:  # fmt: skip
+    """S sequences of T steps, and the step after them, of N robots; [S, T + 1, (N)]."""
+    on_way = torch.tensor(active)
+    s, t, n = on_way.shape
+    counts = torch.ones(s, t, dtype=torch.bool) if mask is None else torch.tensor(mask)
+    steps = TensorDict(
+        {
+            "mask": counts.unsqueeze(-1),
+            "agents": {"active_mask": on_way},
+            "next": {
+                "done": torch.tensor(done).unsqueeze(-1),
+                "agents": {
+                    "reward": torch.tensor(reward),
+                    "team_reward": torch.zeros(s, t, n),
+                    "terminated": torch.tensor(terminated),
+                },
+            },
+        },
+        [s, t],
+    )
+    if ego is None:  # says which robot, which sequence and which step a frame is of
+        ego = torch.zeros(s * n, t, 11)
+        ego[..., 0] = torch.arange(t)
+        ego[..., 1] = torch.arange(s * n).unsqueeze(1)
+    nobody = (
+        torch.zeros(s * n, t, humans, 10), torch.zeros(s * n, t, humans, dtype=torch.bool),
+        torch.zeros(s * n, t, n - 1, 10), torch.zeros(s * n, t, n - 1, dtype=torch.bool),
+    )  # fmt: skip
+    scenario = Scenario(robots=n, humans=humans)
+    begins = torch.zeros(s * n, t, dtype=torch.bool)
+    return Rollout(scenario, 0.0, steps, Frames(ego, *nobody), begins, ({},), None, [], s * t)
+
+
+def test_what_a_value_is_regressed_on() -> None:
+    o, x = True, False
+    rollout = rollout_of(
+        # Robot 0 arrives in step 1, robot 1 hits somebody in step 2 and begins anew. In the second
+        # sequence time is up in step 1; in the third robot 1's collision cuts robot 0's way short,
+        # and the first step is not of this sequence.
+        active=[
+            [[o, o], [o, o], [x, o], [o, o]],
+            [[o, o], [o, o], [o, o], [o, o]],
+            [[o, o], [o, o], [o, o], [o, o]],
+        ],
+        reward=[
+            [[1.0, 2.0], [10.0, 3.0], [0.0, -20.0], [9.0, 9.0]],
+            [[4.0, 5.0], [9.0, 9.0], [6.0, 7.0], [9.0, 9.0]],
+            [[9.0, 9.0], [8.0, 0.5], [9.0, -20.0], [9.0, 9.0]],
+        ],
+        done=[[x, x, o, x], [x, o, x, x], [x, x, o, x]],
+        terminated=[
+            [[x, x], [x, x], [x, o], [x, x]],
+            [[x, x], [x, x], [x, x], [x, x]],
+            [[x, x], [x, x], [x, o], [x, x]],
+        ],
+        mask=[[o, o, o, o], [o, o, o, o], [x, o, o, o]],
+    )
+    rollout.steps["next", "agents", "team_reward"][0, 1, 0] = 5.0
+    rollout.steps["next", "agents", "reward"][0, 1, 0] = 15.0
+    samples = samples_of(rollout)
+    now, then = (samples[name, "ego"][:, 0] for name in ("now", "next"))
+    assert (then[:, 0] == now[:, 0] + 1).all()
+    assert (then[:, 1] == now[:, 1]).all()
+    assert (samples["robot"] == now[:, 1] % 2).all()
+    found = {
+        (int(row) // 2, int(step), int(row) % 2): (float(r), bool(goes_on))
+        for step, row, r, goes_on in zip(
+            now[:, 0], now[:, 1], samples["reward"], samples["going"], strict=True
+        )
+    }
+    assert found == {
+        (0, 0, 0): (1.0, True), (0, 0, 1): (2.0, True),
+        (0, 1, 0): (10.0, False), (0, 1, 1): (3.0, True),
+        (0, 2, 1): (-20.0, False),
+        (1, 0, 0): (4.0, True), (1, 0, 1): (5.0, True),
+        (1, 2, 0): (6.0, True), (1, 2, 1): (7.0, True),
+        (2, 1, 0): (8.0, True), (2, 1, 1): (0.5, True),
+        (2, 2, 1): (-20.0, False),
+    }  # fmt: skip
+    algorithm = learner(lookahead())
+    with torch.no_grad():
+        for parameter in algorithm.policy.parameters():
+            parameter.mul_(2.0)  # only the target network counts
+    later = algorithm.target.value(Frames(**samples["next"]), samples["robot"])
+    expected = torch.tensor(
+        [r + 0.9 * float(v) * g for (r, g), v in zip(found.values(), later, strict=True)]
+    )
+    torch.testing.assert_close(algorithm.targets(samples), expected)
+
+
+def test_values_come_to_what_the_behaviour_is_paid_from_there_on() -> None:
+    """Three states in a row: the discounted sums in plain Python."""
+    rewards, discount = [1.0, -2.0, 10.0], 0.9
+    expected = [sum(discount**k * r for k, r in enumerate(rewards[i:])) for i in range(3)]
+    ego = torch.zeros(1, 4, 11)
+    ego[0, :3, :3] = torch.eye(3)
+    rollout = rollout_of(
+        active=[[[True]] * 4], reward=[[[r] for r in [*rewards, 0.0]]],
+        done=[[False, False, True, False]],
+        terminated=[[[False], [False], [True], [False]]], ego=ego,
+    )  # fmt: skip
+    algorithm = learner(
+        lookahead(), learning_starts=1, updates=50, target_every=1, learning_rate=3e-3
+    )
+    for _ in range(25):
+        statistics = algorithm.update([rollout])
+    frames = Frames(*(tensor.transpose(0, 1)[:3] for tensor in rollout.frames))
+    value = algorithm.policy.value(frames, torch.zeros(3, dtype=torch.long))
+    assert value.tolist() == pytest.approx(expected, abs=0.05)
+    assert statistics["losses/value"] < 0.01
+    assert statistics["losses/mean_target"] == pytest.approx(sum(expected) / 3, abs=0.5)
+
+
+def test_scenarios_of_other_sizes_share_a_replay() -> None:
+    rollouts = [
+        rollout_of(
+            active=[[[True] * n] * 3], reward=[[[1.0] * n] * 3], done=[[False] * 3],
+            terminated=[[[False] * n] * 3], humans=humans,
+        )
+        for n, humans in ((1, 3), (3, 0), (2, 5))
+    ]  # fmt: skip
+    algorithm = learner(lookahead(), learning_starts=1)
+    algorithm.update(rollouts[:2])
+    assert algorithm.slots == [3, 3, 2, 2]
+    algorithm.update(rollouts[2:])
+    assert algorithm.slots == [5, 5, 2, 2]
+    assert len(algorithm.replay) == 2 + 6 + 4
+    samples = samples_of(rollouts[1])
+    wide = widened(samples, [5, 5, 4, 4])
+    assert [wide["now", part].shape[2] for part in OTHERS] == [5, 5, 4, 4]
+    torch.testing.assert_close(algorithm.targets(wide), algorithm.targets(samples))
+
+
+def test_orca_drives_first_and_epsilon_falls_then() -> None:
+    algorithm = learner(lookahead())
+    found = []
+    for share in (0.0, 0.49, 0.5, 0.7, 0.9, 1.0):
+        algorithm.set_progress(share)
+        found.append((algorithm.policy.imitating, round(algorithm.policy.epsilon, 6)))
+    assert found == [
+        (True, 0.5), (True, 0.5), (False, 0.5), (False, 0.3), (False, 0.1), (False, 0.1)
+    ]  # fmt: skip
+
+
+STAGES = [
+    CurriculumStage(6, 0.0, 0.5, scenario=Scenario(humans=3, humans_min=0, robots=2)),
+    CurriculumStage(6, 0.4, 1.0, 0.0, 1.0, 0.75, Scenario(humans=6, robots=3, circle_radius=4.0)),
+]
+
+
+def trainer(folder: Path) -> Trainer:
+    config = TrainerConfig(
+        steps=2400, rollout=20, seed=0, threads=1, validate_every=10**6, validation_cases=2,
+        save_every=1000, ema_decay=0.9,
+    )  # fmt: skip
+    policy = policy_numbers("lookahead", "pairwise")
+    algorithm = {"name": "value_learning", **VALUE_NUMBERS}
+    return Trainer(folder, config, policy, algorithm, STAGES, "test")
+
+
+def test_a_run_learns_goes_on_and_its_policy_drives(tmp_path: Path) -> None:
+    begun = trainer(tmp_path)
+    begun.algorithm.set_progress(0.0)
+    for _ in range(10):  # past the change of stages
+        row = begun.round()
+        assert all(math.isfinite(value) for value in row.values())
+        assert {"losses/value", "losses/mean_value", "losses/mean_target"} <= set(row)
+    begun.save()
+    begun.run_dir.release()
+    again = trainer(tmp_path)
+    assert again.steps_done == begun.steps_done
+    for module, same in ((begun.algorithm, again.algorithm), (begun.policy, again.policy)):
+        for key, value in module.state_dict().items():
+            assert torch.equal(value, same.state_dict()[key]), key
+    assert int(again.algorithm.state_dict()["rounds"]) == 10
+    adam, other = (of.algorithm.optimisers()["adam"].state_dict()["state"] for of in (begun, again))
+    assert torch.equal(adam[0]["exp_avg"], other[0]["exp_avg"])
+    assert isinstance(again.algorithm, ValueLearning)
+    assert len(again.algorithm.replay) == 0  # it is not saved
+    for of in (begun, again):  # the next steps do not depend on it
+        of.algorithm.set_progress(of.steps_done / of.config.steps)
+    actions, random = [], torch.get_rng_state()
+    for of in (begun, again):
+        torch.set_rng_state(random)
+        actions.append(of.collect()[0].steps["agents", "action"])
+    assert torch.equal(*actions)
+    again.run_dir.release()
+    last = trainer(tmp_path)
+    last.run()
+    assert last.steps_done >= 2400
+    scenario = STAGES[1].scenario
+    agent = Learned(scenario, str(tmp_path / LAST))
+    world = World(scenario, 2)
+    observation = world.reset([0, 1])
+    commands = command_set(SIZES, scenario.kinematics)
+    deployed = Deployed(last.mean, scenario)
+    for _ in range(4):
+        action = agent.act(observation)
+        assert (action[:, :, None] == commands).all(-1).any(-1).all()
+        np.testing.assert_array_equal(action, deployed.act(observation))
+        observation = world.step(action).observation
