@@ -1,6 +1,8 @@
 """Settings shared by all tests."""
 
 import os
+import subprocess
+import sys
 
 os.environ["NUMBA_NUM_THREADS"] = "2"  # on every machine: some tests compare one with two
 
@@ -17,6 +19,28 @@ hypothesis.settings.register_profile(
     suppress_health_check=list(hypothesis.HealthCheck),
 )
 hypothesis.settings.load_profile("suite")
+
+
+_STEP = """
+import numpy as np
+from mrsan import Scenario, World
+world = World(Scenario(), {worlds})
+world.reset(range({worlds}))
+world.step(np.zeros(({worlds}, 3, 3), np.float32))
+"""
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_sessionstart(session: pytest.Session) -> None:
+    """Compile the simulator once, before every worker would compile it for itself."""
+    if not getattr(session.config.option, "numprocesses", None):
+        return  # one process, or a worker
+    compiling = [
+        subprocess.Popen([sys.executable, "-c", _STEP.format(worlds=n)], stderr=subprocess.DEVNULL)
+        for n in (1, 2)  # the serial and the parallel kernels
+    ]
+    for process in compiling:
+        process.wait()
 
 
 @pytest.fixture(autouse=True)
