@@ -22,6 +22,7 @@ PAPER_SUCCESS: dict[Column, dict[str, int]] = {
     },
 }  # fmt: skip
 _COLUMNS = ("agent=", "scenario.fov_degrees=", "scenario.humans=", "scenario.robots=")
+_CHANGES = 3  # so many are named
 PAPER_NAME = {"orca": "ORCA"}  # what the paper calls our rows
 
 
@@ -47,8 +48,10 @@ def place_name(column: Column) -> str:
         words.append(f"{column.goal_turn_degrees:+g}°")
     if column.team_perception != "none":
         words.append("team")
-    words += column.changes.replace("_", " ").replace("=", " ").replace(" True", "").split(" ")
-    return " ".join(filter(None, words))
+    changes = column.changes.split()
+    shown = changes if len(changes) <= _CHANGES else [*changes[: _CHANGES - 1], "..."]
+    words += [word.replace("_", " ").replace("=", " ").replace(" True", "") for word in shown]
+    return " ".join(words)
 
 
 def settings_of(row: Row) -> list[str]:

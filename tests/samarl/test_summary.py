@@ -16,6 +16,7 @@ from samarl.evaluation.seeds import across_seeds
 from samarl.evaluation.summary import (
     NEEDED,
     Row,
+    column_of,
     first_cases,
     passed,
     place_of,
@@ -23,7 +24,7 @@ from samarl.evaluation.summary import (
     row_fields,
     summarise,
 )
-from samarl.evaluation.table import grids_as_markdown, rows_as_cells, rows_as_markdown
+from samarl.evaluation.table import column_name, grids_as_markdown, rows_as_cells, rows_as_markdown
 from samarl.files import find_folder
 
 
@@ -165,6 +166,8 @@ def test_a_table_of_several_kinds_of_columns() -> None:
         "", "square", "-30°", "team", "zara", "occlusion position noise 0.1"
     ]  # fmt: skip
     assert "place" not in rows_as_cells(rows[:1])[0]
+    many = column_of(row(changes="a=1 b=2 c=3 d=4"))
+    assert column_name(many) == "360° 10h 2r a 1 b 2 ..."
     assert compare(row(layout="square"), rows).startswith(
         "close    mine 360° 10h 2r square: success 50.0 -> 25.0 %"
     )
