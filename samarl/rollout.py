@@ -32,10 +32,10 @@ class Rollout:
     there. It is the first step of the next rollout. Keys: `mask` [S, T + 1, 1], False: padding;
     `is_init`; `("agents", "active_mask")` [S, T + 1, N], the robot was on its way;
     `("agents", "action")`, `("agents", "sample_log_prob")`, `("agents", "noise")` of the local
-    level; `("agents", "target")` [S, T + 1, N, 3], what it was told; `("agents", "speed")`; for the
-    macro level `("agents", "macro", ...)` with `action`, `sample_log_prob` and `decision_mask`;
-    `("next", "agents", "reward")` and `("next", "agents", "macro", "reward")` [S, T + 1, N];
-    `("next", "agents", "team_reward")`, the part of it that pays for all having arrived;
+    level; `("agents", "target")` [S, T + 1, N, TOLD], what it was told; `("agents", "speed")`;
+    for the macro level `("agents", "macro", ...)` with `action`, `sample_log_prob` and
+    `decision_mask`; `("next", "agents", "reward")` and `("next", "agents", "macro", "reward")`
+    [S, T + 1, N]; `("next", "agents", "team_reward")`, the part of it that pays for all having arrived;
     `("next", "done")` [S, T + 1, 1]; `("next", "agents", "terminated")` [S, T + 1, N], else the
     time limit or a team-mate's collision cut the robot's episode short.
     """

@@ -43,3 +43,9 @@ class Algorithm(nn.Module, ABC):
     @abstractmethod
     def optimisers(self) -> dict[str, Any]:
         """All optimisers by name, to be saved."""
+
+    def _set_learning_rate(self, share: float) -> None:
+        """Let it fall linearly over the training, down to a fiftieth."""
+        for optimiser in self.optimisers().values():
+            for group in optimiser.param_groups:
+                group["lr"] = self.config.learning_rate * max(1.0 - share, 0.02)

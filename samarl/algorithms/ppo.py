@@ -24,7 +24,7 @@ from samarl.algorithms.advantages import macro_advantages, step_advantages, stre
 from samarl.algorithms.algorithm import Algorithm
 from samarl.algorithms.critics import PopArtHead, SetEncoder
 from samarl.observations.frames import Frames
-from samarl.policies.policy import LOCAL, MACRO, Policy, Taken
+from samarl.policies.policy import LOCAL, MACRO, TOLD, Policy, Taken
 from samarl.rollout import Rollout, level_key
 
 MACRO_RISE = 0.3
@@ -82,7 +82,7 @@ class PPO(Algorithm):
         # The local critic is told the waypoint, as its actor is.
         self.heads = nn.ModuleDict(  # type: ignore[assignment]
             {
-                name: PopArtHead(features + (3 if name == LOCAL else 0), config.critic_features)
+                name: PopArtHead(features + (TOLD if name == LOCAL else 0), config.critic_features)
                 for name in policy.levels
             }
         )
@@ -116,8 +116,7 @@ class PPO(Algorithm):
         """
         c = self.config
         self.path_penalty = c.path_penalty * (1.0 - share)
-        for group in self.optimiser.param_groups:
-            group["lr"] = c.learning_rate * max(1.0 - share, 0.02)
+        self._set_learning_rate(share)
         largest = c.std_start + (c.std_end - c.std_start) * share
         for level in self.policy.levels:
             rising = min(share / MACRO_RISE, 1.0) if level == MACRO else 0.0

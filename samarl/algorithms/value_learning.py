@@ -85,8 +85,7 @@ class ValueLearning(Algorithm):
     def set_progress(self, share: float) -> None:
         """ORCA drives first; then epsilon falls linearly, and the learning rate all the time."""
         c = self.config
-        for group in self.optimiser.param_groups:
-            group["lr"] = c.learning_rate * max(1.0 - share, 0.02)
+        self._set_learning_rate(share)
         over = min(max(share - c.imitation, 0.0) / max(c.epsilon_share, 1e-6), 1.0)
         self.policy.imitating = share < c.imitation
         self.policy.epsilon = c.epsilon_start + (c.epsilon_end - c.epsilon_start) * over

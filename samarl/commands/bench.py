@@ -7,7 +7,6 @@ import os
 import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from enum import Enum
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,7 @@ from joblib import Parallel, delayed, parallel_config
 from omegaconf import MISSING, DictConfig, OmegaConf
 from tqdm import tqdm
 
-from mrsan import ActionError, ConfigurationError, Reward, Scenario
+from mrsan import ActionError, ConfigurationError, Scenario
 from samarl.agents import build_agent
 from samarl.commands.cli import run_command
 from samarl.configuration import available_agents, import_plugins, load_agent, scenario_of
@@ -26,6 +25,7 @@ from samarl.evaluation.seeds import across_seeds, other_seeds
 from samarl.evaluation.summary import (
     Column,
     Row,
+    changed_fields,
     column_of,
     place_of,
     read_rows,
@@ -194,12 +194,14 @@ def _kept(config: DictConfig, path: Path, tasks: Sequence[tuple[str, Scenario, i
         raise ConfigurationError(f"output has {path}, which is no table to merge rows into")
     coming = {(name, place_of(scenario)): cases for name, scenario, cases in tasks}
     for row in earlier:
-        cases = coming.get((row["method"], column_of(row)), row["episodes"])
-        if cases < row["episodes"] or ("training_seeds" in row and not config.seeds
-                                       and (row["method"], column_of(row)) in coming):  # fmt: skip
+        cases = coming.get((row["method"], column_of(row)))
+        if cases is None:
+            continue
+        seeds = "training_seeds" in row
+        if cases < row["episodes"] or (seeds and not config.seeds):
             raise ConfigurationError(
                 f"merge is true, but {path} says more of {row['method']}: {row['episodes']} cases"
-                + (", several seeds (seeds=true)" if "training_seeds" in row else "")
+                + (", several seeds (seeds=true)" if seeds else "")
             )
     return earlier
 
@@ -215,22 +217,16 @@ def merged(rows: Sequence[Row], earlier: Sequence[Row]) -> list[Row]:
 def _command(name: str, scenario: Scenario, evaluation: Evaluation) -> str:
     """The evaluation that gives one row: the column, and whatever is not as by default."""
     words = ["samarl-evaluate", f"agent={name}"]
-    words += [
-        f"scenario.{key}={getattr(scenario, key):g}" for key in ("fov_degrees", "humans", "robots")
-    ]
-    column = {f"scenario.{key}" for key in ("fov_degrees", "humans", "robots")}
-    for path, given, default in (
-        ("scenario", scenario, Scenario()),
-        ("scenario.reward", scenario.reward, Reward()),
-        ("evaluation", evaluation, Evaluation()),
-    ):
-        for f in dataclasses.fields(given):
-            key, value = f"{path}.{f.name}", getattr(given, f.name)
-            if key in column or key in ("scenario.reward", "evaluation.batch"):
-                continue
-            if value != getattr(default, f.name):
-                value = value.name if isinstance(value, Enum) else value
-                value = Path(value).name if key == "scenario.recording" else value
+    column = ("fov_degrees", "humans", "robots")
+    words += [f"scenario.{name}={getattr(scenario, name):g}" for name in column]
+    left_out = {*(f"scenario.{name}" for name in column), "scenario.reward", "evaluation.batch"}
+    for path, given in (
+        ("scenario", scenario), ("scenario.reward", scenario.reward), ("evaluation", evaluation)
+    ):  # fmt: skip
+        for name, value in changed_fields(given, type(given)()):
+            key = f"{path}.{name}"
+            if key not in left_out:
+                value = Path(value).name if name == "recording" else value
                 words.append(f"{key}={value}")
     return shlex.join(words)
 

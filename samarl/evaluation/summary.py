@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from collections.abc import Iterator
 from enum import Enum
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -86,12 +87,16 @@ def _changes(scenario: Scenario) -> str:
     told = {*Column._fields, "frame_seconds", "reward"}
     if scenario.crowd is Crowd.recorded:
         told |= {"crowd", "robot_way_min", "robot_way_max"}
-    default, found = Scenario(), []
-    for field in dataclasses.fields(Scenario):
-        value = getattr(scenario, field.name)
-        if field.name not in told and value != getattr(default, field.name):
-            found.append(f"{field.name}={value.name if isinstance(value, Enum) else value}")
-    return " ".join(found)
+    fields = changed_fields(scenario, Scenario())
+    return " ".join(f"{name}={value}" for name, value in fields if name not in told)
+
+
+def changed_fields(given: Any, default: Any) -> Iterator[tuple[str, Any]]:
+    """The fields of a dataclass that are not as in `default`: name and value, of enums the name."""
+    for field in dataclasses.fields(given):
+        value = getattr(given, field.name)
+        if value != getattr(default, field.name):
+            yield field.name, value.name if isinstance(value, Enum) else value
 
 
 def summarise(

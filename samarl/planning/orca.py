@@ -10,11 +10,10 @@ from numba import prange
 from numpy.typing import NDArray
 
 from mrsan import Observation, Scenario
-from mrsan.features import GOAL_X, GOAL_Y
 from mrsan.kernels import kernel
 from mrsan.kernels.orca import orca_velocity
 from mrsan.scenario import required
-from samarl.planning.tracking import gather, track_velocity
+from samarl.planning.tracking import gather, preferred_velocity, track_velocity
 
 
 @dataclass
@@ -77,14 +76,13 @@ def _orca(
                     safety_space,
                     rows,
                 )
-                x, y = ego[e, i, GOAL_X], ego[e, i, GOAL_Y]
-                scale = p.robot_speed / max(math.sqrt(x * x + y * y), np.float32(1e-6))
+                wanted_x, wanted_y = preferred_velocity(ego[e, i], p)
                 vx, vy = orca_velocity(
                     rows,
                     count,
                     0,
-                    x * scale,
-                    y * scale,
+                    wanted_x,
+                    wanted_y,
                     p.robot_speed,
                     neighbor_distance,
                     max_neighbors,

@@ -5,6 +5,8 @@ import math
 import numpy as np
 
 from mrsan.features import (
+    GOAL_X,
+    GOAL_Y,
     OTHER_RADIUS,
     OTHER_VELOCITY_X,
     OTHER_VELOCITY_Y,
@@ -53,6 +55,14 @@ def track_velocity(vx, vy, speed, action, p, sharp=SHARP):
         action[0], action[1], action[2] = min(max(push, -_ONE), _ONE), _ZERO, limited
     else:
         action[0], action[1] = _TWO * wanted / p.robot_speed - _ONE, limited
+
+
+@function
+def preferred_velocity(own, p):
+    """Straight to the goal at full speed: ahead and to the left, m/s; `own` is the ego [11]."""
+    x, y = own[GOAL_X], own[GOAL_Y]
+    scale = p.robot_speed / max(math.sqrt(x * x + y * y), np.float32(1e-6))
+    return x * scale, y * scale
 
 
 @function

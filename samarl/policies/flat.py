@@ -14,6 +14,7 @@ from samarl.policies.heads import Gaussian
 from samarl.policies.policy import (
     LOCAL,
     POLICIES,
+    TOLD,
     Known,
     Level,
     Networks,
@@ -44,7 +45,7 @@ class FlatPolicy(Policy):
     def _decide(
         self, scene: Any, ego: Tensor, rows: Tensor, known: Known, state: State, explore: bool
     ) -> tuple[dict[str, Level], Tensor, Tensor, Tensor]:
-        told = torch.zeros(*known.active.shape, 3)
+        told = torch.zeros(*known.active.shape, TOLD)
         return {}, told, *self._ask(LOCAL, scene, ego, None, rows)
 
     def _choices(

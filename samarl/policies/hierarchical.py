@@ -32,6 +32,7 @@ from samarl.policies.policy import (
     LOCAL,
     MACRO,
     POLICIES,
+    TOLD,
     Decision,
     Known,
     Level,
@@ -82,7 +83,7 @@ class HierarchicalPolicy(Policy):
         n, y, hidden = self.action_size, encoder.features, self.config.hidden
         heads = {
             MACRO: Gaussian(y, hidden, (0.0, 0.0), (0.1, 0.1)),
-            LOCAL: Gaussian(y + 3, hidden, MEAN[n], STD[n]),
+            LOCAL: Gaussian(y + TOLD, hidden, MEAN[n], STD[n]),
         }
         return Networks(encoder, heads)
 
@@ -202,7 +203,7 @@ class HierarchicalPolicy(Policy):
 
 
 def told_of(waypoint: Tensor) -> Tensor:
-    """What the local level is told, [..., 3], of a waypoint in the body frame [..., 2], m."""
+    """What the local level is told, [..., TOLD], of a waypoint in the body frame [..., 2], m."""
     return torch.cat([waypoint / 2.0, torch.exp(-waypoint.norm(dim=-1, keepdim=True))], -1)
 
 

@@ -20,12 +20,13 @@ from mrsan.scenario import required
 from samarl.encoders import Encoder
 from samarl.observations.features import frames_of
 from samarl.observations.frames import Frames
-from samarl.observations.tracker import Tracker, Tracks
+from samarl.observations.tracker import Tracks
 from samarl.planning.lookahead import Commands, command_set, look_ahead
 from samarl.planning.orca import Avoidance, avoid
 from samarl.policies.policy import (
     LOCAL,
     POLICIES,
+    TOLD,
     Decision,
     Known,
     Level,
@@ -104,16 +105,14 @@ class LookaheadPolicy(Policy):
         e, n = observation.ego.shape[:2]
         active = np.ones((e, n), np.bool_) if active is None else active
         explore, where = correlation is not None, torch.from_numpy(active)
-        tracker = Tracker(self.config.track_steps, scenario.time_step)
-        tracks = tracker.update(observation, state["tracks"], is_init)
-        frames = frames_of(tracks, scenario, self.config.known_origin).to(self.device)
+        tracks, frames = self._perceive(observation, state, is_init, scenario)
         action = torch.zeros(e, n, self.action_size)
         if explore and self.imitating:
             action[where] = torch.from_numpy(avoid(self.config, observation, scenario))[where]
         else:
             action[where] = self._best(tracks, active, scenario, self.epsilon if explore else 0.0)
         level = Level(action, torch.zeros(e, n), where)
-        told = torch.zeros(e, n, 3)
+        told = torch.zeros(e, n, TOLD)
         scene = () if explore else self._scene(frames)
         return Decision(
             {LOCAL: level}, torch.zeros_like(action), told, action, tracks, frames, scene

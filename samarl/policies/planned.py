@@ -17,11 +17,19 @@ from samarl.encoders import Encoder
 from samarl.planning.sampling import Plans, first_action
 from samarl.policies.flat import MEAN, FlatPolicy
 from samarl.policies.heads import Gaussian
-from samarl.policies.policy import LOCAL, POLICIES, Known, Level, Networks, PolicyConfig, State
+from samarl.policies.policy import (
+    LOCAL,
+    POLICIES,
+    TOLD,
+    Known,
+    Level,
+    Networks,
+    PolicyConfig,
+    State,
+)
 
 STD = {2: (0.3, 0.3), 3: (0.3, 0.1, 0.3)}
 TRUST = 2.0  # so it begins with 0.88
-PROPOSAL = 3  # numbers of a proposal; the last is 0 for robots with two
 
 
 @dataclass
@@ -38,19 +46,19 @@ class Mixture(Gaussian):
     def __init__(
         self, features: int, hidden: int, mean: Sequence[float], std: Sequence[float]
     ) -> None:
-        """See `Gaussian`; the proposal comes after the features."""
+        """See `Gaussian`; the proposal, padded with zeros, comes after the features."""
         super().__init__(features, hidden, mean, std)
         last = nn.Linear(hidden, 1)
         self.trust = nn.Sequential(
-            nn.Linear(features + PROPOSAL, hidden), nn.Tanh(), last, nn.Sigmoid()
+            nn.Linear(features + TOLD, hidden), nn.Tanh(), last, nn.Sigmoid()
         )
         nn.init.orthogonal_(last.weight, gain=0.01)
         nn.init.constant_(last.bias, TRUST)
 
     def forward(self, inputs: Tensor) -> tuple[Tensor, Tensor]:
         """Mean and standard deviation, [..., A]."""
-        own, std = super().forward(inputs[..., :-PROPOSAL])
-        proposal = inputs[..., -PROPOSAL:][..., : own.shape[-1]]
+        own, std = super().forward(inputs[..., :-TOLD])
+        proposal = inputs[..., -TOLD:][..., : own.shape[-1]]
         return own + self.trust(inputs) * (proposal - own), std
 
 
@@ -69,7 +77,7 @@ class PlannedPolicy(FlatPolicy):
         self, scene: Any, ego: Tensor, rows: Tensor, known: Known, state: State, explore: bool
     ) -> tuple[dict[str, Level], Tensor, Tensor, Tensor]:
         """It is told the planner's proposal, which also counts on those who left the view."""
-        told = torch.zeros(*known.active.shape, PROPOSAL)
+        told = torch.zeros(*known.active.shape, TOLD)
         proposal = first_action(self.config, known.tracks, known.scenario)
         told[..., : self.action_size] = torch.from_numpy(proposal)
         mine = told[torch.from_numpy(known.active)].to(ego.device)

@@ -40,6 +40,7 @@ from samarl.registry import Registry, needed
 POLICIES: Registry[Policy] = Registry("policy")
 
 LOCAL = "local"  # the level that drives; every policy has it
+TOLD = 3  # numbers that it is told: a waypoint or a planner's proposal
 MACRO = "macro"  # the level above, which picks waypoints
 State = dict[str, Any]  # nested dicts and tuples of tensors and arrays, [E, ...] or [B, ...]
 
@@ -70,7 +71,7 @@ class Decision(NamedTuple):
 
     levels: dict[str, Level]
     noise: Tensor  # [E, N, A] of the local level in the step before, in standard deviations
-    target: Tensor  # [E, N, 3] what the local level was told: a waypoint or a planner's proposal
+    target: Tensor  # [E, N, TOLD] what the local level was told
     mean: Tensor  # [E, N, A] what the local level would do without noise
     tracks: Tracks  # [E, N, ...] what was known
     frames: Frames  # [B, 1, ...] the same, as the encoders are given it
@@ -173,8 +174,8 @@ class Policy(nn.Module, ABC):
             explore: draw instead of taking the mean.
 
         Returns:
-            What the levels above the local one decided; what the local one is told, [E, N, 3]; and
-            its mean and standard deviation, [R, A].
+            What the levels above the local one decided; what the local one is told,
+            [E, N, TOLD]; and its mean and standard deviation, [R, A].
         """
 
     @abstractmethod
@@ -187,7 +188,7 @@ class Policy(nn.Module, ABC):
             scene: [P, ...].
             ego: [P, F_e].
             rows: [P].
-            told: [P, 3].
+            told: [P, TOLD].
             asked: [Q] which of the samples, for each level.
         """
 
@@ -255,9 +256,7 @@ class Policy(nn.Module, ABC):
         active = np.ones((e, n), np.bool_) if active is None else active
         explore, where = correlation is not None, torch.from_numpy(active)
         rows = torch.from_numpy(np.flatnonzero(active)).to(self.device)
-        tracker = Tracker(self.config.track_steps, scenario.time_step)
-        tracks = tracker.update(observation, state["tracks"], is_init)
-        frames = frames_of(tracks, scenario, self.config.known_origin).to(self.device)
+        tracks, frames = self._perceive(observation, state, is_init, scenario)
         now = frames.of(rows)
         begins = torch.from_numpy(np.repeat(is_init, n)).to(self.device)[rows]
         sets = len(self.networks)
@@ -299,7 +298,7 @@ class Policy(nn.Module, ABC):
         Args:
             sequences: what B robots knew in T steps.
             samples: [P] which of the steps, as b T + t.
-            told: [P, 3] what the local level was told.
+            told: [P, TOLD] what the local level was told.
             taken: what each level did, and where.
             correlation: of the noise of the local level.
         """
@@ -393,6 +392,15 @@ class Policy(nn.Module, ABC):
             )
 
     # Helpers of the policies
+
+    def _perceive(
+        self, observation: Observation, state: State, is_init: NDArray[np.bool_],
+        scenario: Scenario,
+    ) -> tuple[Tracks, Frames]:  # fmt: skip
+        """What all robots know now, and the same as the encoders are given it; see `act`."""
+        tracker = Tracker(self.config.track_steps, scenario.time_step)
+        tracks = tracker.update(observation, state["tracks"], is_init)
+        return tracks, frames_of(tracks, scenario, self.config.known_origin).to(self.device)
 
     def _given(self, frames: Frames) -> Frames:
         """What the encoder may observe of the frames."""

@@ -253,40 +253,48 @@ def sweep_figures(rows: Sequence[Row]) -> Iterable[tuple[str, Figure]]:
     """What a sweep varies: a number alone as lines, views and crowds as maps, the rest as bars."""
     labels = settings_labels(rows)
     several = len(set(labels)) > 1
+    names = [row["method"] + (f", {label}" if several else "")
+             for row, label in zip(rows, labels, strict=True)]  # fmt: skip
+    if len(_varied(rows)) == 1 and len(set(names)) <= len(COLOURS):
+        yield _lines_over_axis(rows, names)
+        return
     settings: dict[str, list[Row]] = {}
     columns: dict[Column, list[tuple[Row, str]]] = {}
     for row, label in zip(rows, labels, strict=True):
         settings.setdefault(label, []).append(row)
         columns.setdefault(Column(*column_of(row)[:3]), []).append((row, label))
-    varied = [key for key in _AXES if len({row[key] for row in rows}) > 1]
-    lines = [
-        f"{row['method']}, {label}" if several else row["method"]
-        for row, label in zip(rows, labels, strict=True)
-    ]
-    if len(varied) == 1 and len(set(lines)) <= len(COLOURS):
-        title, values = _AXES[varied[0]], [float(row[varied[0]]) for row in rows]
-        yield title, draw_lines(rows, values, title, title, lines)
-        return
     for label, mine in settings.items():
-        varied = [key for key in _AXES if len({row[key] for row in mine}) > 1]
-        if len(varied) == 1:
-            title = _AXES[varied[0]] + (f", {label}" if several else "")
-            values = [float(row[varied[0]]) for row in mine]
-            methods = [row["method"] for row in mine]
-            yield title, draw_lines(mine, values, _AXES[varied[0]], title, methods)
-        elif varied:
+        suffix = f", {label}" if several else ""
+        if len(_varied(mine)) == 1:
+            yield _lines_over_axis(mine, [row["method"] for row in mine], suffix)
+        elif _varied(mine):
             for method in dict.fromkeys(row["method"] for row in mine):
-                title = f"{method}, {label}" if several else method
-                yield title, draw_heat_map([row for row in mine if row["method"] == method], title)
+                of_method = [row for row in mine if row["method"] == method]
+                yield method + suffix, draw_heat_map(of_method, method + suffix)
     for column, found in columns.items():
         of_column, of_label = [row for row, _ in found], [label for _, label in found]
         if len(set(of_label)) > 1:
             title = column_name(column)
             if number := _one_number(of_label):
-                lines = [row["method"] for row in of_column]
-                yield title, draw_lines(of_column, number[1], number[0], title, lines)
+                methods = [row["method"] for row in of_column]
+                yield title, draw_lines(of_column, number[1], number[0], title, methods)
             else:
                 yield title, draw_bars(of_column, title)
+
+
+def _varied(rows: Sequence[Row]) -> list[str]:
+    """Which of the axes rows differ in."""
+    return [key for key in _AXES if len({row[key] for row in rows}) > 1]
+
+
+def _lines_over_axis(
+    rows: Sequence[Row], names: Sequence[str], suffix: str = ""
+) -> tuple[str, Figure]:
+    """Lines over the one axis that rows differ in, and their title."""
+    key = _varied(rows)[0]
+    values = [float(row[key]) for row in rows]
+    title = _AXES[key] + suffix
+    return title, draw_lines(rows, values, _AXES[key], title, names)
 
 
 def _one_number(labels: Sequence[str]) -> tuple[str, list[float]] | None:

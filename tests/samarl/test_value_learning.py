@@ -1,4 +1,4 @@
-"""CADRL: what a command leads to, the least over pairs, and what a value is regressed on."""
+"""CADRL: the command it takes, the least over pairs, and what a value is regressed on."""
 
 from __future__ import annotations
 
@@ -12,8 +12,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from mrsan import ConfigurationError, Crowd, Kinematics, Observation, Scenario, World
-from mrsan.features import GOAL, HEADING_COS, HEADING_SIN, PREFERRED_SPEED, RADIUS, VELOCITY_X
+from mrsan import ConfigurationError, Scenario, World
 from mrsan.scenario import required
 from samarl.agents import build_agent
 from samarl.agents.learned import Deployed, Learned
@@ -23,8 +22,7 @@ from samarl.configuration import load_agent
 from samarl.encoders import ENCODERS, Encoder
 from samarl.observations.features import frames_of
 from samarl.observations.frames import Frames
-from samarl.observations.tracker import AGE, Tracker, Tracks
-from samarl.planning.lookahead import Commands, command_set, look_ahead
+from samarl.planning.lookahead import command_set
 from samarl.policies.checkpoint import make_policy
 from samarl.policies.lookahead import LookaheadPolicy
 from samarl.registry import Entry
@@ -34,8 +32,7 @@ from samarl.training.run_dir import LAST
 from samarl.training.trainer import Trainer, TrainerConfig
 from tests.learning import VALUE_NUMBERS, policy_numbers
 from tests.learning import algorithm as ppo
-
-SIZES = Commands(turns=5, speeds=5, directions=16)
+from tests.scenes import COMMANDS, known, scene_of
 
 
 def lookahead(action_size: int = 3, encoder: str = "pairwise", **changes: Any) -> LookaheadPolicy:
@@ -51,177 +48,6 @@ def learner(of: LookaheadPolicy, **changes: Any) -> ValueLearning:
     made = ALGORITHMS["value_learning"].made(of, ALGORITHMS.config(numbers))
     assert isinstance(made, ValueLearning)
     return made
-
-
-def known(observation: Observation, scenario: Scenario) -> Tracks:
-    e, n, m = observation.humans_visible.shape
-    tracker = Tracker(8, scenario.time_step)
-    return tracker.update(observation, tracker.initial(e, n, m), np.ones(e, np.bool_))
-
-
-# What a command leads to
-
-
-def test_the_commands_of_each_kind_of_robot() -> None:
-    for kinematics, count, still in (
-        (Kinematics.acceleration_heading, 25, (-1.0, 0.0, 0.0)),
-        (Kinematics.unicycle, 25, (-1.0, 0.0)),
-        (Kinematics.holonomic, 81, (0.0, 0.0)),
-    ):
-        commands = command_set(SIZES, kinematics)
-        assert len(np.unique(commands.round(5), axis=0)) == len(commands) == count
-        assert (np.linalg.norm(commands[:, :2], axis=1) <= math.sqrt(2.0)).all()
-        assert np.abs(commands).max() == 1.0
-        assert (np.abs(commands - np.array(still)).max(1) < 1e-6).any()
-
-
-@pytest.mark.parametrize("kinematics", Kinematics)
-def test_a_robot_alone_is_foreseen_as_the_world_moves_it(kinematics: Kinematics) -> None:
-    scenario = Scenario(robots=1, humans=0, kinematics=kinematics)
-    commands = command_set(SIZES, kinematics)
-    world = World(scenario, len(commands))
-    world.reset(np.full(len(commands), 3))
-    for way in (22, 13, 14):  # it moves, and looks somewhere else than to its goal
-        observation = world.step(np.tile(commands[way], (len(commands), 1, 1))).observation
-    for ahead in (5.0, 0.45):  # far from the goal, and just before it
-        ego = observation.ego[0, 0]
-        heading = math.atan2(ego[HEADING_SIN], ego[HEADING_COS])
-        world.state.robot_goal[:, 0] = world.state.robot_position[:, 0] + ahead * np.array(
-            [math.cos(heading), math.sin(heading)], np.float32
-        )
-        observation = world.observe()
-        active = np.zeros((len(commands), 1), np.bool_)
-        active[0] = True
-        tracks = known(observation, scenario)
-        outcomes = look_ahead(tracks, active, observation.ego[..., GOAL], commands, scenario)
-        before = world.snapshot()
-        step = world.step(commands[:, None])
-        np.testing.assert_allclose(outcomes.tracks.ego, step.observation.ego, atol=1e-5)
-        assert outcomes.ended[:, 0].tolist() == world.state.arrived[:, 0].tolist()
-        assert outcomes.ended.any() == (ahead < 1.0)
-        paid = (step.reward - step.reward_parts.team)[:, 0]
-        np.testing.assert_allclose(outcomes.reward[:, 0], paid, atol=1e-4)
-        world.restore(before)
-    assert 1 <= outcomes.ended.sum() < len(commands)
-
-
-@pytest.mark.parametrize("kinematics", Kinematics)
-def test_where_all_others_keep_their_velocity_the_world_does_as_foreseen(
-    kinematics: Kinematics,
-) -> None:
-    """Contacts, discomfort, arrivals and everybody's next place, in random crowds."""
-    scenario = Scenario(robots=3, humans=4, kinematics=kinematics, crowd=Crowd.still)
-    e, rng = 200, np.random.default_rng(0)
-    world = World(scenario, e)
-    world.reset(np.arange(e))
-    state = world.state
-    heading = rng.uniform(-np.pi, np.pi, (e, 3)).astype(np.float32)
-    speed = rng.uniform(0.2, 1.0, (e, 3)).astype(np.float32)
-    direction = np.stack([np.cos(heading), np.sin(heading)], -1)
-    state.robot_heading[:] = heading
-    state.robot_velocity[:] = speed[..., None] * direction
-    state.robot_position[:] = rng.uniform(-1.2, 1.2, (e, 3, 2))
-    state.robot_goal[:, 0] = state.robot_position[:, 0] + rng.uniform(-0.7, 0.7, (e, 2))
-    state.human_position[:] = rng.uniform(-2.0, 2.0, (e, 4, 2))
-    state.human_velocity[:] = 0.0
-    keep = {
-        Kinematics.acceleration_heading: lambda v: (0 * v, 0 * v, 0 * v),
-        Kinematics.holonomic: lambda v: (v, 0 * v),
-        Kinematics.unicycle: lambda v: (2 * v - 1, 0 * v),
-    }[kinematics]
-    commands = command_set(SIZES, kinematics)
-    chosen = rng.integers(len(commands), size=e)
-    action = np.stack(keep(speed), -1).astype(np.float32)
-    action[:, 0] = commands[chosen]
-    observation = world.observe()
-    active = np.zeros((e, 3), np.bool_)
-    active[:, 0] = True
-    outcomes = look_ahead(
-        known(observation, scenario), active, observation.ego[..., GOAL], commands, scenario
-    )
-    step = world.step(action)
-    rows, after = np.arange(e), step.observation
-    tracks = Tracks(*(kept[chosen, rows] for kept in outcomes.tracks))
-    np.testing.assert_allclose(tracks.ego, after.ego[:, 0], atol=1e-5)
-    for foreseen, there in ((tracks.humans, after.humans), (tracks.robots, after.robots)):
-        np.testing.assert_allclose(foreseen[..., :AGE], there[:, 0], atol=1e-5)
-    assert tracks.humans_known.all()
-    assert tracks.robots_known.all()
-    hit, arrived = state.collision[:, 0] != 0, state.arrived[:, 0]
-    assert (outcomes.ended[chosen, rows] == (hit | arrived)).all()
-    paid = (step.reward - step.reward_parts.team)[:, 0]
-    np.testing.assert_allclose(outcomes.reward[chosen, rows], paid, atol=2e-4)
-    assert min(hit.sum(), arrived.sum(), (step.reward_parts.discomfort[:, 0] < 0).sum()) > 10
-
-
-def scene_of(
-    humans: list[list[float]], goal: tuple[float, float], speed: float, scenario: Scenario
-) -> Tracks:
-    """A robot at the origin that looks and moves along x; people relative to it."""
-    ego = np.zeros((1, 1, 11), np.float32)
-    ego[..., GOAL], ego[..., VELOCITY_X], ego[..., HEADING_COS] = goal, speed, 1.0
-    ego[..., RADIUS], ego[..., PREFERRED_SPEED] = scenario.robot_radius, scenario.robot_speed
-    people = np.zeros((1, 1, len(humans), 6), np.float32)
-    for j, row in enumerate(humans):
-        people[0, 0, j, : len(row)] = row
-    others = np.zeros((1, 1, 0, 6), np.float32), np.zeros((1, 1, 0), np.bool_)
-    return Tracks(ego, people, np.ones((1, 1, len(humans)), np.bool_), *others)
-
-
-def test_a_person_in_constant_motion_is_where_paper_and_pencil_say() -> None:
-    scenario = Scenario(robots=1, humans=1)
-    # The person is at (2, 1) and walks at (-1, 0); the robot drives on at 0.5 m/s, turning left.
-    tracks = scene_of([[2.0, 1.0, -1.5, 0.0, 0.3, 0.25]], (4.0, 0.0), 0.5, scenario)
-    command = np.array([[0.0, 0.0, 1.0]], np.float32)
-    active = np.ones((1, 1), np.bool_)
-    outcomes = look_ahead(tracks, active, tracks.ego[..., GOAL], command, scenario)
-    turn = 0.25 * 0.5 / 1.0  # Eq. 3: speed over the turning radius of 1 m, less than 15 degrees
-    vx, vy = 0.5 * math.cos(turn), 0.5 * math.sin(turn)
-    x, y = 0.25 * (0.5 + vx) / 2, 0.25 * vy / 2
-
-    def turned(dx: float, dy: float) -> tuple[float, float]:
-        cos, sin = math.cos(turn), math.sin(turn)
-        return cos * dx + sin * dy, cos * dy - sin * dx
-
-    expected = (*turned(2.0 - 0.25 - x, 1.0 - y), *turned(-1.0 - vx, 0.0 - vy), 0.3, 0.25)
-    assert outcomes.tracks.humans[0, 0, 0].tolist() == pytest.approx(expected, abs=1e-6)
-    progress = 4.0 - math.hypot(4.0 - x, y)
-    assert outcomes.reward[0, 0] == pytest.approx(2.0 * progress, abs=1e-5)
-    assert not outcomes.ended[0, 0]
-
-
-def test_a_collision_between_two_moments_is_foreseen() -> None:
-    """A runner is on one side before the step and on the other after it."""
-    scenario = Scenario(robots=1, humans=1)
-    still = np.array([[-1.0, 0.0, 0.0]], np.float32)
-    active = np.ones((1, 1), np.bool_)
-    for aside, hit in ((0.0, True), (0.55, True), (0.65, False)):
-        tracks = scene_of([[1.0, aside, -8.0, 0.0, 0.3]], (4.0, 0.0), 0.0, scenario)
-        outcomes = look_ahead(tracks, active, tracks.ego[..., GOAL], still, scenario)
-        assert outcomes.tracks.humans[0, 0, 0, 0] == -1.0
-        assert outcomes.ended[0, 0] == hit
-        assert outcomes.reward[0, 0] == (scenario.reward.collision if hit else 0.0)
-
-
-def test_who_is_not_known_is_not_foreseen() -> None:
-    scenario = Scenario(robots=3, humans=6, fov_degrees=90.0)
-    world = World(scenario, 4)
-    observation = world.reset(np.arange(4))
-    tracks = known(observation, scenario)
-    rng = np.random.default_rng(0)
-    garbage = Tracks(
-        tracks.ego,
-        np.where(tracks.humans_known[..., None], tracks.humans, rng.normal(size=6)).astype("f"),
-        tracks.humans_known,
-        np.where(tracks.robots_known[..., None], tracks.robots, rng.normal(size=6)).astype("f"),
-        tracks.robots_known,
-    )
-    assert (garbage.humans != tracks.humans).any()
-    commands, active = command_set(SIZES, scenario.kinematics), np.ones((4, 3), np.bool_)
-    target = observation.ego[..., GOAL]
-    one, other = (look_ahead(t, active, target, commands, scenario) for t in (tracks, garbage))
-    for a, b in zip((*one.tracks, *one[1:]), (*other.tracks, *other[1:]), strict=True):
-        np.testing.assert_array_equal(a, b)
 
 
 # The policy
@@ -280,7 +106,7 @@ def test_it_imitates_orca_and_explores_with_epsilon() -> None:
     assert (greedy != orca).any()
     policy.imitating, policy.epsilon = False, 1.0
     action = policy.act(observation, state, begins, scenario, 0.0).action
-    commands = command_set(SIZES, scenario.kinematics)
+    commands = command_set(COMMANDS, scenario.kinematics)
     number = (action[:, :, None] == commands).all(-1)
     assert (number.sum(-1) == 1).all()
     assert len(np.unique(number.argmax(-1))) > 20
@@ -583,7 +409,7 @@ def test_a_run_learns_goes_on_and_its_policy_drives(tmp_path: Path) -> None:
     agent = Learned(scenario, str(tmp_path / LAST))
     world = World(scenario, 2)
     observation = world.reset([0, 1])
-    commands = command_set(SIZES, scenario.kinematics)
+    commands = command_set(COMMANDS, scenario.kinematics)
     deployed = Deployed(last.mean, scenario)
     for _ in range(4):
         action = agent.act(observation)

@@ -10,12 +10,11 @@ from numba import prange
 from numpy.typing import NDArray
 
 from mrsan import Observation
-from mrsan.features import GOAL_X, GOAL_Y
 from mrsan.kernels import kernel
 from mrsan.kernels.social_force import social_force_velocity
 from mrsan.scenario import required
 from samarl.agents.agent import Agent
-from samarl.planning.tracking import gather, track_velocity
+from samarl.planning.tracking import gather, preferred_velocity, track_velocity
 
 
 @dataclass
@@ -64,14 +63,13 @@ def _social_force(
                     none,
                     rows,
                 )
-                x, y = ego[e, i, GOAL_X], ego[e, i, GOAL_Y]
-                scale = p.robot_speed / max(math.sqrt(x * x + y * y), np.float32(1e-6))
+                wanted_x, wanted_y = preferred_velocity(ego[e, i], p)
                 vx, vy = social_force_velocity(
                     rows,
                     count,
                     0,
-                    x * scale,
-                    y * scale,
+                    wanted_x,
+                    wanted_y,
                     p.robot_speed,
                     relaxation_time,
                     strength,

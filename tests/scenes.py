@@ -1,0 +1,32 @@
+"""Small scenes, and what robots know in them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mrsan import Observation, Scenario
+from mrsan.features import GOAL, HEADING_COS, PREFERRED_SPEED, RADIUS, VELOCITY_X
+from samarl.observations.tracker import Tracker, Tracks
+from samarl.planning.lookahead import Commands
+
+COMMANDS = Commands(turns=5, speeds=5, directions=16)
+
+
+def known(observation: Observation, scenario: Scenario) -> Tracks:
+    e, n, m = observation.humans_visible.shape
+    tracker = Tracker(8, scenario.time_step)
+    return tracker.update(observation, tracker.initial(e, n, m), np.ones(e, np.bool_))
+
+
+def scene_of(
+    humans: list[list[float]], goal: tuple[float, float], speed: float, scenario: Scenario
+) -> Tracks:
+    """A robot at the origin that looks and moves along x; people relative to it."""
+    ego = np.zeros((1, 1, 11), np.float32)
+    ego[..., GOAL], ego[..., VELOCITY_X], ego[..., HEADING_COS] = goal, speed, 1.0
+    ego[..., RADIUS], ego[..., PREFERRED_SPEED] = scenario.robot_radius, scenario.robot_speed
+    people = np.zeros((1, 1, len(humans), 6), np.float32)
+    for j, row in enumerate(humans):
+        people[0, 0, j, : len(row)] = row
+    others = np.zeros((1, 1, 0, 6), np.float32), np.zeros((1, 1, 0), np.bool_)
+    return Tracks(ego, people, np.ones((1, 1, len(humans)), np.bool_), *others)
