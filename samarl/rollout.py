@@ -35,7 +35,7 @@ class Rollout:
     level; `("agents", "target")` [S, T + 1, N, TOLD], what it was told; `("agents", "speed")`;
     for the macro level `("agents", "macro", ...)` with `action`, `sample_log_prob` and
     `decision_mask`; `("next", "agents", "reward")` and `("next", "agents", "macro", "reward")`
-    [S, T + 1, N]; `("next", "agents", "team_reward")`, the part of it that pays for all having arrived;
+    [S, T + 1, N]; `("next", "agents", "team_reward")`, the part that pays for all having arrived;
     `("next", "done")` [S, T + 1, 1]; `("next", "agents", "terminated")` [S, T + 1, N], else the
     time limit or a team-mate's collision cut the robot's episode short.
     """

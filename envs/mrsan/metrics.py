@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrsan.kernels.step import HIT_HUMAN, HIT_ROBOT, PERSONAL_SPACE
+from mrsan.kernels.tally import TALLY
 from mrsan.scenario import Scenario
 from mrsan.state import State
 
@@ -35,7 +36,13 @@ class Episodes(NamedTuple):
     time: NDArray[np.float64]  # [B, N] until it arrived or the episode ended, s
     closest_human: NDArray[np.float64]  # [B, N] smallest surface distance, m; inf: no humans
     close_share: NDArray[np.float64]  # [B, N] share of its steps within personal space
+    personal_share: NDArray[np.float64]  # [B, N] from 0.45 to 1.2 m from the nearest human
+    social_share: NDArray[np.float64]  # [B, N] from 1.2 to 3.6 m
+    standing_share: NDArray[np.float64]  # [B, N] of its steps slower than 0.05 m/s
     jerk: NDArray[np.float64]  # [B, N] mean norm, m/s^3
+    heading_change: NDArray[np.float64]  # [B, N] sum of the turns to either side, rad
+    soonest_collision: NDArray[np.float64]  # [B, N] smallest time to one with a human, s; or inf
+    ran_into_human: NDArray[np.bool_]  # [B, N] it hit one, and came to it at least as fast
 
     @property
     def success(self) -> NDArray[np.bool_]:
@@ -44,8 +51,18 @@ class Episodes(NamedTuple):
 
     @property
     def hit_human(self) -> NDArray[np.bool_]:
-        """Some robot ran into a human, [B]."""
+        """Some robot and a human ran into each other, [B]."""
         return (self.outcome == Outcome.hit_human).any(axis=1)
+
+    @property
+    def robot_on_person(self) -> NDArray[np.bool_]:
+        """Some robot hit a human, and moved towards it at least as fast as it came, [B]."""
+        return ((self.outcome == Outcome.hit_human) & self.ran_into_human).any(axis=1)
+
+    @property
+    def person_on_robot(self) -> NDArray[np.bool_]:
+        """Some human hit a robot, and moved towards it faster than the robot came, [B]."""
+        return ((self.outcome == Outcome.hit_human) & ~self.ran_into_human).any(axis=1)
 
     @property
     def hit_robot(self) -> NDArray[np.bool_]:
@@ -65,19 +82,27 @@ def episodes_of(state: State, scenario: Scenario, worlds: NDArray[np.bool_]) -> 
     on_its_way = np.where(ended_by_time, Outcome.timeout, Outcome.interrupted)
     outcome = np.where(state.arrived[worlds], Outcome.arrived, on_its_way)
     outcome = np.where(collision != 0, collision, outcome).astype(np.int8)
-    steps = np.maximum(state.driven_steps[worlds], 1)
+    columns = np.moveaxis(state.tally[worlds].astype(np.float64), -1, 0)
+    tally = dict(zip(TALLY, columns, strict=True))
+    steps = np.maximum(tally["driven_steps"], 1)
     to_goal = state.robot_goal[worlds] - state.robot_start[worlds]
     return Episodes(
         case=state.case[worlds].copy(),
         episode=state.episode[worlds].copy(),
         duration=state.clock[worlds].astype(np.float64) * scenario.time_step,
         outcome=outcome,
-        path_length=state.path_length[worlds].astype(np.float64),
+        path_length=tally["path_length"],
         straight_line=np.linalg.norm(to_goal.astype(np.float64), axis=-1),
-        time=state.driven_steps[worlds].astype(np.float64) * scenario.time_step,
-        closest_human=state.closest_human[worlds].astype(np.float64),
-        close_share=state.close_steps[worlds] / steps,
-        jerk=state.jerk_sum[worlds].astype(np.float64) / steps,
+        time=tally["driven_steps"] * scenario.time_step,
+        closest_human=tally["closest_human"],
+        close_share=tally["close_steps"] / steps,
+        personal_share=tally["personal_steps"] / steps,
+        social_share=tally["social_steps"] / steps,
+        standing_share=tally["standing_steps"] / steps,
+        jerk=tally["jerk_sum"] / steps,
+        heading_change=tally["heading_change"],
+        soonest_collision=tally["soonest_collision"],
+        ran_into_human=tally["ran_into"] > 0,
     )
 
 

@@ -37,13 +37,8 @@ class State(NamedTuple):
     robot_start: Floats  # [E, N, 2]
     arrived: Bools  # [E, N]
     collision: NDArray[np.int8]  # [E, N] 0, or whom it ran into (kernels.step.HIT_*)
-    # What happened so far, while the robot was on its way:
     robot_acceleration: Floats  # [E, N, 2] of the last step
-    path_length: Floats  # [E, N]
-    closest_human: Floats  # [E, N] smallest surface distance, during steps too
-    driven_steps: NDArray[np.int32]  # [E, N]
-    close_steps: NDArray[np.int32]  # [E, N] that ended in personal space (0.45 m)
-    jerk_sum: Floats  # [E, N] of the norm, m/s^3
+    tally: Floats  # [E, N, 11] what happened so far, `mrsan.kernels.tally.TALLY`
     # What robots told each other lately, in the world frame, by the clock modulo its length L:
     said: Floats  # [E, L, N, M + N, 5] OTHER_FEATURES; a radius of 0: it was not seen
 

@@ -17,6 +17,7 @@ from mrsan.features import EGO_FEATURES, OTHER_FEATURES
 from mrsan.kernels.sensing import observe
 from mrsan.kernels.spawn import begin_episodes
 from mrsan.kernels.step import advance
+from mrsan.kernels.tally import TALLY
 from mrsan.kernels.team import tell
 from mrsan.metrics import Episodes, episodes_of
 from mrsan.parameters import Sensor
@@ -289,10 +290,6 @@ def _empty_state(e: int, scenario: Scenario) -> State:
         arrived=np.zeros((e, n), np.bool_),
         collision=np.zeros((e, n), np.int8),
         robot_acceleration=np.zeros((e, n, 2), f),
-        path_length=np.zeros((e, n), f),
-        closest_human=np.zeros((e, n), f),
-        driven_steps=np.zeros((e, n), np.int32),
-        close_steps=np.zeros((e, n), np.int32),
-        jerk_sum=np.zeros((e, n), f),
+        tally=np.zeros((e, n, len(TALLY)), f),
         said=np.zeros((e, kept, n, m + n, len(OTHER_FEATURES)), f),
     )

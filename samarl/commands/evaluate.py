@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 from typing import Any
 
@@ -82,9 +83,16 @@ def episodes_as_jsonl(episodes: Episodes) -> str:
         }
         for key in _PER_ROBOT:
             values = getattr(episodes, key)[b].tolist()
-            record[key] = [round(value, 4) if value < float("inf") else None for value in values]
+            record[key] = [_rounded(value) for value in values]
         lines.append(json.dumps(record))
     return "\n".join(lines) + "\n"
+
+
+def _rounded(value: float) -> float | None:
+    """For JSON, which has no infinity; True and False stay what they are."""
+    if value == math.inf:
+        return None
+    return round(value, 4) if isinstance(value, float) else value
 
 
 def _plain(config: DictConfig) -> Any:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from enum import Flag, auto
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,16 @@ Value = float | None  # None: there is nothing to measure it of
 Measure = Callable[[Episodes], Any]  # a value, or a tuple of one for each field
 
 _Z95 = 1.959963984540054  # 97.5 % quantile of the normal distribution
+_FAR_AHEAD = 10.0  # a collision later than this is none to fear, s
+
+
+class Shown(Flag):
+    """The tables in which a metric has a column."""
+
+    printed = auto()  # those that are printed
+    report = auto()  # the report's, of all that is measured
+    driving = auto()  # the report's other one, of how the robots drive
+    everywhere = printed | report | driving
 
 
 @dataclass(frozen=True)
@@ -30,7 +41,7 @@ class Metric:
     form: str  # how its values are printed, as of `str.format`
     decimals: int  # to which they are rounded in the files
     measure: Measure
-    detail: bool = False  # its column stands in the report only, not in what is printed
+    shown: Shown = Shown.printed | Shown.report
 
     def of(self, episodes: Episodes) -> dict[str, Value]:
         """Its fields of a row, rounded."""
@@ -58,7 +69,11 @@ METRICS: dict[str, Metric] = {}  # by the first field, in the order of a row
 
 
 def metric(
-    *fields: str, heading: str, form: str = "{:.1f}", decimals: int = 2, detail: bool = False
+    *fields: str,
+    heading: str,
+    form: str = "{:.1f}",
+    decimals: int = 2,
+    shown: Shown = Shown.printed | Shown.report,
 ) -> Callable[[Measure], Measure]:
     """Make a function of the episode records known as a metric.
 
@@ -67,7 +82,7 @@ def metric(
         heading: of its column in the tables; empty: only in the files.
         form: how a cell shows the values, as of `str.format`.
         decimals: to which the files round them.
-        detail: show its column in the report only.
+        shown: in which tables it has a column.
 
     Raises:
         ValueError: another metric has a field of this name.
@@ -77,7 +92,7 @@ def metric(
         for name in fields:
             if name in metric_fields():
                 raise ValueError(f"metric field {name!r} is there already; name it otherwise")
-        METRICS[fields[0]] = Metric(fields, heading, form, decimals, measure, detail)
+        METRICS[fields[0]] = Metric(fields, heading, form, decimals, measure, shown)
         return measure
 
     return register
@@ -112,7 +127,7 @@ def mean_interval(scores: NDArray[np.float64]) -> tuple[float, float, float]:
 
 @metric(
     "success_rate", "success_low", "success_high",
-    heading="success % [95 %]", form="{:.1f} [{:.1f}, {:.1f}]",
+    heading="success % [95 %]", form="{:.1f} [{:.1f}, {:.1f}]", shown=Shown.everywhere,
 )  # fmt: skip
 def _success(episodes: Episodes) -> tuple[float, float, float]:
     """Every robot arrived and nobody collided, %, with its Wilson interval."""
@@ -121,13 +136,19 @@ def _success(episodes: Episodes) -> tuple[float, float, float]:
     return _percent(success), 100 * low, 100 * high
 
 
+@metric("robot_success_rate", heading="robots' success %", shown=Shown.driving)
+def _robot_success(episodes: Episodes) -> float:
+    """Robots that arrived, whatever became of the others, %."""
+    return _percent(episodes.outcome == Outcome.arrived)
+
+
 @metric("social_score", "social_low", "social_high", heading="social score")
 def _social(episodes: Episodes) -> tuple[float, float, float]:
     """Mean of F, with the normal interval of the mean over episodes."""
     return mean_interval(social_score(episodes).mean(axis=1))
 
 
-@metric("collision_rate", heading="collision %", detail=True)
+@metric("collision_rate", heading="collision %", shown=Shown.report)
 def _collision(episodes: Episodes) -> float:
     return _percent(episodes.hit_human | episodes.hit_robot)
 
@@ -137,7 +158,19 @@ def _human_collision(episodes: Episodes) -> float:
     return _percent(episodes.hit_human)
 
 
-@metric("robot_collision_rate", heading="hit robot %")
+@metric("robot_on_person_rate", heading="robot on person %", shown=Shown.driving)
+def _robot_on_person(episodes: Episodes) -> float:
+    """Episodes in which a robot hit a human and was the faster towards the other, %."""
+    return _percent(episodes.robot_on_person)
+
+
+@metric("person_on_robot_rate", heading="person on robot %", shown=Shown.driving)
+def _person_on_robot(episodes: Episodes) -> float:
+    """The same where the human was the faster, %."""
+    return _percent(episodes.person_on_robot)
+
+
+@metric("robot_collision_rate", heading="hit robot %", shown=Shown.everywhere)
 def _robot_collision(episodes: Episodes) -> float:
     return _percent(episodes.hit_robot)
 
@@ -159,23 +192,71 @@ def _time_to_goal(episodes: Episodes) -> Value:
     return _mean(episodes.time[episodes.outcome == Outcome.arrived])
 
 
-@metric("closest_human", heading="nearest m", form="{:.2f}", decimals=3, detail=True)
+@metric("closest_human", heading="nearest m", form="{:.2f}", decimals=3, shown=Shown.report)
 def _closest_human(episodes: Episodes) -> Value:
     """Median over robots and episodes in which there was a human, m."""
     met = episodes.closest_human[np.isfinite(episodes.closest_human)]
     return float(np.median(met)) if met.size else None
 
 
-@metric("close_share", heading="close %", detail=True)
+@metric("close_share", heading="close %", shown=Shown.report | Shown.driving)
 def _close_share(episodes: Episodes) -> float:
-    """Share of a robot's steps within personal space, %."""
+    """Share of a robot's steps within 0.45 m of somebody: in intimate space (Hall, 1966), %."""
     return _percent(episodes.close_share)
 
 
-@metric("jerk", heading="jerk m/s³", detail=True)
+@metric("personal_share", heading="personal %", shown=Shown.driving)
+def _personal_share(episodes: Episodes) -> float:
+    """Share of its steps from 0.45 to 1.2 m from the nearest human (Hall, 1966), %."""
+    return _percent(episodes.personal_share)
+
+
+@metric("social_share", heading="social %", shown=Shown.driving)
+def _social_share(episodes: Episodes) -> float:
+    """Share of its steps from 1.2 to 3.6 m from the nearest human (Hall, 1966), %."""
+    return _percent(episodes.social_share)
+
+
+@metric("soonest_collision", heading="soonest collision s", decimals=3, shown=Shown.driving)
+def _soonest_collision(episodes: Episodes) -> Value:
+    """Smallest time to one with a human if nobody changed velocity, at most 10 s (Francis et al.).
+
+    Median over robots and episodes in which there was a human, s.
+    """
+    met = episodes.soonest_collision[np.isfinite(episodes.closest_human)]
+    return float(np.median(np.minimum(met, _FAR_AHEAD))) if met.size else None
+
+
+@metric("jerk", heading="jerk m/s³", shown=Shown.report)
 def _jerk(episodes: Episodes) -> float:
     """Mean norm, m/s^3."""
     return float(episodes.jerk.mean())
+
+
+@metric("standing_share", heading="not moving %", shown=Shown.driving)
+def _standing_share(episodes: Episodes) -> float:
+    """Share of a robot's steps slower than 0.05 m/s (HuNavSim's time not moving), %."""
+    return _percent(episodes.standing_share)
+
+
+@metric("heading_change", heading="heading change rad", form="{:.2f}", shown=Shown.driving)
+def _heading_change(episodes: Episodes) -> Value:
+    """Sum of the turns to either side, mean over the robots that arrived, rad (HuNavSim)."""
+    return _mean(episodes.heading_change[episodes.outcome == Outcome.arrived])
+
+
+@metric(
+    "path_irregularity", heading="irregularity rad/m", form="{:.2f}", decimals=3,
+    shown=Shown.driving,
+)  # fmt: skip
+def _path_irregularity(episodes: Episodes) -> Value:
+    """Turning for each metre driven, mean over the robots that arrived (Guzzi et al., 2013), rad/m.
+
+    They count what exceeds the turning on the straight way; a robot that begins with its heading
+    towards its goal has none there.
+    """
+    arrived = episodes.outcome == Outcome.arrived
+    return _mean(episodes.heading_change[arrived] / episodes.path_length[arrived])
 
 
 def _percent(share: NDArray[np.bool_] | NDArray[np.float64]) -> float:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from samarl.evaluation.metrics import METRICS, Metric
+from samarl.evaluation.metrics import METRICS, Metric, Shown
 from samarl.evaluation.summary import Column, Row, column_of
 
 # SAMARL, Table I: success rate in % (500 cases). Its social score is on another scale than ours.
@@ -77,26 +77,36 @@ def rows_as_markdown(rows: Sequence[Row], with_settings: bool = False) -> str:
     return as_text(*rows_as_cells(rows, with_settings))
 
 
+def tells_of_driving(rows: Sequence[Row]) -> bool:
+    """Has some row what only the table of how the robots drive shows?"""
+    fields = [f for f, known in METRICS.items() if known.shown is Shown.driving]
+    return any(field in row for row in rows for field in fields)
+
+
 def rows_as_cells(
-    rows: Sequence[Row], with_settings: bool = False, details: bool = False
+    rows: Sequence[Row], with_settings: bool = False, table: Shown = Shown.printed
 ) -> tuple[tuple[str, ...], list[list[str]]]:
     """The header, and the cells of each row with what is measured of it.
 
     Args:
         rows: the rows.
         with_settings: say what else was set on the command line, where that tells rows apart.
-        details: show all that is measured.
+        table: which of them.
     """
-    shown = [known for known in METRICS.values() if known.heading and (details or not known.detail)]
+    shown = [known for known in METRICS.values() if known.heading and table in known.shown]
     measured = [known.heading for known in shown]
-    header = ("method", "FOV", "humans", "robots", *measured, "paper's success %")
+    header = ("method", "FOV", "humans", "robots", *measured)
     lines = [_cells(row, shown) for row in rows]
     places = [place_name(column_of(row)) for row in rows]
     if any(places):
         header = (*header[:4], "place", *header[4:])
         for line, place in zip(lines, places, strict=True):
             line.insert(4, place)
-    if any("training_seeds" in row for row in rows):
+    if table is not Shown.driving:
+        header += ("paper's success %",)
+        for line, row in zip(lines, rows, strict=True):
+            line.append(_of_the_paper(row))
+    if table is not Shown.driving and any("training_seeds" in row for row in rows):
         header += ("seeds", "success % over seeds", "social score over seeds")
         for line, row in zip(lines, rows, strict=True):
             line += _over_seeds(row)
@@ -109,15 +119,19 @@ def rows_as_cells(
 
 
 def _cells(row: Row, shown: Sequence[Metric]) -> list[str]:
-    paper = PAPER_SUCCESS.get(column_of(row), {}).get(PAPER_NAME.get(row["method"], ""))
     return [
         row["method"],
         f"{row['fov_degrees']:g}°",
         str(row["humans"]),
         str(row["robots"]),
         *(known.cell(row) for known in shown),
-        "" if paper is None else str(paper),
     ]
+
+
+def _of_the_paper(row: Row) -> str:
+    """Its success rate, empty where it has none."""
+    paper = PAPER_SUCCESS.get(column_of(row), {}).get(PAPER_NAME.get(row["method"], ""))
+    return "" if paper is None else str(paper)
 
 
 def _over_seeds(row: Row) -> list[str]:

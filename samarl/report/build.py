@@ -15,10 +15,18 @@ from matplotlib.figure import Figure
 from tqdm import tqdm
 
 from mrsan import ConfigurationError
+from samarl.evaluation.metrics import Shown
 from samarl.evaluation.recording import Recording
 from samarl.evaluation.seeds import without_seed
 from samarl.evaluation.summary import Row, place_of, read_rows
-from samarl.evaluation.table import by_kind, column_name, grid_of, place_name, rows_as_cells
+from samarl.evaluation.table import (
+    by_kind,
+    column_name,
+    grid_of,
+    place_name,
+    rows_as_cells,
+    tells_of_driving,
+)
 from samarl.files import code_version, write_atomically
 from samarl.report.figures import (
     Curve,
@@ -126,6 +134,8 @@ def build_site(
         "grid_of": grid_of,
         "place_name": place_name,
         "rows_as_cells": rows_as_cells,
+        "tells_of_driving": tells_of_driving,
+        "Shown": Shown,
         "groups": GROUPS,
         "ranked": ranked,
         "is_best": is_best,

@@ -47,6 +47,7 @@ class Outcome:
     reward: np.ndarray
     terminated: bool
     truncated: bool
+    tally: dict[str, np.ndarray]  # what the step adds to the statistics of the episode
     margin: Margin = field(repr=False)
 
 
@@ -279,6 +280,44 @@ def closest_approach(before: np.ndarray, after: np.ndarray) -> float:
     return float(np.hypot(*(before + low * way)))
 
 
+def first_touch(before: np.ndarray, after: np.ndarray, radii: float) -> np.ndarray:
+    """The relative position at which the discs touch first, by bisection; they touch on the way."""
+    low, high = 0.0, 1.0
+    way = after - before
+    for _ in range(60):
+        middle = (low + high) / 2
+        if closest_approach(before, before + middle * way) < radii:
+            high = middle
+        else:
+            low = middle
+    return before + high * way
+
+
+def soonest_collisions(s: dict[str, Any], scenario: Scenario, margin: Margin) -> np.ndarray:
+    """When each robot would touch a human if nobody changed velocity, [N]."""
+    robots = range(len(s["robot_heading"]))
+    return np.array([_soonest_collision(s, i, scenario, margin) for i in robots])
+
+
+def _soonest_collision(s: dict[str, Any], i: int, scenario: Scenario, margin: Margin) -> float:
+    """By the distance at which the robot would miss the centre of each human."""
+    soonest = math.inf
+    for j in np.flatnonzero(s["human_present"]):
+        radii = s["human_radius"][j] + scenario.robot_radius
+        position = s["human_position"][j] - s["robot_position"][i]
+        velocity = s["human_velocity"][j] - s["robot_velocity"][i]
+        if np.hypot(*position) <= radii:
+            return 0.0
+        speed = float(np.hypot(*velocity))
+        if speed == 0 or position @ velocity >= 0:
+            continue
+        miss = abs(position[0] * velocity[1] - position[1] * velocity[0]) / speed
+        if margin.below(miss, radii):
+            ahead = -(position @ velocity) / speed
+            soonest = min(soonest, (ahead - math.sqrt(radii**2 - miss**2)) / speed)
+    return soonest
+
+
 # One step
 
 
@@ -320,6 +359,7 @@ def step(s: dict[str, Any], goal: np.ndarray, actions: np.ndarray, scenario: Sce
             new = np.zeros(2)
         robot_velocity[i] = new
     collision = np.zeros(n, int)
+    ran_into = np.zeros(n, int)
     gap = np.full(n, math.inf)
     for i in range(n):
         if s["arrived"][i]:
@@ -331,6 +371,12 @@ def step(s: dict[str, Any], goal: np.ndarray, actions: np.ndarray, scenario: Sce
             gap[i] = min(gap[i], np.hypot(*after) - radii)
             if margin.below(closest_approach(before, after), radii):
                 collision[i] = 1
+                line = first_touch(before, after, radii)
+                line = line / np.hypot(*line)
+                robots_way = (robots[i] - s["robot_position"][i]) @ line
+                humans_way = (s["human_position"][j] - humans[j]) @ line
+                if not margin.below(robots_way, humans_way):
+                    ran_into[i] += 1
         for k in range(n):
             if k == i or collision[i] == 1:
                 continue
@@ -360,11 +406,26 @@ def step(s: dict[str, Any], goal: np.ndarray, actions: np.ndarray, scenario: Sce
             for i in range(n)
         ]
     )  # fmt: skip
+    tally: dict[str, list[float]] = {}
+    for i in range(n):
+        edges = [0.45, 1.2, 3.6]
+        space = sum(not margin.below(float(gap[i]), edge) for edge in edges)
+        added = {
+            "close_steps": space == 0,
+            "personal_steps": space == 1,
+            "social_steps": space == 2,
+            "standing_steps": margin.below(float(np.hypot(*robot_velocity[i])), 0.05),
+            "heading_change": abs(wrap(headings[i] - s["robot_heading"][i])),
+            "ran_into": ran_into[i],
+        }
+        for name, value in added.items():
+            tally.setdefault(name, []).append(float(value) * float(driving[i]))
     terminated = bool(collision.any() or arrived.all())
     late = int(s["clock"]) + 1 >= scenario.time_limit_steps
     return Outcome(
         humans, velocity, robots, robot_velocity, headings, arrived, collision, reward,
-        terminated, late and not terminated, margin,
+        terminated, late and not terminated,
+        {name: np.array(values) for name, values in tally.items()}, margin,
     )  # fmt: skip
 
 

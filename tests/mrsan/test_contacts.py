@@ -8,6 +8,7 @@ from staging import stage
 
 from mrsan import Kinematics
 from mrsan.kernels.contact import closest_approach
+from mrsan.kernels.tally import CLOSEST_HUMAN
 from mrsan.metrics import Outcome
 
 # One second at ten metres a second: both agents are far apart at both ends of the step.
@@ -25,7 +26,7 @@ def test_a_robot_and_a_human_that_swap_places_have_met(aside: float, hit: bool) 
     np.testing.assert_allclose(state.human_position[0, 0], [0, aside], atol=1e-4)
     assert bool(step.terminated[0]) is hit
     assert state.collision[0, 0] == (Outcome.hit_human if hit else 0)
-    assert state.closest_human[0, 0] == pytest.approx(aside - 0.6, abs=1e-4)
+    assert state.tally[0, 0, CLOSEST_HUMAN] == pytest.approx(aside - 0.6, abs=1e-4)
 
 
 @pytest.mark.parametrize(("aside", "hit"), [(0.0, True), (0.59, True), (0.61, False)])

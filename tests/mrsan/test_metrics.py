@@ -14,7 +14,10 @@ def episode(**fields) -> Episodes:
     values = {
         "case": [0], "episode": [0], "duration": [10.0], "outcome": [[Outcome.arrived]],
         "path_length": [[10.0]], "straight_line": [[10.0]], "time": [[10.0]],
-        "closest_human": [[np.inf]], "close_share": [[0.0]], "jerk": [[0.0]],
+        "closest_human": [[np.inf]], "close_share": [[0.0]], "personal_share": [[0.0]],
+        "social_share": [[0.0]], "standing_share": [[0.0]], "jerk": [[0.0]],
+        "heading_change": [[0.0]], "soonest_collision": [[np.inf]],
+        "ran_into_human": [[False]],
     }  # fmt: skip
     return Episodes(**{key: np.array(value) for key, value in (values | fields).items()})
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from mrsan import ActionError, ConfigurationError, Crowd, Scenario, World
+from mrsan.kernels.tally import CLOSE_STEPS
 from mrsan.pettingzoo_env import PettingZooEnv
 
 
@@ -68,6 +69,6 @@ def test_a_reward_weight_does_not_change_the_metrics() -> None:
         forward = np.tile(np.float32([0.5, 0, 0]), (8, 3, 1))
         for _ in range(20):
             world.step(forward)
-        shares.append(world.state.close_steps.tolist())
+        shares.append(world.state.tally[..., CLOSE_STEPS].tolist())
     assert shares[0] == shares[1]
     assert np.sum(shares) > 0

@@ -5,6 +5,7 @@ import pytest
 from staging import stage
 
 from mrsan import Crowd, Scenario, State, World
+from mrsan.kernels.tally import CLOSEST_HUMAN
 
 COAST = [0.0, 0.0, 0.0]
 DRIVER = (0, 0, 0, 1, 9, 0)
@@ -18,7 +19,7 @@ def test_who_is_absent_is_not_hit_and_is_not_near() -> None:
     assert not step.observation.humans_visible.any()
     assert step.reward_parts.progress[0, 0] == pytest.approx(0.5)  # no discomfort in its place
     assert not world.state.done[0]
-    assert world.state.closest_human[0, 0] == np.inf
+    assert world.state.tally[0, 0, CLOSEST_HUMAN] == np.inf
     world.state.human_present[0, 0] = True
     assert world.observe().humans_visible[0, 0, 0]
     assert world.step([[COAST]]).reward[0, 0] == -20

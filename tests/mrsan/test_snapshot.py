@@ -101,8 +101,8 @@ def test_what_does_not_fit_is_refused_and_nothing_is_written() -> None:
     for snapshot, worlds, error, message in (
         (World(SCENARIO, 2).snapshot(), None, ValueError,
          r"snapshot.case has shape \(2,\); it must have \(24,\)"),
-        (past._replace(jerk_sum=past.jerk_sum[:, :1]), None, ValueError,
-         r"snapshot.jerk_sum has shape \(24, 1\); it must have \(24, 2\)"),
+        (past._replace(tally=past.tally[:, :1]), None, ValueError,
+         r"snapshot.tally has shape \(24, 1, 11\); it must have \(24, 2, 11\)"),
         (past._replace(clock=past.clock.astype(float)), None, ValueError,
          "snapshot.clock is of float64; it must be of int32"),
         (past, [True] * 3, ValueError, "it must be 24 booleans"),

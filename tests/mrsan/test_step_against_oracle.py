@@ -1,5 +1,6 @@
 """A whole step of the compiled world against its slow float64 twin, on random worlds."""
 
+import math
 from typing import Any
 
 import numpy as np
@@ -7,7 +8,8 @@ import oracle
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from mrsan import Crowd, Kinematics, Reward, Scenario, World
+from mrsan import Crowd, Kinematics, Outcome, Reward, Scenario, World
+from mrsan.kernels.tally import TALLY
 
 TOLERANCE = 2e-4
 THRESHOLD_MARGIN = 1e-4  # nearer to a threshold than this, float32 may decide differently
@@ -127,6 +129,28 @@ def test_a_step_is_the_twins_step(scenario: Scenario, seed: int, room: float) ->
     )
     # -1/d is steep: a tenth of a millimetre at the kink, 0.2 m, is worth 0.0025.
     np.testing.assert_allclose(step.reward[0], expected.reward, rtol=0, atol=5e-3)
+
+
+@given(SCENARIOS, SEEDS, st.sampled_from([1.5, 3.0, 5.5]))
+@settings(max_examples=200)
+def test_a_step_counts_what_the_twin_counts(scenario: Scenario, seed: int, room: float) -> None:
+    world = World(scenario)
+    actions = scatter(world, seed, room)
+    before = oracle.snapshot(world.state)
+    world.step(actions)
+    after = oracle.snapshot(world.state)
+    assume(well_conditioned(before, after["human_goal"], scenario))
+    expected = oracle.step(before, after["human_goal"], actions[0], scenario)
+    soonest = oracle.soonest_collisions(after, scenario, expected.margin)
+    assume(expected.margin.smallest > THRESHOLD_MARGIN)
+
+    found = dict(zip(TALLY, after["tally"].T, strict=True))
+    for name, added in expected.tally.items():
+        np.testing.assert_allclose(found[name], added, rtol=0, atol=TOLERANCE, err_msg=name)
+    soonest[after["collision"] == Outcome.hit_human] = 0.0
+    soonest[before["arrived"]] = math.inf
+    found_soonest = np.minimum(found["soonest_collision"], 10.0)
+    np.testing.assert_allclose(found_soonest, np.minimum(soonest, 10.0), rtol=1e-3, atol=1e-3)
 
 
 @given(SCENARIOS, SEEDS, st.sampled_from([1.5, 5.5]))

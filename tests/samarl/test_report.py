@@ -14,7 +14,7 @@ from mrsan import Scenario, TeamPerception
 from samarl.agents import build_agent
 from samarl.commands.report import _methods
 from samarl.configuration import available_agents, load_agent
-from samarl.evaluation.metrics import METRICS, Metric
+from samarl.evaluation.metrics import METRICS, Metric, Shown
 from samarl.evaluation.recording import record_episode
 from samarl.evaluation.summary import Column, Row, column_of
 from samarl.files import find_folder
@@ -146,7 +146,32 @@ def test_methods_stand_in_groups_best_first_and_say_what_they_are(site: Path) ->
 def test_all_that_is_measured_has_a_column(site: Path) -> None:
     index = (site / "index.html").read_text()
     for known in METRICS.values():
-        assert f'<th scope="col">{known.heading}</th>' in index
+        if Shown.report in known.shown:
+            assert f'<th scope="col">{known.heading}</th>' in index
+
+
+def test_how_they_drive_is_a_table_of_its_own_where_it_is_known(tmp_path: Path) -> None:
+    rows = json.loads((find_folder("results") / "table1.json").read_text())[:3]
+    driving = [known for known in METRICS.values() if known.shown is Shown.driving]
+    for known in driving:
+        for row in rows:
+            row.pop(known.fields[0], None)
+    (tmp_path / "results").mkdir()
+    table = tmp_path / "results/table1.json"
+    table.write_text(json.dumps(rows))
+    before = index_of(tmp_path / "results", tmp_path / "site")
+    assert "How they drive" not in before
+    table.write_text(json.dumps([rows[0] | {"standing_share": 12.34}, *rows[1:]]))
+    index = index_of(tmp_path / "results", tmp_path / "site")
+    first, found, second = html.unescape(index).partition("<summary>How they drive</summary>")
+    assert found
+    for known in driving:
+        heading = f'<th scope="col">{known.heading}</th>'
+        assert heading not in first
+        assert heading in second
+    assert second.count("<td>12.3</td>") == 1
+    assert "<td></td>" in second
+    Reader().feed(index)
 
 
 def test_a_curve_is_the_mean_of_its_seeds_and_their_range(site: Path) -> None:

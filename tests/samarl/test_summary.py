@@ -9,7 +9,14 @@ import pytest
 
 from mrsan import ConfigurationError, Crowd, Episodes, Layout, Outcome, Scenario
 from samarl.commands.bench import merged
-from samarl.evaluation.metrics import METRICS, Metric, metric, metric_fields, wilson_interval
+from samarl.evaluation.metrics import (
+    METRICS,
+    Metric,
+    Shown,
+    metric,
+    metric_fields,
+    wilson_interval,
+)
 from samarl.evaluation.page import page
 from samarl.evaluation.regression import compare
 from samarl.evaluation.seeds import across_seeds
@@ -24,7 +31,13 @@ from samarl.evaluation.summary import (
     row_fields,
     summarise,
 )
-from samarl.evaluation.table import column_name, grids_as_markdown, rows_as_cells, rows_as_markdown
+from samarl.evaluation.table import (
+    column_name,
+    grids_as_markdown,
+    rows_as_cells,
+    rows_as_markdown,
+    tells_of_driving,
+)
 from samarl.files import find_folder
 
 
@@ -67,7 +80,13 @@ def four_episodes() -> Episodes:
         time=np.array([[9.0, 10], [2, 2], [3, 3], [14, 50]]),
         closest_human=np.array([[0.9, 0.225], [-0.1, 2], [1, 1], [0.45, np.inf]]),
         close_share=np.array([[0.0, 0.5], [0.5, 0], [0, 0], [0, 0]]),
+        personal_share=np.array([[0.25, 0.5], [0.5, 0], [0, 0], [0.75, 0]]),
+        social_share=np.full((4, 2), 0.25),
+        standing_share=np.array([[0.0, 0.1], [0.1, 0], [0, 0], [0.2, 0]]),
         jerk=np.full((4, 2), 2.0),
+        heading_change=np.array([[1.0, 2], [9, 9], [9, 9], [3, 9]]),
+        soonest_collision=np.array([[2.0, 3], [0, 4], [6, 5], [12, np.inf]]),
+        ran_into_human=np.array([[False, False], [True, False], [False, False], [False, False]]),
     )
 
 
@@ -78,12 +97,17 @@ def test_a_row_by_hand() -> None:
         "goal_turn_degrees": 0.0, "team_perception": "none", "recording": None, "changes": "",
         "episodes": 4,
         "success_rate": 25.0, "success_low": 4.56, "success_high": 69.94,
+        "robot_success_rate": 37.5,  # three of eight
         # 100, 100 (1/4 + 1/2 (1/4 + 1/4)) = 50, 100 (5/12 + 1/2) = 91.67 and five zeros;
         # means of 75, 45.83, 0 and 0 per episode, so 30.21 -+ 1.96 * 31.92 / 2, cut off at 0.
         "social_score": 30.21, "social_low": 0.0, "social_high": 61.49,
-        "collision_rate": 50.0, "human_collision_rate": 25.0, "robot_collision_rate": 25.0,
+        "collision_rate": 50.0, "human_collision_rate": 25.0, "robot_on_person_rate": 25.0,
+        "person_on_robot_rate": 0.0, "robot_collision_rate": 25.0,
         "timeout_rate": 25.0, "path_length": 14.0, "time_to_goal": 11.0,
-        "closest_human": 0.9, "close_share": 12.5, "jerk": 2.0,
+        "closest_human": 0.9, "close_share": 12.5, "personal_share": 25.0, "social_share": 25.0,
+        "soonest_collision": 4.0,  # the middle of 0, 2, 3, 4, 5, 6 and 10
+        "jerk": 2.0, "standing_share": 5.0, "heading_change": 2.0,
+        "path_irregularity": 0.15,  # of 1 rad on 10 m, 2 on 20 and 3 on 12
         "command": "command", "commit": "abc", "seed": 7,
         "case_success": "80",  # 1000 0000
         "case_social_score": "4b00002e",  # 75, 0, 0, 46
@@ -295,19 +319,47 @@ def test_every_metric_gives_its_fields(name: str) -> None:
     assert known.cell(one)[0].isdigit()
     assert known.cell({**one, **dict.fromkeys(known.fields)}) == "-"
     assert known.cell({}) == ""
-    header, lines = rows_as_cells([one], details=True)
-    assert (known.heading in header) == bool(known.heading)
-    if known.heading:
-        assert lines[0][header.index(known.heading)] == known.cell(one)
+    for table in Shown:
+        header, lines = rows_as_cells([one], table=table)
+        assert (known.heading in header) == (bool(known.heading) and table in known.shown)
+        if known.heading in header:
+            assert lines[0][header.index(known.heading)] == known.cell(one)
 
 
-def test_committed_rows_have_every_metric() -> None:
+def test_committed_rows_have_every_metric_of_the_printed_table() -> None:
+    """Those of how the robots drive came later; all fields stand in their order."""
     rows = read_rows(COMMITTED)
     assert rows is not None
-    expected = row_fields()
-    assert all(list(row)[: len(expected)] == expected for row in rows)
+    later = {f for known in METRICS.values() if known.shown is Shown.driving for f in known.fields}
     of_seeds = list(across_seeds(rows[:2]))
-    assert {tuple(list(row)[len(expected) :]) for row in rows} == {(), tuple(of_seeds)}
+    for one in rows:
+        assert set(row_fields()) - later <= one.keys()
+        assert [name for name in one if name not in of_seeds] == [
+            name for name in row_fields() if name in one
+        ]
+    assert {tuple(name for name in one if name in of_seeds) for one in rows} == {
+        (), tuple(of_seeds)
+    }  # fmt: skip
+
+
+def test_a_row_older_than_how_the_robots_drive_has_empty_cells() -> None:
+    """The shares of closeness and collisions between robots are older, and known."""
+    later = {f for known in METRICS.values() if known.shown is Shown.driving for f in known.fields}
+    old = {name: value for name, value in row().items() if name not in later}
+    assert not tells_of_driving([old])
+    assert tells_of_driving([old, row()])
+    header, (line, of_now) = rows_as_cells([old, row()], table=Shown.driving)
+    assert header[4:] == (
+        "success % [95 %]", "robots' success %", "robot on person %", "person on robot %",
+        "hit robot %", "close %", "personal %", "social %", "soonest collision s", "not moving %",
+        "heading change rad", "irregularity rad/m",
+    )  # fmt: skip
+    assert line[4:] == ["25.0 [4.6, 69.9]", "", "", "", "25.0", "12.5", "", "", "", "", "", ""]
+    assert of_now[4:] == [
+        "25.0 [4.6, 69.9]", "37.5", "25.0", "0.0", "25.0", "12.5", "25.0", "25.0", "4.0", "5.0",
+        "2.00", "0.15",
+    ]  # fmt: skip
+    assert rows_as_markdown([old]) == rows_as_markdown([row()])
 
 
 @pytest.fixture

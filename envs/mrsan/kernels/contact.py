@@ -1,4 +1,4 @@
-"""Distance kept between two discs during a step, not only at its end."""
+"""Two discs that move straight: how near they come, and when they touch."""
 
 import math
 
@@ -8,6 +8,7 @@ from mrsan.kernels import function
 
 _ZERO = np.float32(0.0)
 _ONE = np.float32(1.0)
+_TWO = np.float32(2.0)
 
 
 @function
@@ -19,3 +20,36 @@ def closest_approach(x0, y0, x1, y1):
         s = min(max(-(x0 * dx + y0 * dy) / length_squared, _ZERO), _ONE)
         x0, y0 = x0 + s * dx, y0 + s * dy
     return math.sqrt(x0 * x0 + y0 * y0)
+
+
+@function
+def time_to_collision(x, y, vx, vy, reach, latest):
+    """When a disc at (x, y) that moves at (vx, vy) relative to another comes within `reach` of it.
+
+    Both keep their velocities: the smaller root of |position + t velocity| = reach. 0 if they touch
+    already, `latest` if they do not until then.
+    """
+    outside = x * x + y * y - reach * reach
+    if outside <= _ZERO:
+        return _ZERO
+    closing = -(x * vx + y * vy)
+    if not outside < _TWO * closing * latest:  # the root is at least outside / (2 closing)
+        return latest
+    discriminant = closing * closing - (vx * vx + vy * vy) * outside
+    if discriminant < _ZERO:
+        return latest
+    return min(outside / (closing + math.sqrt(discriminant)), latest)
+
+
+@function
+def comes_to_the_other(own_x, own_y, other_x, other_y, x, y, reach):
+    """Of two discs that touch within a step: does the first move to the other at least as fast?
+
+    They are displaced by (own_x, own_y) and (other_x, other_y); the other is at (x, y) relative to
+    the first before the step, and `reach` is the sum of their radii. What counts is how far each
+    comes along the line of centres at the moment of contact.
+    """
+    dx, dy = other_x - own_x, other_y - own_y
+    s = time_to_collision(x, y, dx, dy, reach, _ONE)
+    along_x, along_y = x + s * dx, y + s * dy  # from the first to the other
+    return own_x * along_x + own_y * along_y >= -(other_x * along_x + other_y * along_y)

@@ -15,6 +15,7 @@ from mrsan.kernels.recorded import (
     draw_recorded_way,
     follow,
 )
+from mrsan.kernels.tally import CLOSEST_HUMAN, SOONEST_COLLISION
 
 _ZERO = np.float32(0.0)
 _FAR = np.float32(np.inf)
@@ -87,11 +88,8 @@ def _place_robot(state, e, i, key, layout, recording, p):
         state.robot_acceleration[e, i, k] = _ZERO
     state.arrived[e, i] = False
     state.collision[e, i] = 0
-    state.path_length[e, i] = _ZERO
-    state.closest_human[e, i] = _FAR
-    state.driven_steps[e, i] = 0
-    state.close_steps[e, i] = 0
-    state.jerk_sum[e, i] = _ZERO
+    state.tally[e, i, :] = _ZERO
+    state.tally[e, i, CLOSEST_HUMAN] = state.tally[e, i, SOONEST_COLLISION] = _FAR
 
 
 @function

@@ -6,26 +6,45 @@ import numpy as np
 from numba import prange
 
 from mrsan.kernels import function, kernel, rng
-from mrsan.kernels.contact import closest_approach
+from mrsan.kernels.contact import closest_approach, comes_to_the_other, time_to_collision
 from mrsan.kernels.habits import come_and_go, stands, walks_along
-from mrsan.kernels.kinematics import brake, next_velocity
+from mrsan.kernels.kinematics import brake, next_velocity, wrap_angle
 from mrsan.kernels.layout import draw_goal, layout_of
 from mrsan.kernels.orca import orca_velocity
 from mrsan.kernels.recorded import RECORDED, follow, recorded_velocity
 from mrsan.kernels.social_force import social_force_velocity
+from mrsan.kernels.tally import (
+    CLOSE_STEPS,
+    CLOSEST_HUMAN,
+    DRIVEN_STEPS,
+    HEADING_CHANGE,
+    JERK_SUM,
+    PATH_LENGTH,
+    PERSONAL_STEPS,
+    RAN_INTO,
+    SOCIAL_STEPS,
+    SOONEST_COLLISION,
+    STANDING_STEPS,
+)
 from mrsan.reward import step_reward_parts
 
 ORCA = 0
 SOCIAL_FORCE = 1
 STILL = 2
 
-PERSONAL_SPACE = np.float32(0.45)  # intimate distance of proxemics, surface to surface, m
+# Where the intimate, the personal and the social space of a person end, from surface to surface, m
+# (Hall, The Hidden Dimension, 1966).
+PERSONAL_SPACE = np.float32(0.45)
+SOCIAL_SPACE = np.float32(1.2)
+PUBLIC_SPACE = np.float32(3.6)
+STANDING_SPEED = np.float32(0.05)  # slower is not moving, m/s
 
 HIT_HUMAN = 1
 HIT_ROBOT = 2
 
 _ZERO = np.float32(0.0)
 _HALF = np.float32(0.5)
+_ONE = np.float32(1.0)
 _TINY = np.float32(1e-6)
 _FAR = np.float32(np.inf)
 
@@ -170,8 +189,7 @@ def _move_robots(state, e, action, p, moved):
     """SAMARL, Eq. 1-3, with the records of the drive; `moved` receives the displacements."""
     position, velocity = state.robot_position, state.robot_velocity
     headings, arrived, acceleration = state.robot_heading, state.arrived, state.robot_acceleration
-    jerk_sum, path_length, driven_steps = state.jerk_sum, state.path_length, state.driven_steps
-    dt, wall = p.time_step, p.arena_radius - p.robot_radius
+    dt, wall, tally = p.time_step, p.arena_radius - p.robot_radius, state.tally
     for i in range(moved.shape[0]):
         x, y, vx, vy = position[e, i, 0], position[e, i, 1], velocity[e, i, 0], velocity[e, i, 1]
         if arrived[e, i]:
@@ -193,9 +211,12 @@ def _move_robots(state, e, action, p, moved):
             jx = (ax - acceleration[e, i, 0]) / dt
             jy = (ay - acceleration[e, i, 1]) / dt
             acceleration[e, i, 0], acceleration[e, i, 1] = ax, ay
-            jerk_sum[e, i] += math.sqrt(jx * jx + jy * jy)
-            path_length[e, i] += math.sqrt(dx * dx + dy * dy)
-            driven_steps[e, i] += 1
+            tally[e, i, JERK_SUM] += math.sqrt(jx * jx + jy * jy)
+            tally[e, i, PATH_LENGTH] += math.sqrt(dx * dx + dy * dy)
+            tally[e, i, DRIVEN_STEPS] += _ONE
+            tally[e, i, HEADING_CHANGE] += abs(wrap_angle(heading - headings[e, i]))
+            if new_vx * new_vx + new_vy * new_vy < STANDING_SPEED * STANDING_SPEED:
+                tally[e, i, STANDING_STEPS] += _ONE
         moved[i, 0], moved[i, 1] = dx, dy
         position[e, i, 0], position[e, i, 1] = new_x, new_y
         velocity[e, i, 0], velocity[e, i, 1] = new_vx, new_vy
@@ -215,26 +236,37 @@ def _move_humans(state, e, p, here, chosen):
 def _find_contacts(state, e, p, here, moved, gap):
     """Collisions during the step, and `gap`: surface distance to the nearest human after it."""
     position, arrived, collision = state.robot_position, state.arrived, state.collision
+    velocity, tally = state.robot_velocity, state.tally
     human_position, human_velocity = state.human_position, state.human_velocity
-    human_radius, closest_human = state.human_radius, state.closest_human
+    human_radius = state.human_radius
     dt, robot_radius, robots = p.time_step, p.robot_radius, moved.shape[0]
     for i in range(robots):
         gap[i] = _FAR
         if arrived[e, i]:  # parked: it hits nobody, and who walks into it does not count
             continue
-        x, y, closest = position[e, i, 0], position[e, i, 1], closest_human[e, i]
+        x, y, vx, vy = position[e, i, 0], position[e, i, 1], velocity[e, i, 0], velocity[e, i, 1]
+        own_x, own_y = moved[i, 0], moved[i, 1]
+        nearest = _FAR
+        closest, soonest = tally[e, i, CLOSEST_HUMAN], tally[e, i, SOONEST_COLLISION]
         for row in range(here.shape[0]):
             j = here[row]
             dx, dy = human_position[e, j, 0] - x, human_position[e, j, 1] - y
+            human_vx, human_vy = human_velocity[e, j, 0], human_velocity[e, j, 1]
             radii = human_radius[e, j] + robot_radius
-            before_x = dx - human_velocity[e, j, 0] * dt + moved[i, 0]
-            before_y = dy - human_velocity[e, j, 1] * dt + moved[i, 1]
+            before_x = dx - human_vx * dt + own_x
+            before_y = dy - human_vy * dt + own_y
             approach = closest_approach(before_x, before_y, dx, dy) - radii
             closest = min(closest, approach)
-            gap[i] = min(gap[i], math.sqrt(dx * dx + dy * dy) - radii)
+            nearest = min(nearest, math.sqrt(dx * dx + dy * dy) - radii)
+            soonest = time_to_collision(dx, dy, human_vx - vx, human_vy - vy, radii, soonest)
             if approach < _ZERO:
                 collision[e, i] = HIT_HUMAN
-        closest_human[e, i] = closest
+                soonest = _ZERO
+                other_x, other_y = human_vx * dt, human_vy * dt
+                if comes_to_the_other(own_x, own_y, other_x, other_y, before_x, before_y, radii):
+                    tally[e, i, RAN_INTO] += _ONE
+        gap[i] = nearest
+        tally[e, i, CLOSEST_HUMAN], tally[e, i, SOONEST_COLLISION] = closest, soonest
         for k in range(robots):
             if k == i or collision[e, i] != 0:
                 continue
@@ -242,8 +274,12 @@ def _find_contacts(state, e, p, here, moved, gap):
             before_x, before_y = dx - moved[k, 0] + moved[i, 0], dy - moved[k, 1] + moved[i, 1]
             if closest_approach(before_x, before_y, dx, dy) < robot_radius + robot_radius:
                 collision[e, i] = HIT_ROBOT
-        if gap[i] < PERSONAL_SPACE:
-            state.close_steps[e, i] += 1
+        if nearest < PERSONAL_SPACE:
+            tally[e, i, CLOSE_STEPS] += _ONE
+        elif nearest < SOCIAL_SPACE:
+            tally[e, i, PERSONAL_STEPS] += _ONE
+        elif nearest < PUBLIC_SPACE:
+            tally[e, i, SOCIAL_STEPS] += _ONE
 
 
 @function
