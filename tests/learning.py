@@ -24,6 +24,7 @@ ENCODERS: dict[str, dict[str, Any]] = {
     "gru": {"width": 16, "features": 16},
     "structural_rnn": {"embedding": 16, "edge": 16, "node": 16, "attention": 8, "features": 16},
     "pairwise": {"width": 16},
+    "social_attention": {"embedding": 16, "interaction": 8},
 }
 POLICIES: dict[str, dict[str, Any]] = {
     "flat": {},

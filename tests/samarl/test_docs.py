@@ -69,7 +69,7 @@ def test_an_encoder_of_ones_own(tmp_path: Path) -> None:
     )  # fmt: skip
     assert done.returncode == 2  # nothing of mine is imported unless I say so
     assert (
-        "encoder.name is 'deep_sets'; it must be among gru, pairwise, spatio_temporal"
+        "encoder.name is 'deep_sets'; it must be among gru, pairwise, social_attention"
         in done.stderr
     )
 

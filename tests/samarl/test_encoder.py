@@ -256,3 +256,33 @@ def test_the_attention_of_the_temporal_edge_is_shared_out_among_those_who_are_kn
     torch.testing.assert_close(shares.sum(-1), known.any(-1).float())
     assert not known[3].any()
     assert shares[known].std() > 0.01  # not the same for all
+
+
+def test_social_attention_by_hand() -> None:
+    """Encounters one by one, in plain sums; and who is alone hears of nobody."""
+    model, data = encoder("social_attention"), frames(t=1)
+    scene = model.observe(data, torch.ones(6, 1, dtype=torch.bool), {})
+    query = torch.randn(6, EGO)
+    robots, humans = model.attention(scene, query)
+    for p in range(6):
+        both = torch.cat([data.ego[p, 0], query[p]])
+        rows = [
+            (model.robots, data.robots[p, 0, j]) for j in range(2) if data.robots_known[p, 0, j]
+        ]
+        rows += [
+            (model.humans, data.humans[p, 0, j]) for j in range(5) if data.humans_known[p, 0, j]
+        ]
+        encounters = [model.embed(first(other) + model.own(both)) for first, other in rows]
+        mean = sum(encounters) / len(encounters)
+        weights = [model.score(model.of_one(e) + model.of_all(mean)).exp() for e in encounters]
+        told = sum(w * model.tells(e) for w, e in zip(weights, encounters, strict=True))
+        expected = torch.cat([query[p], told / sum(weights)])
+        torch.testing.assert_close(model.read(scene, query)[p], expected)
+        share = torch.cat([robots[p][data.robots_known[p, 0]], humans[p][data.humans_known[p, 0]]])
+        torch.testing.assert_close(share, torch.cat(weights) / sum(weights))
+    alone = data._replace(
+        robots_known=torch.zeros_like(data.robots_known),
+        humans_known=torch.zeros_like(data.humans_known),
+    )
+    y = model.read(model.observe(alone, torch.ones(6, 1, dtype=torch.bool), {}), query)
+    assert torch.equal(y, torch.cat([query, torch.zeros(6, 8)], 1))

@@ -99,7 +99,7 @@ def test_every_name_trains_and_its_checkpoint_drives_as_before(choice: str, tmp_
         (
             "encoder",
             {"name": "os.system"},
-            "encoder.name is 'os.system'; it must be among gru, pairwise, spatio",
+            "encoder.name is 'os.system'; it must be among gru, pairwise, social",
         ),
         ("policy", {"name": None}, "policy.name is 'None'; it must be among flat"),
         ("encoder", {"name": "gru", "width": 8, "wdith": 8}, "encoder.wdith"),

@@ -1,0 +1,90 @@
+"""SARL's crowd: every encounter is embedded alone, and attention weighs them.
+
+Chen et al., Crowd-robot interaction: crowd-aware robot navigation with attention-based deep
+reinforcement learning (2019), without its local maps.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+from mrsan.scenario import required
+from samarl.encoders.encoder import ENCODERS, Encoder, State
+from samarl.encoders.windowed_attention import MASKED
+from samarl.observations.frames import Frames
+
+
+@dataclass
+class SocialAttentionConfig:
+    """Sizes of the networks."""
+
+    embedding: int = required(8, 1024)  # of an encounter, and of the layers of the attention
+    interaction: int = required(8, 1024)  # of what it tells of the crowd
+
+
+class SocialAttentionScene(NamedTuple):
+    """The robot and whom it knows, P samples; robots stand before humans."""
+
+    ego: Tensor  # [P, F_e]
+    others: Tensor  # [P, N - 1 + M, D] their part of the first layer
+    robots_known: Tensor  # [P, N - 1]
+    humans_known: Tensor  # [P, M]
+
+
+@ENCODERS.register("social_attention", SocialAttentionConfig)
+class SocialAttentionEncoder(Encoder):
+    """Y is the robot's own state and the mean of the encounters, weighed by attention.
+
+    The score of an encounter is told the mean of all; humans and robots differ in the first layer.
+    """
+
+    def __init__(
+        self, config: SocialAttentionConfig, ego_features: int, other_features: int
+    ) -> None:
+        """See `Encoder`."""
+        super().__init__(config, ego_features, other_features)
+        e, i = config.embedding, config.interaction
+        self.features = ego_features + i
+        self.own = nn.Linear(2 * ego_features, e)
+        self.robots, self.humans = (nn.Linear(other_features, e, bias=False) for _ in range(2))
+        self.embed = nn.Sequential(nn.ReLU(), nn.Linear(e, e), nn.ReLU())
+        self.tells = nn.Sequential(nn.Linear(e, e), nn.ReLU(), nn.Linear(e, i))
+        self.of_one, self.of_all = nn.Linear(e, e), nn.Linear(e, e, bias=False)
+        self.score = nn.Sequential(nn.ReLU(), nn.Linear(e, 1))
+
+    def observe(
+        self, frames: Frames, is_init: Tensor, state: State, samples: Tensor | None = None
+    ) -> SocialAttentionScene:
+        """See `Encoder.observe`."""
+        ego, humans, humans_known, robots, robots_known = (
+            tensor.flatten(0, 1) if samples is None else tensor.flatten(0, 1)[samples]
+            for tensor in frames
+        )
+        others = torch.cat([self.robots(robots), self.humans(humans)], 1)
+        return SocialAttentionScene(ego, others, robots_known, humans_known)
+
+    def read(self, scene: SocialAttentionScene, query: Tensor) -> Tensor:
+        """See `Encoder.read`."""
+        encounters, share = self._weighed(scene, query)
+        crowd = (share.unsqueeze(1) @ self.tells(encounters)).squeeze(1)
+        return torch.cat([query, crowd], -1)
+
+    def attention(self, scene: SocialAttentionScene, query: Tensor) -> tuple[Tensor, Tensor]:
+        """See `Encoder.attention`."""
+        _, share = self._weighed(scene, query)
+        robots = scene.robots_known.shape[1]
+        return share[:, :robots], share[:, robots:]
+
+    def _weighed(self, scene: SocialAttentionScene, query: Tensor) -> tuple[Tensor, Tensor]:
+        """The encounters [P, N - 1 + M, D] and their shares of the attention, zero with nobody."""
+        own = self.own(torch.cat([scene.ego, query], -1)).unsqueeze(1)
+        encounters = self.embed(scene.others + own)
+        known = torch.cat([scene.robots_known, scene.humans_known], 1)
+        count = known.sum(1, keepdim=True).clamp_min(1)
+        mean = (encounters * known.unsqueeze(-1)).sum(1) / count
+        score = self.score(self.of_one(encounters) + self.of_all(mean).unsqueeze(1)).squeeze(-1)
+        return encounters, torch.softmax(torch.where(known, score, MASKED), -1) * known
