@@ -15,8 +15,8 @@ from mrsan.scenario import required
 from samarl.encoders.encoder import ENCODERS, Encoder, State
 from samarl.observations.frames import Frames
 
-Scene = tuple[Tensor, Tensor, Tensor]
-"""The robot's own state [P, F_e], the others embedded [P, M + N - 1, D] and whether known."""
+Scene = tuple[Tensor, Tensor, Tensor, Tensor, Tensor]
+"""The parts of `Frames` in P samples."""
 
 
 @dataclass
@@ -55,15 +55,19 @@ class PairwiseEncoder(Encoder):
             tensor.flatten(0, 1) if samples is None else tensor.flatten(0, 1)[samples]
             for tensor in frames
         )
-        others = torch.cat([self.humans(humans), self.robots(robots)], 1)
-        return ego, others, torch.cat([humans_known, robots_known], 1)
+        return ego, humans, humans_known, robots, robots_known
 
     def read(self, scene: Scene, query: Tensor) -> Tensor:
         """See `Encoder.read`; the least value, [P, 1]."""
-        ego, others, known = scene
-        own = torch.cat([ego, query], -1)
-        values = self.pair(others + self.own(own).unsqueeze(1)).squeeze(-1)
-        values = torch.where(known, values, torch.inf)
-        alone = self.alone(self.own_alone(own))
-        alone = torch.where(known.any(1, keepdim=True), torch.inf, alone)
-        return torch.cat([alone, values], 1).amin(1, keepdim=True)
+        ego, humans, humans_known, robots, robots_known = scene
+        both = torch.cat([ego, query], -1)
+        own, least = self.own(both), torch.full_like(ego[:, 0], torch.inf)
+        # Slots of those who are not known cost nothing.
+        for embed, others, known in (
+            (self.humans, humans, humans_known), (self.robots, robots, robots_known)
+        ):  # fmt: skip
+            of = known.nonzero()[:, 0]
+            values = self.pair(embed(others[known]) + own[of]).squeeze(-1)
+            least = least.scatter_reduce(0, of, values, "amin")
+        alone = self.alone(self.own_alone(both)).squeeze(-1)
+        return torch.where(least.isinf(), alone, least).unsqueeze(1)

@@ -30,9 +30,9 @@ class SocialAttentionScene(NamedTuple):
     """The robot and whom it knows, P samples; robots stand before humans."""
 
     ego: Tensor  # [P, F_e]
-    others: Tensor  # [P, N - 1 + M, D] their part of the first layer
-    robots_known: Tensor  # [P, N - 1]
-    humans_known: Tensor  # [P, M]
+    robots: Tensor  # [P, N - 1, F_o]
+    humans: Tensor  # [P, M, F_o]
+    known: Tensor  # [P, N - 1 + M]
 
 
 @ENCODERS.register("social_attention", SocialAttentionConfig)
@@ -64,27 +64,39 @@ class SocialAttentionEncoder(Encoder):
             tensor.flatten(0, 1) if samples is None else tensor.flatten(0, 1)[samples]
             for tensor in frames
         )
-        others = torch.cat([self.robots(robots), self.humans(humans)], 1)
-        return SocialAttentionScene(ego, others, robots_known, humans_known)
+        return SocialAttentionScene(ego, robots, humans, torch.cat([robots_known, humans_known], 1))
 
     def read(self, scene: SocialAttentionScene, query: Tensor) -> Tensor:
         """See `Encoder.read`."""
         encounters, share = self._weighed(scene, query)
-        crowd = (share.unsqueeze(1) @ self.tells(encounters)).squeeze(1)
-        return torch.cat([query, crowd], -1)
+        told = self.tells(encounters) * share[scene.known].unsqueeze(-1)
+        return torch.cat([query, _sums(told, scene.known)], -1)
 
     def attention(self, scene: SocialAttentionScene, query: Tensor) -> tuple[Tensor, Tensor]:
         """See `Encoder.attention`."""
         _, share = self._weighed(scene, query)
-        robots = scene.robots_known.shape[1]
+        robots = scene.robots.shape[1]
         return share[:, :robots], share[:, robots:]
 
     def _weighed(self, scene: SocialAttentionScene, query: Tensor) -> tuple[Tensor, Tensor]:
-        """The encounters [P, N - 1 + M, D] and their shares of the attention, zero with nobody."""
-        own = self.own(torch.cat([scene.ego, query], -1)).unsqueeze(1)
-        encounters = self.embed(scene.others + own)
-        known = torch.cat([scene.robots_known, scene.humans_known], 1)
-        count = known.sum(1, keepdim=True).clamp_min(1)
-        mean = (encounters * known.unsqueeze(-1)).sum(1) / count
-        score = self.score(self.of_one(encounters) + self.of_all(mean).unsqueeze(1)).squeeze(-1)
-        return encounters, torch.softmax(torch.where(known, score, MASKED), -1) * known
+        """The Q encounters with those who are known [Q, D], and all shares [P, N - 1 + M].
+
+        Slots of those who are not known cost nothing; their share is zero.
+        """
+        known = scene.known
+        of, slot = known.nonzero(as_tuple=True)
+        others = torch.cat([scene.robots, scene.humans], 1)[known]
+        is_robot = (slot < scene.robots.shape[1]).unsqueeze(-1)
+        own = self.own(torch.cat([scene.ego, query], -1))
+        of_other = torch.where(is_robot, self.robots(others), self.humans(others))
+        encounters = self.embed(of_other + own[of])
+        mean = _sums(encounters, known) / known.sum(1, keepdim=True).clamp_min(1)
+        score = self.score(self.of_one(encounters) + self.of_all(mean)[of]).squeeze(-1)
+        scores = torch.full_like(known, MASKED, dtype=score.dtype).index_put((of, slot), score)
+        return encounters, torch.softmax(scores, -1) * known
+
+
+def _sums(of_encounters: Tensor, known: Tensor) -> Tensor:
+    """Sums over the encounters of each sample, [P, D]."""
+    zero = of_encounters.new_zeros(len(known), of_encounters.shape[-1])
+    return zero.index_add(0, known.nonzero()[:, 0], of_encounters)
