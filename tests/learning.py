@@ -36,11 +36,6 @@ POLICIES: dict[str, dict[str, Any]] = {
         "macro_steps": 4, "waypoint_ahead": 2.0, "waypoint_range": 2.0, "waypoint_progress": 1.5,
         "local_goal": True, "arrival_bonus": 18.75,
     },
-    "planned": {
-        "horizon": 8, "directions": 8, "speeds": 1, "holds": 2, "human_margin": 0.05,
-        "robot_margin": 0.15, "comfort": 1.0, "comfort_weight": 3.0, "collision_weight": 100.0,
-        "collision_discount": 0.9,
-    },
 }  # fmt: skip
 PPO_NUMBERS: dict[str, Any] = {
     "learning_rate": 1e-3, "epochs": 1, "minibatches": 2, "discount": 0.9, "local_discount": 0.95,

@@ -27,7 +27,6 @@ from samarl.policies import (  # noqa: F401 (makes them known)
     flat,
     hierarchical,
     lookahead,
-    planned,
 )
 from samarl.policies.policy import POLICIES, Policy
 

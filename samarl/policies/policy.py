@@ -40,7 +40,7 @@ from samarl.registry import Registry, needed
 POLICIES: Registry[Policy] = Registry("policy")
 
 LOCAL = "local"  # the level that drives; every policy has it
-TOLD = 3  # numbers that it is told: a waypoint or a planner's proposal
+TOLD = 3  # numbers that it is told of its waypoint
 MACRO = "macro"  # the level above, which picks waypoints
 State = dict[str, Any]  # nested dicts and tuples of tensors and arrays, [E, ...] or [B, ...]
 
@@ -90,7 +90,6 @@ class Known(NamedTuple):
     active: NDArray[np.bool_]  # [E, N] the robots to decide for
     is_init: NDArray[np.bool_]  # [E]
     scenario: Scenario
-    tracks: Tracks  # what they know of others
 
 
 class Sequences(NamedTuple):
@@ -133,7 +132,6 @@ class Policy(nn.Module, ABC):
     """Drives all robots of E worlds, each from its own observations alone."""
 
     levels: tuple[str, ...] = (LOCAL,)
-    begins_anew: tuple[str, ...] = ("log_std",)  # parameters not taken over from another policy
     networks: Sequence[Networks]
 
     def __init__(self, config: Any, action_size: int) -> None:
@@ -268,7 +266,7 @@ class Policy(nn.Module, ABC):
                     rows[mine] // sets,
                 ),
             )  # fmt: skip
-            known = Known(observation.ego, active, is_init, scenario, tracks)
+            known = Known(observation.ego, active, is_init, scenario)
             levels, told, mean, std = self._decide(
                 scene, now.ego[:, 0], rows, known, state, explore
             )

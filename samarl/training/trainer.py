@@ -233,8 +233,7 @@ class Trainer:
         weights, card = load_policy(init_from)
         given = weights.state_dict()
         begun = self.policy.state_dict()
-        own = self.policy.begins_anew
-        anew = {k: v for k, v in begun.items() if any(part in k for part in own)}
+        anew = {name: value for name, value in begun.items() if "log_std" in name}
         try:
             self.policy.load_state_dict({**given, **anew})
         except RuntimeError as error:

@@ -1,6 +1,7 @@
 """Plans that are given up early are never the cheapest."""
 
 import math
+from typing import Any
 
 import numba
 import numpy as np
@@ -11,8 +12,12 @@ from mrsan.features import GOAL_X, GOAL_Y
 from samarl.agents.planners.model_predictive import ModelPredictive
 from samarl.planning.sampling import _cost
 from samarl.planning.tracking import gather, track_velocity
-from tests.learning import POLICIES
 
+PLANS = {
+    "horizon": 8, "directions": 7, "speeds": 2, "holds": 2, "human_margin": 0.05,
+    "robot_margin": 0.15, "comfort": 1.0, "comfort_weight": 3.0, "collision_weight": 100.0,
+    "collision_discount": 0.9,
+}  # fmt: skip
 TWO_PI = np.float32(2.0 * math.pi)
 
 
@@ -26,7 +31,7 @@ def test_the_cheapest_plan_is_the_cheapest_of_all(
 ) -> None:
     """Among many people, against plans that are all simulated to their ends."""
     scenario = Scenario(kinematics=kinematics, humans=12, robots=3, circle_radius=4.0)
-    plans = {**POLICIES["planned"], "directions": 7, "speeds": 2, **numbers}
+    plans: dict[str, Any] = {**PLANS, **numbers}
     planner = ModelPredictive(scenario, **plans)
     p, best = scenario.parameters(), np.empty(scenario.action_size, np.float32)
     sizes = tuple(plans[name] for name in ("horizon", "directions", "speeds", "holds"))
