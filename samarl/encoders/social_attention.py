@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
+from torch.nn import functional
 
 from mrsan.scenario import required
 from samarl.encoders.encoder import ENCODERS, Encoder, State
@@ -51,10 +52,10 @@ class SocialAttentionEncoder(Encoder):
         self.features = ego_features + i
         self.own = nn.Linear(2 * ego_features, e)
         self.robots, self.humans = (nn.Linear(other_features, e, bias=False) for _ in range(2))
-        self.embed = nn.Sequential(nn.ReLU(), nn.Linear(e, e), nn.ReLU())
-        self.tells = nn.Sequential(nn.Linear(e, e), nn.ReLU(), nn.Linear(e, i))
+        self.embed = nn.Sequential(nn.ReLU(inplace=True), nn.Linear(e, e), nn.ReLU(inplace=True))
+        self.tells = nn.Sequential(nn.Linear(e, e), nn.ReLU(inplace=True), nn.Linear(e, i))
         self.of_one, self.of_all = nn.Linear(e, e), nn.Linear(e, e, bias=False)
-        self.score = nn.Sequential(nn.ReLU(), nn.Linear(e, 1))
+        self.score = nn.Sequential(nn.ReLU(inplace=True), nn.Linear(e, 1))
 
     def observe(
         self, frames: Frames, is_init: Tensor, state: State, samples: Tensor | None = None
@@ -87,8 +88,10 @@ class SocialAttentionEncoder(Encoder):
         of, slot = known.nonzero(as_tuple=True)
         others = torch.cat([scene.robots, scene.humans], 1)[known]
         is_robot = (slot < scene.robots.shape[1]).unsqueeze(-1)
+        # One layer for both: what is of a robot goes to its weights, what is of a human to its own.
+        weight = torch.cat([self.robots.weight, self.humans.weight], 1)
+        of_other = functional.linear(torch.cat([others * is_robot, others * ~is_robot], 1), weight)
         own = self.own(torch.cat([scene.ego, query], -1))
-        of_other = torch.where(is_robot, self.robots(others), self.humans(others))
         encounters = self.embed(of_other + own[of])
         mean = _sums(encounters, known) / known.sum(1, keepdim=True).clamp_min(1)
         score = self.score(self.of_one(encounters) + self.of_all(mean)[of]).squeeze(-1)

@@ -37,7 +37,7 @@ from samarl.policies.policy import (
     no_frames,
 )
 
-AT_ONCE = 512  # states that are valued at once: so few stay in a processor's cache
+AT_ONCE = 256  # states that are valued at once: so few stay in a processor's cache
 VALUE_SCALE = 10.0  # what is 1 to the networks; SAMARL's rewards add up to some 30
 
 
