@@ -66,6 +66,15 @@ def test_every_name_has_a_file_and_every_file_a_name(kind: str) -> None:
 
 
 @pytest.mark.parametrize(
+    "name", sorted(path.stem for path in (find_folder("conf") / "experiment").glob("*.yaml"))
+)
+def test_every_experiment_begins(name: str, tmp_path: Path) -> None:
+    overrides = [f"experiment={name}", f"run_dir={tmp_path}", "trainer.device=cpu"]
+    trainer = build_trainer(compose("train", overrides), "test")
+    assert trainer.steps_done == 0
+
+
+@pytest.mark.parametrize(
     "choice",
     [f"{kind}={name}" for kind, registry in KINDS.items() for name in registry]
     + ["policy.actors=2", "encoder=gru policy.actors=2 algorithm=ippo"],
