@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from torch import Tensor
@@ -19,10 +19,12 @@ from samarl.rollout import Rollout
 class IPPOConfig(PPOConfig):
     """Numbers of independent PPO."""
 
+    team_reward: bool = field(default=False, kw_only=True)  # for all having arrived, as in MAPPO
+
 
 @ALGORITHMS.register("ippo", IPPOConfig)
 class IPPO(PPO):
-    """The critic sees what its robot knows, and nobody is paid for the team."""
+    """The critic sees what its robot knows; nobody is paid for the team unless `team_reward`."""
 
     def _make_critic(self, config: Any) -> SetEncoder:
         sizes = config.critic_width, config.critic_heads, config.critic_features
@@ -33,6 +35,6 @@ class IPPO(PPO):
 
     def _reward(self, rollout: Rollout, level: str) -> Tensor:
         reward = super()._reward(rollout, level)
-        if level != self.policy.levels[0]:
+        if self.config.team_reward or level != self.policy.levels[0]:
             return reward  # the uppermost level alone is paid for the team
         return reward - rollout.steps["next", "agents", "team_reward"][:, :-1]

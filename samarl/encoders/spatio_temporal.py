@@ -9,7 +9,7 @@ in view.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import torch
@@ -31,8 +31,12 @@ class SpatioTemporalConfig:
 
     width: int = required(8, 1024)  # of every token, D
     heads: int = required(1, 64)
-    history: int = required(1, 64)  # frames, H; 1: no temporal transformer
+    history: int = required(1, 64)  # frames, H; 1: without the temporal transformer
     features: int = required(8, 4096)  # length of Y
+    # Ablations:
+    graph: bool = field(default=True, kw_only=True)  # convolution weighted by proximity
+    cross_modal: bool = field(default=True, kw_only=True)  # attention between the four features
+    one_block: bool = field(default=False, kw_only=True)  # humans and robots are all the same
 
 
 def nearness(others: Tensor, known: Tensor, heads: int) -> Tensor:
@@ -83,12 +87,14 @@ class SpatialTransformer(nn.Module):
     The graph is weighted by proximity, exp(-distance / 2 m): near agents matter more.
     """
 
-    def __init__(self, width: int, heads: int) -> None:
+    def __init__(self, width: int, heads: int, graph: bool) -> None:
         super().__init__()
-        self.heads, self.scale = heads, (width // heads) ** -0.5
+        self.heads, self.scale, self.graph = heads, (width // heads) ** -0.5, graph
         self.norm = nn.LayerNorm(width)
-        self.project = nn.Linear(width, 4 * width)  # query, key, value, what the graph passes on
-        self.gate = nn.Linear(2 * width, width)
+        # Query, key, value, and what the graph passes on.
+        self.project = nn.Linear(width, (4 if graph else 3) * width)
+        if graph:
+            self.gate = nn.Linear(2 * width, width)
         self.pool = Pool(width, heads)
 
     def forward(self, tokens: Tensor, others: Tensor, known: Tensor) -> Tensor:
@@ -102,8 +108,8 @@ class SpatialTransformer(nn.Module):
         p, m, d = tokens.shape
         if m == 0:
             return tokens
-        normed, sizes = self.norm(tokens), (d, 2 * d, d)
-        query, kept, passed = (  # three products: each result is contiguous
+        normed, sizes = self.norm(tokens), (d, 2 * d, d) if self.graph else (d, 2 * d)
+        query, kept, *passed = (  # products of their own: each result is contiguous
             functional.linear(normed, weight, bias)
             for weight, bias in zip(
                 self.project.weight.split(sizes), self.project.bias.split(sizes), strict=True
@@ -111,8 +117,10 @@ class SpatialTransformer(nn.Module):
         )
         masked = torch.where(known, 0.0, MASKED).unsqueeze(-1).expand(p, m, self.heads)
         attention = frame_attention(query * self.scale, kept, masked)
+        if not self.graph:
+            return tokens + attention
         graph = torch.relu(
-            proximity_convolution(passed, others[..., POSITION], known, LENGTH_SCALE / 2.0)
+            proximity_convolution(passed[0], others[..., POSITION], known, LENGTH_SCALE / 2.0)
         )
         gate = torch.sigmoid(self.gate(torch.cat([attention, graph], -1)))
         return tokens + torch.lerp(graph, attention, gate)
@@ -173,7 +181,7 @@ class Block(nn.Module):
         self.embed = nn.Linear(width, width)
         for layer in (self.embed_ego, self.embed_other, self.embed):
             nn.init.orthogonal_(layer.weight, gain=2**0.5)
-        self.spatial = SpatialTransformer(width, config.heads)
+        self.spatial = SpatialTransformer(width, config.heads, config.graph)
         self.temporal = TemporalTransformer(width, config.heads)
 
     def forward(
@@ -240,28 +248,28 @@ class Block(nn.Module):
 class CrossModal(nn.Module):
     """Each of the four features queries their concatenation, then a transformer (Eq. 7)."""
 
-    def __init__(self, width: int, heads: int, out: int) -> None:
+    def __init__(self, features: int, config: SpatioTemporalConfig) -> None:
         super().__init__()
-        self.cross = nn.MultiheadAttention(width, heads, batch_first=True)
-        self.norm = nn.LayerNorm(width)
-        self.final = nn.TransformerEncoderLayer(
-            width, heads, 2 * width, dropout=0.0, batch_first=True, norm_first=True
-        )
-        self.out = nn.Linear(5 * width, out)
+        width, heads, self.attends = config.width, config.heads, config.cross_modal
+        if self.attends:
+            self.cross = nn.MultiheadAttention(width, heads, batch_first=True)
+            self.norm = nn.LayerNorm(width)
+            self.final = nn.TransformerEncoderLayer(
+                width, heads, 2 * width, dropout=0.0, batch_first=True, norm_first=True
+            )
+        self.out = nn.Linear((1 + features) * width, config.features)
 
     def forward(self, own: Tensor, modalities: Tensor) -> Tensor:
         """Y [P, out] from the robot's own embedding [P, D] and the features [P, 4, D]."""
-        fused = self.norm(modalities)
-        crossed, _ = self.cross(fused, fused, fused, need_weights=False)
-        final = self.final(modalities + crossed)
-        return torch.relu(self.out(torch.cat([own, final.flatten(1)], -1)))
+        if self.attends:
+            fused = self.norm(modalities)
+            crossed, _ = self.cross(fused, fused, fused, need_weights=False)
+            modalities = self.final(modalities + crossed)
+        return torch.relu(self.out(torch.cat([own, modalities.flatten(1)], -1)))
 
 
-class SpatioTemporalScene(NamedTuple):
-    """Robots and humans around P robots."""
-
-    robots: Seen
-    humans: Seen
+SpatioTemporalScene = tuple[Seen, ...]
+"""What each block found: of robots and of humans, or of all together."""
 
 
 @ENCODERS.register("spatio_temporal", SpatioTemporalConfig)
@@ -284,9 +292,13 @@ class SpatioTemporalEncoder(Encoder):
         width = config.width
         self.width, self.history, self.features = width, config.history - 1, config.features
         self.own = nn.Sequential(nn.Linear(ego_features, width), nn.ReLU(), nn.Linear(width, width))
-        self.humans = Block(ego_features, other_features, config)
-        self.robots = Block(ego_features, other_features, config)
-        self.cross = CrossModal(width, config.heads, config.features)
+        if config.one_block:
+            self.everybody = Block(ego_features, other_features, config)
+        else:
+            self.humans = Block(ego_features, other_features, config)
+            self.robots = Block(ego_features, other_features, config)
+        self.kinds = ("everybody",) if config.one_block else ("robots", "humans")
+        self.cross = CrossModal(2 * len(self.kinds), config)
 
     def observe(
         self, frames: Frames, is_init: Tensor, state: State, samples: Tensor | None = None
@@ -299,26 +311,29 @@ class SpatioTemporalEncoder(Encoder):
         fresh = frame % is_init.shape[1] - lag >= began.flatten()[frame].clamp_min(0)
         needed, window = torch.where(fresh, frame - lag, frame).unique(return_inverse=True)
         f = Frames(*(tensor.flatten(0, 1)[needed] for tensor in frames))
-        return SpatioTemporalScene(
-            self.robots(f.ego, f.robots, f.robots_known, window, fresh),
-            self.humans(f.ego, f.humans, f.humans_known, window, fresh),
+        return tuple(
+            getattr(self, kind)(f.ego, *_agents(f, kind), window, fresh) for kind in self.kinds
         )
 
     def read(self, scene: SpatioTemporalScene, query: Tensor) -> Tensor:
         """See `Encoder.read`."""
         own = self.own(query)
-        features = [*self.robots.asked(own, scene.robots), *self.humans.asked(own, scene.humans)]
-        return self.cross(own, torch.stack(features, 1))
+        features: list[Tensor] = []
+        for kind, seen in zip(self.kinds, scene, strict=True):
+            features += getattr(self, kind).asked(own, seen)
+        y: Tensor = self.cross(own, torch.stack(features, 1))
+        return y
 
     def initial_state(self, frame: Frames) -> State:
         """Ring buffers of the keys and values of the last H frames, and how many there were."""
         state: State = {
             "count": torch.zeros(len(frame.ego), dtype=torch.long, device=frame.ego.device)
         }
-        for name, known in (("robots", frame.robots_known), ("humans", frame.humans_known)):
+        for kind in self.kinds:
+            _, known = _agents(frame, kind)
             b, _, m = known.shape
-            state[name] = frame.ego.new_zeros(b, self.history + 1, m, 2 * self.width)
-            state[f"{name}_known"] = known.new_zeros(b, self.history + 1, m)
+            state[kind] = frame.ego.new_zeros(b, self.history + 1, m, 2 * self.width)
+            state[f"{kind}_known"] = known.new_zeros(b, self.history + 1, m)
         return state
 
     def step(self, frame: Frames, is_init: Tensor, state: State, rows: Tensor | None = None) -> Any:
@@ -328,14 +343,11 @@ class SpatioTemporalEncoder(Encoder):
         count = torch.where(is_init, 0, state["count"][rows])
         state["count"][rows] = count + 1
         f = Frames(*(tensor[:, 0] for tensor in frame))
-        s = state
-        return SpatioTemporalScene(
-            self.robots.step(
-                f.ego, f.robots, f.robots_known, s["robots"], s["robots_known"], count, rows
-            ),
-            self.humans.step(
-                f.ego, f.humans, f.humans_known, s["humans"], s["humans_known"], count, rows
-            ),
+        return tuple(
+            getattr(self, kind).step(
+                f.ego, *_agents(f, kind), state[kind], state[f"{kind}_known"], count, rows
+            )
+            for kind in self.kinds
         )
 
     def resume(self, frames: Frames, is_init: Tensor, state: State, rows: Tensor) -> None:
@@ -344,21 +356,38 @@ class SpatioTemporalEncoder(Encoder):
             begins = is_init[:, t] if t else torch.ones_like(is_init[:, 0])
             count = torch.where(begins, 0, state["count"][rows])
             slot = count % (self.history + 1)
-            for name, block in (("robots", self.robots), ("humans", self.humans)):
-                tokens = block.embedded(frames.ego[:, t], getattr(frames, name)[:, t])
-                state[name][rows, slot] = block.temporal.keys_values(tokens).to(state[name].dtype)
-                state[f"{name}_known"][rows, slot] = getattr(frames, f"{name}_known")[:, t]
+            for kind in self.kinds:
+                block: Block = getattr(self, kind)
+                agents, known = _agents(frames, kind)
+                tokens = block.embedded(frames.ego[:, t], agents[:, t])
+                state[kind][rows, slot] = block.temporal.keys_values(tokens).to(state[kind].dtype)
+                state[f"{kind}_known"][rows, slot] = known[:, t]
             state["count"][rows] = count + 1
 
     def memory(self, state: State) -> State:
         """Nothing: `resume` computes all of it."""
         return {}
 
-    def attention(self, scene: SpatioTemporalScene, query: Tensor) -> tuple[Tensor, Tensor]:
-        """See `Encoder.attention`; that of the spatial part."""
+    def attention(self, scene: SpatioTemporalScene, query: Tensor) -> tuple[Tensor, Tensor] | None:
+        """See `Encoder.attention`; that of the spatial part. None where all are in one block."""
+        if "robots" not in self.kinds:
+            return None
         own = self.own(query)
         robots, humans = (
-            block.spatial.pool.shares(own, seen.spatial, seen.score)
-            for block, seen in ((self.robots, scene.robots), (self.humans, scene.humans))
+            getattr(self, kind).spatial.pool.shares(own, seen.spatial, seen.score)
+            for kind, seen in zip(self.kinds, scene, strict=True)
         )
         return robots, humans
+
+
+def _agents(frames: Frames, kind: str) -> tuple[Tensor, Tensor]:
+    """Those of a kind in some frames: [..., M, F_o] what is known of them, [..., M] whether it is.
+
+    What is known of robots and of humans has the same numbers, so `everybody` is both.
+    """
+    if kind == "everybody":
+        return (
+            torch.cat([frames.robots, frames.humans], -2),
+            torch.cat([frames.robots_known, frames.humans_known], -1),
+        )
+    return getattr(frames, kind), getattr(frames, f"{kind}_known")

@@ -261,8 +261,13 @@ def test_the_time_limit_and_a_team_mates_collision_bootstrap_from_the_state_befo
     assert where[0].tolist() == of.counts[0].tolist()
 
 
-@pytest.mark.parametrize("name", ["mappo", "ippo"])
-def test_who_arrives_early_is_paid_for_the_team_unless_everyone_is_for_himself(name: str) -> None:
+@pytest.mark.parametrize(
+    ("name", "changes", "share"),
+    [("mappo", {}, 1.0), ("ippo", {}, 0.0), ("ippo", {"team_reward": True}, 1.0)],
+)
+def test_who_arrives_early_is_paid_for_the_team_unless_everyone_is_for_himself(
+    name: str, changes: dict[str, bool], share: float
+) -> None:
     scenario = Scenario(humans=0, robots=2)
     model = policy("flat")
     with torch.no_grad():  # straight ahead, at full speed
@@ -286,12 +291,12 @@ def test_who_arrives_early_is_paid_for_the_team_unless_everyone_is_for_himself(n
     team = scenario.reward.team
     assert steps["next", "agents", "team_reward"][0, end].tolist() == [team, team]
     assert steps["next", "agents", "team_reward"].sum().item() == pytest.approx(2 * team)
-    learner = algorithm(model, name, gae_lambda=1.0, local_discount=0.9)
+    learner = algorithm(model, name, gae_lambda=1.0, local_discount=0.9, **changes)
     zero = torch.zeros_like(steps["agents", "speed"])
     rollout: Any = SimpleNamespace(steps=steps, scenario=scenario)
     _, target, _, _ = learner._advantages(LOCAL, rollout, zero)
     rewards = [float(r) for r in steps["next", "agents", "reward"][0, : end + 1, 0]]
     alone = sum(0.9**k * r for k, r in enumerate(rewards)) - 0.9**end * team
-    paid = {"mappo": 0.9**end * team, "ippo": 0.0}[name]
+    paid = share * 0.9**end * team
     assert target[0, 0, 0].item() == pytest.approx(alone + paid, rel=1e-4)
     assert rewards[-1] == pytest.approx(team)

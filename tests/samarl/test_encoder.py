@@ -20,11 +20,19 @@ from samarl.observations.frames import Frames
 from tests.learning import ENCODERS as NUMBERS
 
 EGO, OTHER = NETWORK_EGO_FEATURES, NETWORK_OTHER_FEATURES
-every = pytest.mark.parametrize("name", list(ENCODERS))
+ABLATIONS = ("graph=", "cross_modal=", "one_block=True")
+every = pytest.mark.parametrize(
+    "name", [*ENCODERS, *(f"spatio_temporal {change}" for change in ABLATIONS)]
+)
 
 
 def encoder(name: str, **changes: Any) -> Any:
+    """An encoder; its name may have a change of one of its flags behind it."""
     torch.manual_seed(0)
+    name, _, change = name.partition(" ")
+    if change:
+        flag, _, on = change.partition("=")
+        changes[flag] = bool(on)
     config = ENCODERS.config({"name": name, **NUMBERS[name], **changes})
     return ENCODERS[name].made(config, EGO, OTHER)
 
@@ -286,3 +294,16 @@ def test_social_attention_by_hand() -> None:
     )
     y = model.read(model.observe(alone, torch.ones(6, 1, dtype=torch.bool), {}), query)
     assert torch.equal(y, torch.cat([query, torch.zeros(6, 8)], 1))
+
+
+@pytest.mark.parametrize("change", ["one_block=True", "one_block="])
+def test_in_one_block_robots_are_as_humans(change: str) -> None:
+    model, data = encoder(f"spatio_temporal {change}"), frames()
+    others = data._replace(
+        humans=torch.cat([data.robots[:, :, :1], data.humans[:, :, 1:]], 2),
+        humans_known=torch.cat([data.robots_known[:, :, :1], data.humans_known[:, :, 1:]], 2),
+        robots=torch.cat([data.humans[:, :, :1], data.robots[:, :, 1:]], 2),
+        robots_known=torch.cat([data.humans_known[:, :, :1], data.robots_known[:, :, 1:]], 2),
+    )
+    one, other = (seen(model, given, some_begin()) for given in (data, others))
+    assert torch.allclose(one, other, atol=1e-5) == bool(change.partition("=")[2])
