@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import shlex
 import signal
 from dataclasses import dataclass, field
@@ -52,6 +53,7 @@ def train(config: DictConfig) -> None:
     if config.resume is not None:
         config = begun_as(config)
     trainer = build_trainer(config, command_line("samarl-train"))
+    logging.getLogger("torchrl").setLevel(logging.WARNING)  # it tells of every replay
     if trainer.steps_done >= trainer.config.steps:
         print(
             f"this run is finished; for more: samarl-train resume={trainer.run_dir.folder} "
