@@ -21,6 +21,7 @@ help: ## List what can be made
 
 # What is installed is known by content, not by date: a .venv that was kept from an earlier
 # checkout is used again if it was made here, by the same Python, and installs what is missing.
+# Modules are compiled when they are first imported: most of them never are.
 setup: ## Install everything into .venv, unless it is there
 	@set -e; version='import sys; print("%d.%d" % sys.version_info[:2])'; \
 	python=$$($(PYTHON) -c "$$version" 2>/dev/null) || python="not found"; \
@@ -34,9 +35,9 @@ setup: ## Install everything into .venv, unless it is there
 	echo "Setting up .venv with Python $$python (once; torch takes minutes) ..."; \
 	if [ "$$there" != "$$python" ] || { [ -f $(STAMP) ] && [ "$$home" != "$$(head -n 1 $(STAMP))" ]; }; \
 	then $(PYTHON) -m venv --clear $(VENV); fi; \
-	echo "  torch $(TORCH)"; $(PIP) install "torch==$(TORCH)"; \
+	echo "  torch $(TORCH)"; $(PIP) install --no-compile "torch==$(TORCH)"; \
 	echo "  everything else, at the versions of constraints.txt"; \
-	$(PIP) install -c constraints.txt -e ".[dev]"; \
+	$(PIP) install --no-compile -c constraints.txt -e ".[dev]"; \
 	echo "$$wanted" > $(STAMP); \
 	echo "Set up in $$(($$(date +%s) - start)) s."
 
