@@ -107,6 +107,12 @@ def samples_of(scene: Any, index: Tensor | slice) -> Any:
     return tree_map(lambda tensor: tensor[index], scene)
 
 
+def single_frames(frames: Frames, samples: Tensor | None) -> Frames:
+    """The frame of each sample alone, [P, ...], for encoders without history."""
+    every = (tensor.flatten(0, 1) for tensor in frames)
+    return Frames(*(tensor if samples is None else tensor[samples] for tensor in every))
+
+
 def frame_numbers(frames: Frames, history: int, samples: Tensor | None) -> Tensor:
     """The number b (h + T) + h + t of each sample's frame, [P]."""
     b, t = frames.ego.shape[:2]

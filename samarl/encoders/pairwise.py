@@ -12,11 +12,8 @@ import torch
 from torch import Tensor, nn
 
 from mrsan.scenario import required
-from samarl.encoders.encoder import ENCODERS, Encoder, State
+from samarl.encoders.encoder import ENCODERS, Encoder, State, single_frames
 from samarl.observations.frames import Frames
-
-Scene = tuple[Tensor, Tensor, Tensor, Tensor, Tensor]
-"""The parts of `Frames` in P samples."""
 
 
 @dataclass
@@ -49,15 +46,11 @@ class PairwiseEncoder(Encoder):
 
     def observe(
         self, frames: Frames, is_init: Tensor, state: State, samples: Tensor | None = None
-    ) -> Scene:
-        """See `Encoder.observe`."""
-        ego, humans, humans_known, robots, robots_known = (
-            tensor.flatten(0, 1) if samples is None else tensor.flatten(0, 1)[samples]
-            for tensor in frames
-        )
-        return ego, humans, humans_known, robots, robots_known
+    ) -> Frames:
+        """See `Encoder.observe`; what is known in P samples."""
+        return single_frames(frames, samples)
 
-    def read(self, scene: Scene, query: Tensor) -> Tensor:
+    def read(self, scene: Frames, query: Tensor) -> Tensor:
         """See `Encoder.read`; the least value, [P, 1]."""
         ego, humans, humans_known, robots, robots_known = scene
         both = torch.cat([ego, query], -1)
@@ -66,8 +59,8 @@ class PairwiseEncoder(Encoder):
         for embed, others, known in (
             (self.humans, humans, humans_known), (self.robots, robots, robots_known)
         ):  # fmt: skip
-            of = known.nonzero()[:, 0]
-            values = self.pair(embed(others[known]) + own[of]).squeeze(-1)
+            of, slot = known.nonzero(as_tuple=True)
+            values = self.pair(embed(others[of, slot]) + own[of]).squeeze(-1)
             least = least.scatter_reduce(0, of, values, "amin")
         alone = self.alone(self.own_alone(both)).squeeze(-1)
         return torch.where(least.isinf(), alone, least).unsqueeze(1)
