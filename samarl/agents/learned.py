@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -89,13 +90,22 @@ class Learned(Agent):
         return f"{super().version()}.{self.card.sha256[:16]}"
 
     def caution(self) -> str | None:
-        """The view is none of those it was trained for, nor between them."""
-        views = sorted(_values(self.card.made.get("configuration"), "fov_degrees"))
-        here = self.scenario.fov_degrees
-        if not views or views[0] <= here <= views[-1]:
+        """The view is none of those it was trained for, nor between them; or the people are known.
+
+        A recording is known by its file's name.
+        """
+        here, made = self.scenario, self.card.made.get("configuration")
+        recording = Path(here.recording or "").name
+        if recording and recording in {Path(str(file)).name for file in _values(made, "recording")}:
+            return f"{self.checkpoint} was trained among the people of {recording}"
+        views = sorted(float(view) for view in _values(made, "fov_degrees"))
+        if not views or views[0] <= here.fov_degrees <= views[-1]:
             return None
         trained = " to ".join(f"{view:g}" for view in sorted({views[0], views[-1]}))
-        return f"{self.checkpoint} was trained for a view of {trained} degrees; here it is {here:g}"
+        return (
+            f"{self.checkpoint} was trained for a view of {trained} degrees; here it is "
+            f"{here.fov_degrees:g}"
+        )
 
     def reset(self, worlds: NDArray[np.bool_]) -> None:
         """Forget the worlds [E] in which an episode begins."""
@@ -110,12 +120,12 @@ class Learned(Agent):
         return self._deployed.explain()
 
 
-def _values(tree: Any, key: str) -> Iterator[float]:
-    """All numbers under `key` in a nested structure of a card."""
+def _values(tree: Any, key: str) -> Iterator[Any]:
+    """All values under `key` in a nested structure of a card."""
     if isinstance(tree, dict):
         for name, value in tree.items():
             if name == key:
-                yield float(value)
+                yield value
             else:
                 yield from _values(value, key)
     elif isinstance(tree, list):

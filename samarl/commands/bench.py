@@ -104,7 +104,7 @@ def bench(config: DictConfig) -> None:
     left_out: dict[str, str] = {}
     for scenario in scenarios:
         for name, agent in agents:
-            # What is wrong is said before anything is played; policies have their own views.
+            # What is wrong is said before anything is played; policies are not for every column.
             if caution := build_agent(agent, scenario).caution():
                 left_out.setdefault(name, caution)
                 continue
@@ -132,7 +132,9 @@ def bench(config: DictConfig) -> None:
         print(compare(row, known))
     print(STATUS)
     if left_out:
-        print(f"not played in views that they were not trained for: {', '.join(left_out)}")
+        print("not played everywhere:")
+        for name, why in left_out.items():
+            print(f"  {name}: {why}")
     rows = merged(rows, earlier)
     write_json(output / f"{config.name}.json", rows)
     text = page(config.name, config.about, rows, config.improvement_of)

@@ -1,16 +1,18 @@
 """Everything that drives robots, by walking `conf/agent/`."""
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from mrsan import ConfigurationError, Kinematics, Observation, Scenario, Split, World
+from mrsan import ConfigurationError, Crowd, Kinematics, Observation, Scenario, Split, World
 from mrsan.scenario import required
 from samarl.agents import Agent, build_agent
 from samarl.configuration import available_agents, load_agent
 from samarl.evaluation.runner import run_cases
+from samarl.policies.checkpoint import find_policy, load_policy, save_policy
 
 NAMES = available_agents()
 LEARNED = {name for name in NAMES if "checkpoint" in load_agent(name)}
@@ -173,3 +175,14 @@ def test_an_agent_of_ones_own_needs_one_class() -> None:
     episodes = run_cases(agent, scenario, CASES[:3], batch=2)
     assert episodes.timeout.all()
     assert not episodes.path_length.any()
+
+
+def test_a_policy_says_among_whom_it_was_trained(tmp_path: Path) -> None:
+    policy, card = load_policy(find_policy("samarl_flat"))
+    made = {"configuration": {"stages": [{"scenario": {"recording": "mine/walk.txt"}}]}}
+    save_policy(tmp_path / "known.safetensors", policy, card.policy, made)
+    fields = {**load_agent("samarl_flat"), "checkpoint": str(tmp_path / "known.safetensors")}
+    for recording, known in (("theirs/walk.txt", True), ("mine/run.txt", False), (None, False)):
+        scenario = Scenario(crowd=Crowd.recorded, recording=recording)
+        caution = build_agent(fields, scenario).caution()
+        assert (caution or "").endswith("was trained among the people of walk.txt") == known

@@ -151,7 +151,7 @@ def test_the_bench_plays_a_policy_in_its_own_views(tmp_path: Path) -> None:
     done = run("bench", *words, f"columns={columns}", cwd=tmp_path)
     rows = json.loads((tmp_path / "mine/table1.json").read_text())
     assert {row["fov_degrees"] for row in rows} == {90.0}
-    assert "not played in views that they were not trained for: samarl_narrow" in done.stdout
+    assert "samarl_narrow: samarl_narrow was trained for a view of 90 degrees; here" in done.stdout
     done = run("bench", *words, "columns=[{fov_degrees: 120}]", cwd=tmp_path, code=2)
     assert done.stderr.startswith("error: columns has nothing to play: samarl_narrow was trained")
 
