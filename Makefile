@@ -12,6 +12,14 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input --quiet --qui
 STAMP := $(VENV)/.installed
 SWEEP := $(BIN)/samarl-evaluate -m evaluation.cases=200 hydra.sweep.dir=outputs/sweeps
 
+# The first table after a heading of results/NAME.md goes between the README's marks of that name.
+INTO_README = @awk -v mark='$(1)' -v heading='$(2)' ' \
+  FNR == NR { if ($$0 == heading) here = 1; \
+              if (here && /^\|/) table = table $$0 "\n"; else if (table) here = 0; next } \
+  $$0 == "<!-- " mark " -->" { print; printf "%s", table; inside = 1; next } \
+  $$0 == "<!-- /" mark " -->" { inside = 0 } \
+  !inside' results/$(1).md README.md > README.md.part && mv README.md.part README.md
+
 .DEFAULT_GOAL := help
 .PHONY: help setup bench test test-browser lint train results sweeps pictures report docs latency throughput soak wheel check-wheel clean
 
@@ -65,10 +73,8 @@ results: setup ## Rewrite results/ and the README's table and pictures (RECORDIN
 	@$(BIN)/python -m benchmarks.throughput --compile --output results/throughput.json
 	@$(BIN)/python -m benchmarks.latency --output results/latency.json
 	@$(BIN)/python -m benchmarks.training --output results/training_throughput.json
-	@awk 'FNR == NR { if (/^\|/ && !done) table = table $$0 "\n"; else if (table) done = 1; next } \
-	  /<!-- table1 -->/ { print; printf "%s", table; inside = 1; next } \
-	  /<!-- \/table1 -->/ { inside = 0 } !inside' results/table1.md README.md > README.md.part
-	@mv README.md.part README.md
+	$(call INTO_README,table1,# Table I)
+	$(call INTO_README,transfer,### Recorded people)
 	@$(MAKE) --no-print-directory pictures
 
 sweeps: setup ## Play the sweeps of results/sweeps/ (hours; the same again goes on)
@@ -90,6 +96,7 @@ sweeps: setup ## Play the sweeps of results/sweeps/ (hours; the same again goes 
 pictures: report ## Draw the pictures of the README: a case that plays, and the table as a figure
 	@$(BIN)/samarl-render agent=samarl against=orca case=$(PICTURE_CASE) output=docs/images/case.gif
 	@cp results/report/figures/table-1.png docs/images/table1.png
+	@cp results/report/figures/transfer-recorded-people.png docs/images/recorded.png
 
 report: setup ## Build pages for the browser from results/, with replays, in results/report/
 	@$(BIN)/samarl-report

@@ -1,4 +1,4 @@
-"""A thousand ways to get a configuration wrong end in one line that says so."""
+"""Hundreds of ways to get a configuration wrong end in one line that says so."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from mrsan import Reward, Scenario
 from samarl.commands import evaluate
 from samarl.evaluation.runner import Evaluation
 
-CHUNKS, CHUNK = 10, 100
+CHUNKS, CHUNK = 4, 100
 OWNERS = {"scenario": Scenario, "scenario.reward": Reward, "evaluation": Evaluation}
 FIELDS = [
     (f"{path}.{f.name}", f)
