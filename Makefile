@@ -4,7 +4,7 @@
 PYTHON ?= python3
 TORCH := 2.13.0
 PICTURE_CASE := 28
-TEAM := samarl_general
+TEAM := samarl_planned
 
 VENV := .venv
 BIN := $(VENV)/bin
