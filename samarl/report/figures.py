@@ -24,7 +24,7 @@ Curve = dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]  # column: st
 _BASELINES = ("model_predictive", "perimeter")  # planners that curves are compared with
 _AXES = {"fov_degrees": "field of view, degrees", "humans": "humans", "robots": "robots"}
 _POINTS = 200  # more do not show
-_PANELS = 5  # of a table, side by side
+_PANELS = 5  # of a table, side by side at most
 _LIGHT_TEXT, _DARK_TEXT = "#FDFDFD", "#111111"  # on the colours of a heat map, in any mode
 
 
@@ -211,8 +211,8 @@ def draw_table(rows: Sequence[Row]) -> Figure:
     methods = [entry.name for entry in reversed(ranked(rows))]  # the first stands on top
     place = np.arange(len(methods))
     with rc_context({**STYLE, "axes.grid.axis": "x"}):
-        across = min(len(grid.columns), _PANELS)
-        down = math.ceil(len(grid.columns) / across)
+        down = math.ceil(len(grid.columns) / _PANELS)
+        across = math.ceil(len(grid.columns) / down)
         size = (1.6 + 1.9 * across, 0.5 + (0.4 + 0.24 * len(methods)) * down)
         figure = Figure(figsize=size, layout="constrained")
         panels = figure.subplots(down, across, sharey=True, squeeze=False).ravel()
