@@ -69,16 +69,21 @@ def _methods(names: list[str] | None, results: Path) -> dict[str, dict[str, Any]
 
     A policy that no agent names is driven as the first agent with a checkpoint says.
     """
+    configs = {name: load_agent(name) for name in (available_agents() if names is None else names)}
+    learned = [config for config in configs.values() if "checkpoint" in config]
+    found = sorted((results / "checkpoints").glob("*.safetensors"))
+    shipped = {path.stem: str(path) for path in found if without_seed(path.stem) == path.stem}
     methods: dict[str, dict[str, Any]] = {}
-    for name in available_agents() if names is None else names:
-        config = load_agent(name)
-        shipped = sorted((results / "checkpoints").glob("*.safetensors"))
-        shipped = [path for path in shipped if without_seed(path.stem) == path.stem]
-        if "checkpoint" not in config or not shipped:
+    for name, config in configs.items():
+        checkpoint = config.get("checkpoint")
+        if checkpoint is None or not shipped:
             methods[name] = config
-        for path in shipped if "checkpoint" in config else ():
-            method = name if config["checkpoint"] == path.stem else path.stem
-            methods.setdefault(method, config | {"checkpoint": str(path)})
+        elif checkpoint in shipped:
+            methods[name] = config | {"checkpoint": shipped[checkpoint]}
+    named = {config["checkpoint"] for config in learned}
+    for checkpoint, path in shipped.items() if learned else ():
+        if checkpoint not in named:
+            methods[checkpoint] = learned[0] | {"checkpoint": path}
     return methods
 
 
