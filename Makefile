@@ -69,7 +69,8 @@ train: setup ## Train SAMARL with the default recipe, or go on with an interrupt
 results: setup ## Rewrite results/ and the README's table and pictures (RECORDINGS=folder: people, too)
 	@$(BIN)/samarl-bench seeds=true output=results
 	@$(BIN)/samarl-bench table=ablations output=results
-	@$(BIN)/samarl-bench table=transfer output=results $(if $(RECORDINGS),recordings=$(RECORDINGS))
+	@$(BIN)/samarl-bench table=transfer output=results \
+	  $(if $(RECORDINGS),recordings=$(RECORDINGS),merge=true)
 	@$(BIN)/python -m benchmarks.throughput --compile --output results/throughput.json
 	@$(BIN)/python -m benchmarks.latency --output results/latency.json
 	@$(BIN)/python -m benchmarks.training --output results/training_throughput.json

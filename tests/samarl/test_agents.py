@@ -16,8 +16,6 @@ from samarl.policies.checkpoint import find_policy, load_policy, save_policy
 
 NAMES = available_agents()
 LEARNED = {name for name in NAMES if "checkpoint" in load_agent(name)}
-KINDS = {"samarl", "samarl_flat", "samarl_planned", "cadrl"}  # others differ in their weights
-DIFFERENT = [name for name in NAMES if name not in LEARNED or name in KINDS]
 CASES = Split.test.case(0) + np.arange(40)
 
 
@@ -42,7 +40,7 @@ def test_every_agent_plays_two_cases(name: str) -> None:
 @pytest.mark.parametrize("kinematics", Kinematics)
 @pytest.mark.parametrize("robots", [1, 4])
 @pytest.mark.parametrize("humans", [0, 6])
-@pytest.mark.parametrize("name", DIFFERENT)
+@pytest.mark.parametrize("name", NAMES)
 def test_an_action_is_valid_and_does_not_depend_on_the_batch(
     name: str, robots: int, humans: int, kinematics: Kinematics
 ) -> None:
@@ -78,7 +76,7 @@ def test_an_action_is_valid_and_does_not_depend_on_the_batch(
     assert last is not observation
 
 
-@pytest.mark.parametrize("name", DIFFERENT)
+@pytest.mark.parametrize("name", NAMES)
 def test_an_agent_acts_on_what_it_observes_alone(name: str) -> None:
     """The same observations with another truth behind them lead to the same actions."""
     scenario = Scenario(robots=2, humans=6, fov_degrees=120.0)

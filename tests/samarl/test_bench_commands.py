@@ -71,7 +71,7 @@ def test_a_policy_with_damaged_weights_shows(tmp_path: Path) -> None:
         for parameter in policy.networks[0].encoder.humans.parameters():
             parameter.zero_()  # it sees nobody
     save_policy(tmp_path / "damaged.safetensors", policy, card.policy, {})
-    agent, cases = load_agent("samarl_flat"), Evaluation(cases=100)
+    agent, cases = load_agent("samarl_flat"), Evaluation(cases=25)
     whole = compare(_row("samarl_flat", [agent], Scenario(), cases, "", []), committed())
     assert whole.startswith(("same ", "close "))
     agent["checkpoint"] = str(tmp_path / "damaged.safetensors")
