@@ -144,6 +144,8 @@ class Scenario:
     Construct it, change fields with `dataclasses.replace`; both check every number.
     """
 
+    name: str = "samarl"  # of the file in conf/scenario/ that it is, or a variant of
+
     # Who is there.
     robots: int = number(3, 1, 16)  # how many
     humans: int = number(10, 0, 64)  # how many at most

@@ -25,9 +25,10 @@ class TorchRLEnv(EnvBase):
     once a robot is parked; `("agents", "action")` [E, N, A]; `("agents", "reward")` [E, N, 1] and
     the terms it is the sum of, `("agents", "reward_parts", *)` [E, N, 1] with the names of
     `mrsan.RewardParts` (observations to TorchRL, so that there is one reward; zero after a reset);
-    `success` [E, 1], all robots have arrived and none collided; `done`, `terminated` (a collision, or all arrived)
-    and `truncated` (time limit) [E, 1]. `reset(TensorDict({"case": numbers}, [E]))` plays those
-    cases; without it a world goes on to the next episode of its case. Partial resets use `_reset`.
+    `success` [E, 1], all robots have arrived and none has collided; `done`, `terminated` (all
+    arrived, or a collision that ends it) and `truncated` (time limit) [E, 1].
+    `reset(TensorDict({"case": numbers}, [E]))` plays those cases; without it a world goes on to the
+    next episode of its case. Partial resets use `_reset`.
 
     Examples:
         >>> env = TorchRLEnv(Scenario(), worlds=64)
