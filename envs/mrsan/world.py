@@ -258,6 +258,7 @@ def _without_limits(scenario: Scenario) -> Scenario:
         occlusion=False,
         position_noise=0.0,
         velocity_noise=0.0,
+        radius_noise=0.0,
         missed_detection=0.0,
     )
 
@@ -289,6 +290,7 @@ def _empty_state(e: int, scenario: Scenario) -> State:
         robot_start=np.zeros((e, n, 2), f),
         arrived=np.zeros((e, n), np.bool_),
         collision=np.zeros((e, n), np.int8),
+        last_contact=np.full((e, n, m + n), -1, np.int32),
         robot_acceleration=np.zeros((e, n, 2), f),
         tally=np.zeros((e, n, len(TALLY)), f),
         said=np.zeros((e, kept, n, m + n, len(OTHER_FEATURES)), f),

@@ -166,7 +166,14 @@ def test_every_robot_gets_the_teams_bonus_when_the_last_arrives(
     assert parts(world, COAST, COAST, COAST) == [{}, {}, {}]  # the episode is over
 
 
-@pytest.mark.parametrize("reward", [Reward(), LITERAL, Reward(arrival=3.3, team=0.7, progress=-1)])
+@pytest.mark.parametrize(
+    "reward",
+    [
+        Reward(goal_distance=0.3, time=-0.01),
+        Reward(literal=True, goal_distance=1.1, time=0.2),
+        Reward(arrival=3.3, team=0.7, progress=-1, goal_distance=3.0, time=-0.7),
+    ],
+)
 def test_the_parts_add_up_to_the_reward_exactly(reward: Reward) -> None:
     """Robots that drive to their goals, and one in four at random; every part comes up."""
     rng, worlds = np.random.default_rng(0), 200
@@ -188,16 +195,18 @@ def test_the_parts_add_up_to_the_reward_exactly(reward: Reward) -> None:
 def test_every_weight_is_configurable() -> None:
     reward = Reward(
         arrival=3, team=4, collision=-7, discomfort=0.5, discomfort_limit=-2,
-        discomfort_distance=0.6, progress=8,
+        discomfort_distance=0.6, progress=8, goal_distance=5, time=-0.5,
     )  # fmt: skip
-    assert rewards(stage([DRIVER], reward=reward), COAST) == [2]
-    assert rewards(stage([FINISHER], reward=reward), COAST) == [7]
+    beside = -0.5 - 5 * 3.75 / 25  # 3.75 m from its goal in a circle of radius 5 m
+    assert rewards(stage([DRIVER], reward=reward), COAST) == [2 + beside]
+    assert rewards(stage([FINISHER], reward=reward), COAST) == [7 - 0.5 - 5 * 0.25 / 25]
     assert rewards(stage([DRIVER], [(0.5, 0, 0, 0)], reward=reward), COAST) == [-7]
-    assert rewards(stage([DRIVER], [(1.35, 0, 0, 0)], reward=reward), COAST) == [-1]  # 0.5 / 0.5
-    assert rewards(stage([DRIVER], [(0.95, 0, 0, 0)], reward=reward), COAST) == [-2]
+    assert rewards(stage([DRIVER], [(1.35, 0, 0, 0)], reward=reward), COAST) == [-1 + beside]
+    assert rewards(stage([DRIVER], [(0.95, 0, 0, 0)], reward=reward), COAST) == [-2 + beside]
 
 
 def test_the_defaults_are_the_papers() -> None:
     r = Scenario().reward
     assert (r.arrival, r.team, r.collision, r.progress) == (10, 5, -20, 2)
     assert (r.discomfort, r.discomfort_limit, r.discomfort_distance) == (1, -5, 0.45)
+    assert (r.goal_distance, r.time) == (0, 0)

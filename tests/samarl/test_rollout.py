@@ -87,6 +87,18 @@ def test_a_collision_ends_the_stream_of_the_robot_and_cuts_short_those_of_its_te
     assert done.squeeze(-1)[alone].all()
 
 
+def test_a_collision_that_does_not_end_the_episode_ends_no_stream() -> None:
+    """The time limit does, as one of a state that has a value."""
+    scenario = crowded(collisions_end=False, time_limit=4.0)
+    steps = collector(policy(), 32, 40, scenario).collect().steps
+    hit = steps["next", "agents", "macro", "reward"] <= -15.0
+    terminated, done = steps["next", "agents", "terminated"], steps["next", "done"]
+    assert (hit & ~done).any()
+    assert done.any()
+    assert (terminated == terminated.all(-1, keepdim=True)).all()  # all have arrived, or nobody
+    assert not terminated[hit & (steps["next", "agents", "team_reward"] == 0)].any()
+
+
 def test_exploration_keeps_its_direction_for_a_while() -> None:
     torch.manual_seed(0)
     model = policy(gain=0.0)
