@@ -1,4 +1,4 @@
-"""What a step is worth to a robot, and of what parts (SAMARL, Eq. 10)."""
+"""What a step is worth to a robot, and of what parts (SAMARL, Eq. 10; MSA3C, Eq. 4)."""
 
 from typing import NamedTuple
 
@@ -9,11 +9,12 @@ from mrsan.kernels import function
 
 
 class RewardParts(NamedTuple):
-    """The terms of Eq. 10 that the reward is the sum of, each [E, N] float32 and in its unit.
+    """The terms that the reward is the sum of, each [E, N] float32 and in its unit.
 
-    What does not apply is zero. A robot that collides gets nothing but `collision`; `progress` and
-    `discomfort` never come together, nor with an arrival. With `Reward.literal` only the first
-    case that holds is paid: `team` takes the place of `arrival` for who arrives last.
+    All but the last are of Eq. 10. What does not apply is zero. A robot that collides gets nothing
+    but `collision`; `progress` and `discomfort` never come together, nor with an arrival. With
+    `Reward.literal` only the first case that holds is paid: `team` takes the place of `arrival` for
+    who arrives last.
     """
 
     progress: NDArray[np.float32]  # `Reward.progress` per metre nearer to the goal
@@ -21,11 +22,12 @@ class RewardParts(NamedTuple):
     team: NDArray[np.float32]  # the last of the team did: to every robot
     collision: NDArray[np.float32]  # it ran into somebody
     discomfort: NDArray[np.float32]  # max(-w / d, limit), instead of `progress`
+    lookahead: NDArray[np.float32]  # somebody will come too near (`mrsan.lookahead`)
 
 
 @function
 def step_reward_parts(collided, arrived, team_arrived, driving, human_gap, progress, p):
-    """Reward of one robot for one step, as `RewardParts`, computed from the state after it.
+    """Eq. 10 for one robot and one step: all `RewardParts` but the last, from the state after it.
 
     Args:
         collided: this robot ran into somebody during the step.
