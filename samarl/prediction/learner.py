@@ -6,15 +6,14 @@ It learns from simulated crowds that no robot disturbs, in training cases only.
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from safetensors.torch import load_file
+from safetensors import safe_open
 from torch import Tensor, nn
 from tqdm import tqdm
 
@@ -27,27 +26,12 @@ from mrsan.prediction import (
     shapes,
     turned,
 )
-from mrsan.scenario import required
 from samarl.files import write_json
 from samarl.policies.checkpoint import write_tensors
-from samarl.prediction.windows import Watching, Windows, watch
+from samarl.prediction.training import Training
+from samarl.prediction.windows import Windows, watch
 
 ROUNDING = 1e-4  # m^2; keeps the slope of a distance finite at zero
-
-
-@dataclass
-class Training(Watching):
-    """The numbers of a training."""
-
-    hidden: int = required(1, 1024)  # units of the network
-    rounds: int = required(1, 10**6)  # each plays cases that were not played before
-    worlds: int = required(1, 10**5)  # of each crowd in a round
-    batch: int = required(1, 10**6)  # windows in a step of the optimiser
-    learning_rate: float = required(0.0, 1.0)  # at first; it falls to zero along half a cosine
-    max_gradient_norm: float = required(0.0, 1e6)
-    newly_seen: float = required(0.0, 1.0)  # share of the windows whose history is cut short
-    validation_worlds: int = required(1, 10**5)  # of each crowd
-    seed: int = required(0, 10**6)  # of the first weights and the order of the windows
 
 
 class Network(nn.Module):
@@ -126,7 +110,7 @@ class Learner:
         bar = tqdm(rounds, "rounds", self.training.rounds, initial=self.round, disable=None)
         for self.round in bar:
             bar.set_postfix_str(f"mean error {self._one_round():.3f} m")
-            if (self.round + 1) % 10 == 0:
+            if (self.round + 1) % 10 == 0 or self.round + 1 == self.training.rounds:
                 self._save()
         self.round = self.training.rounds
 
@@ -175,29 +159,29 @@ class Learner:
         return found
 
     def _save(self) -> None:
-        write_tensors(self.path, self._tensors(), {})
-        progress = {"run": self._run, "rounds": self.round + 1}
-        write_json(self.path.with_suffix(".json"), progress)
+        progress = {"run": self._run, "rounds": str(self.round + 1)}
+        write_tensors(self.path, self._tensors(), progress)
 
     def _restore(self) -> None:
-        progress = json.loads(self.path.with_suffix(".json").read_text(encoding="utf-8"))
+        with safe_open(self.path, "pt") as file:
+            progress = file.metadata()
+            found = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
         if progress["run"] != self._run:
             raise ConfigurationError(
-                f"{self.path.parent} holds another training; choose another folder, or remove it"
+                f"{self.path} is of another training; choose another output, or remove it"
             )
-        found = load_file(self.path)
-        state: dict[int, dict[str, Tensor]] = {}
+        network: dict[str, Tensor] = {}
+        moments: dict[int, dict[str, Tensor]] = {}
         for name, value in found.items():
-            kind, _, rest = name.partition("/")
-            if kind == "optimiser":
-                number, _, moment = rest.partition("/")
-                state.setdefault(int(number), {})[moment] = value.clone()
-        self.network.load_state_dict(
-            {n.removeprefix("network/"): v for n, v in found.items() if n.startswith("network/")}
-        )
+            kind, *rest = name.split("/")
+            if kind == "network":
+                network[rest[0]] = value
+            else:
+                moments.setdefault(int(rest[0]), {})[rest[1]] = value
+        self.network.load_state_dict(network)
         groups = self.optimiser.state_dict()["param_groups"]
-        self.optimiser.load_state_dict({"state": state, "param_groups": groups})
-        self.round = progress["rounds"]
+        self.optimiser.load_state_dict({"state": moments, "param_groups": groups})
+        self.round = int(progress["rounds"])
 
 
 def save_predictor(path: Path, predictor: RecurrentPredictor, made: dict[str, Any]) -> None:
