@@ -84,12 +84,12 @@ def _hydra() -> Iterator[ConfigLoader]:
         yield GlobalHydra.instance().config_loader()
 
 
-def scenario_of(column: Any) -> Scenario:
-    """The scenario of one entry of `columns`: its fields, and the defaults for the rest."""
+def scenario_of(column: Any, field: str = "columns") -> Scenario:
+    """The scenario of one entry of `field`: its fields, and the defaults for the rest."""
     try:
         scenario = OmegaConf.to_object(OmegaConf.merge(OmegaConf.structured(Scenario), column))
     except OmegaConfBaseException as error:
         reason = str(error).splitlines()[0]
-        raise ConfigurationError(f"columns has {column}: {reason}") from error
+        raise ConfigurationError(f"{field} has {column}: {reason}") from error
     assert isinstance(scenario, Scenario)
     return scenario

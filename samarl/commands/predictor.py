@@ -58,7 +58,7 @@ def predictor(config: DictConfig) -> None:
             f"shown_steps is {config.shown_steps}; it must be at most training.steps "
             f"({training.steps})"
         )
-    crowds = {str(name): scenario_of(crowd) for name, crowd in config.crowds.items()}
+    crowds = {str(name): scenario_of(crowd, "crowds") for name, crowd in config.crowds.items()}
     if not crowds:
         raise ConfigurationError("crowds is empty; name at least one")
     time_step = next(iter(crowds.values())).time_step

@@ -44,10 +44,10 @@ def page(result: Mapping[str, Any], time_step: float) -> str:
     for name, row in found.items():
         least = row["constant_velocity"][-1]
         for which in ("constant_velocity", "predictor"):
-            change = 100 * (row[which][-1] / least - 1)
+            change = f"{100 * (row[which][-1] / least - 1):+.1f} %" if least else ""
             cells = [f"{error:.3f}" for error in row[which]]
             lines.append([name, str(row["windows"]), which.replace("_", " "), *cells,
-                          f"{change:+.1f} %"])  # fmt: skip
+                          change])  # fmt: skip
     return f"""# Predicting people
 
 Mean distance, in metres, of where people are from where they were predicted so many seconds before.

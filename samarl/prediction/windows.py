@@ -47,7 +47,7 @@ def watch(scenario: Scenario, cases: NDArray[np.int64], training: Training) -> W
 def watch_recording(
     path: Path, frame_seconds: float, time_step: float, training: Training
 ) -> Windows:
-    """People of a recording, between their first and their last annotation.
+    """People of a recording, without the first and the last 3 s of each, which are continued.
 
     Raises:
         ConfigurationError: it cannot be read, or nobody is there for long enough.
@@ -59,7 +59,7 @@ def watch_recording(
     added = round(COAST / time_step)  # before and after, where nobody was seen
     found = []
     for first, last, row in zip(recording.first, recording.last, recording.row, strict=True):
-        way = recording.position[row + added : row + last - first + 1 - added, None]
+        way = recording.position[row : row + last - first + 1, None][added:-added]
         velocity = np.diff(way, axis=0) / np.float32(time_step)
         if len(velocity) >= training.history + training.steps:
             there = np.ones(velocity.shape[:2], np.bool_)
