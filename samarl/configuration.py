@@ -99,8 +99,8 @@ def load_scenario(name: str) -> Scenario:
     return scenario
 
 
-def scenario_of(column: Any) -> Scenario:
-    """The scenario of one entry of `columns`: its fields, and for the rest those of a named one.
+def scenario_of(column: Any, field: str = "columns") -> Scenario:
+    """The scenario of one entry of `field`: its fields, and for the rest those of a named one.
 
     That is `scenario`, SAMARL's unless it is said.
     """
@@ -110,6 +110,6 @@ def scenario_of(column: Any) -> Scenario:
         scenario = OmegaConf.to_object(OmegaConf.merge(OmegaConf.structured(named), fields))
     except OmegaConfBaseException as error:
         reason = str(error).splitlines()[0]
-        raise ConfigurationError(f"columns has {column}: {reason}") from error
+        raise ConfigurationError(f"{field} has {column}: {reason}") from error
     assert isinstance(scenario, Scenario)
     return scenario

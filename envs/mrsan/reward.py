@@ -1,4 +1,4 @@
-"""What a step is worth to a robot, and of what parts (SAMARL, Eq. 10; MSA3C, Eq. 2)."""
+"""What a step is worth to a robot, and of what parts (SAMARL, Eq. 10; MSA3C, Eq. 2 to 4)."""
 
 from typing import NamedTuple
 
@@ -24,13 +24,14 @@ class RewardParts(NamedTuple):
     discomfort: NDArray[np.float32]  # max(-w / d, limit), instead of `progress`
     goal_distance: NDArray[np.float32]  # -`Reward.goal_distance` d_g / R^2, R of the circle
     time: NDArray[np.float32]  # `Reward.time`, for a step on its way
+    lookahead: NDArray[np.float32]  # somebody will come too near (`mrsan.lookahead`)
 
 
 @function
 def step_reward_parts(
     collided, arrived, team_arrived, driving, human_gap, progress, goal_distance, p
 ):
-    """Reward of one robot for one step, as `RewardParts`, computed from the state after it.
+    """Reward of one robot for one step, as `RewardParts` but the last, from the state after it.
 
     Args:
         collided: this robot touched somebody during the step.

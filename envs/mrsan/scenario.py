@@ -123,7 +123,7 @@ def _check_number(name: str, value: Any, hint: Any, metadata: Any) -> None:
 
 @dataclass
 class Reward:
-    """Weights of SAMARL, Eq. 10, and of the terms that MSA3C, Eq. 2, has besides."""
+    """Weights of SAMARL, Eq. 10, and of the terms that MSA3C, Eq. 2 to 4, has besides."""
 
     arrival: float = number(10.0, -1e6, 1e6)  # to a robot that reaches its goal
     team: float = number(5.0, -1e6, 1e6)  # to every robot when the last one arrives
@@ -135,6 +135,10 @@ class Reward:
     goal_distance: float = number(0.0, 0.0, 1e6)  # taken off per step, times d_g / circle_radius^2
     time: float = number(0.0, -1e6, 1e6)  # per step on its way
     literal: bool = False  # the paper's first-match order: the last to arrive gets only `team`
+    lookahead: float = number(0.0, 0.0, 1e6)  # w in -w exp(-k), somebody too near in k steps
+    lookahead_steps: int = number(5, 1, 200)  # k at most
+    lookahead_distance: float = number(0.25, 0.0, 100.0)  # nearer is too near, m
+    lookahead_predictor: str = "constant_velocity"  # of people: a name or a file of weights
 
 
 @dataclass

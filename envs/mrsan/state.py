@@ -28,6 +28,8 @@ class State(NamedTuple):
     human_position: Floats  # [E, M, 2]
     human_velocity: Floats  # [E, M, 2]
     human_goal: Floats  # [E, M, 2]
+    human_past: Floats  # [E, M, H, 2] where people were, now last; H = 0 if nothing needs it
+    human_past_known: Bools  # [E, M, H] they were there, in this episode
     human_radius: Floats  # [E, M]
     human_speed: Floats  # [E, M] preferred
     robot_position: Floats  # [E, N, 2]

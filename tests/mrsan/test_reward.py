@@ -5,6 +5,7 @@ step; discs have radius 0.3 m.
 """
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -174,9 +175,11 @@ def test_every_robot_gets_the_teams_bonus_when_the_last_arrives(
         Reward(arrival=3.3, team=0.7, progress=-1, goal_distance=3.0, time=-0.7),
     ],
 )
-def test_the_parts_add_up_to_the_reward_exactly(reward: Reward) -> None:
+@pytest.mark.parametrize("lookahead", [0.0, 0.3])
+def test_the_parts_add_up_to_the_reward_exactly(reward: Reward, lookahead: float) -> None:
     """Robots that drive to their goals, and one in four at random; every part comes up."""
     rng, worlds = np.random.default_rng(0), 200
+    reward = replace(reward, lookahead=lookahead)
     scenario = Scenario(robots=2, humans=4, circle_radius=3.0, goal_distance=2.0, reward=reward)
     world = World(scenario, worlds, auto_reset=True)
     observation, paid = world.reset(np.arange(worlds)), np.zeros(len(RewardParts._fields), bool)
@@ -189,7 +192,7 @@ def test_the_parts_add_up_to_the_reward_exactly(reward: Reward) -> None:
         assert all(p.dtype == np.float32 and p.shape == (worlds, 2) for p in step.reward_parts)
         np.testing.assert_array_equal(sum(step.reward_parts), step.reward)
         paid |= np.any(step.reward_parts, axis=(1, 2))
-    assert paid.all()
+    assert paid.tolist() == [*[True] * 7, lookahead > 0]
 
 
 def test_every_weight_is_configurable() -> None:

@@ -63,7 +63,7 @@ def advance(chunks, state, action, p, recording, reward, parts):
         p: the scenario's parameters.
         recording: the ways of recorded people.
         reward: [E, N], written; zero in worlds that had ended.
-        parts: [7, E, N], written: its terms in the order of `RewardParts`.
+        parts: [8, E, N], written: its terms in the order of `RewardParts`, but the last.
     """
     total, robots = reward.shape
     people = state.human_radius.shape[1]
