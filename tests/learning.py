@@ -23,11 +23,15 @@ ENCODERS: dict[str, dict[str, Any]] = {
     "spatio_temporal": {"width": 16, "heads": 2, "history": 4, "features": 16},
     "gru": {"width": 16, "features": 16},
     "structural_rnn": {"embedding": 16, "edge": 16, "node": 16, "attention": 8, "features": 16},
+    "temporal_spatial_graph": {
+        "embedding": 16, "edge": 16, "node": 16, "attention": 8, "heads": 2, "features": 16
+    },
     "pairwise": {"width": 16},
     "social_attention": {"embedding": 16, "interaction": 8},
 }
 POLICIES: dict[str, dict[str, Any]] = {
     "flat": {},
+    "squashed": {},
     "lookahead": {
         "discount": 0.9, "turns": 5, "speeds": 5, "directions": 16, "neighbor_distance": 10.0,
         "max_neighbors": 10, "time_horizon": 5.0, "safety_space": 0.5,
