@@ -77,8 +77,11 @@ class TemporalSpatialGraphEncoder(RecurrentGraph):
             | {"node": RecurrentUnit(2 * e, self.node)}
         )
         self.asks = nn.Linear(self.edge, config.attention, bias=False)
-        self.keys = nn.Linear(self.edge, config.attention, bias=False)
-        self.values = nn.Linear(self.edge, config.attention, bias=False)
+        each = config.attention // config.heads
+        self.keys = nn.Parameter(torch.empty(config.heads, each, self.edge))
+        self.values = nn.Parameter(torch.empty(config.heads, self.edge, each))
+        for weight in (self.keys, self.values):
+            nn.init.uniform_(weight, -(self.edge**-0.5), self.edge**-0.5)
         self.out = embedding(self.node + ego_features, self.features)
 
     def read(self, scene: GraphScene, query: Tensor) -> Tensor:
@@ -107,14 +110,14 @@ class TemporalSpatialGraphEncoder(RecurrentGraph):
     def _attend(
         self, temporal: Tensor, spatial: Tensor, known: Tensor, robots: int
     ) -> tuple[Tensor, Tensor]:
-        def by_head(values: Tensor) -> Tensor:
-            return values.unflatten(-1, (self.heads, -1)).transpose(2, 3)  # [T, B, heads, M, D]
-
-        asked, keys = by_head(self.asks(temporal)), by_head(self.keys(spatial))
-        score = (asked * keys).sum(-1) * self.scale  # [T, B, heads, M]
+        # Eq. 8. What is asked goes through the keys' layer, and what is found through the values':
+        # the same numbers as when every edge does, but there are many edges.
+        asked = self.asks(temporal.squeeze(2)).unflatten(-1, (self.heads, -1))
+        asked = torch.einsum("tbha,had->tbhd", asked, self.keys)
+        score = (asked @ spatial.transpose(-2, -1)) * self.scale  # [T, B, heads, N - 1 + M]
         known = known.unsqueeze(2)
         share = torch.softmax(torch.where(known, score, MASKED), -1) * known  # zero with nobody
-        found = share.unsqueeze(-2) @ by_head(self.values(spatial))  # Eq. 8
+        found = torch.einsum("tbhd,hda->tbha", share @ spatial, self.values)
         return found.flatten(2), share.mean(2)
 
     def _node(self, frames: Frames, temporal: Tensor, found: Tensor) -> Tensor:
