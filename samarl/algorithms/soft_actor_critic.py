@@ -6,10 +6,9 @@ the actor is given its features as they are, as it would otherwise change what i
 
 from __future__ import annotations
 
-import math
 from collections import defaultdict
-from collections.abc import Iterable
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import torch
@@ -30,6 +29,7 @@ from samarl.algorithms.algorithm import ALGORITHMS, Algorithm
 from samarl.observations.frames import Frames
 from samarl.policies.policy import Policy, Sequences
 from samarl.policies.squashed import SquashedPolicy
+from samarl.registry import needed
 from samarl.rollout import Rollout
 
 
@@ -47,11 +47,11 @@ class SoftActorCriticConfig:
     batch: int = required(1, 10**6)  # sequences in an update
     updates: int = required(1, 10**6)  # per round
     max_gradient_norm: float = required(0.0, 1e6)  # of the critics and of the actor, each
-    critic: Aggregation = field()
+    critic: Aggregation = needed()
     critic_width: int = required(8, 4096)
     critic_heads: int = required(1, 64)  # of its attention
     robots: int = required(1, 16)  # with `concatenation`: how many there must be
-    team_reward: bool = field()  # every robot is paid what all are paid together (MSA3C, Eq. 5)
+    team_reward: bool = needed()  # every robot is paid what all are paid together (MSA3C, Eq. 5)
 
 
 @ALGORITHMS.register("soft_actor_critic", SoftActorCriticConfig)
@@ -203,7 +203,7 @@ class SoftActorCritic(Algorithm):
         return -self.log_temperature * (log_prob - self.policy.action_size).mean()
 
     def _descend(
-        self, name: str, loss: Tensor, clipped: list[Tensor], found: dict[str, list[Tensor]]
+        self, name: str, loss: Tensor, clipped: Sequence[Tensor], found: dict[str, list[Tensor]]
     ) -> None:
         """A step against the gradient."""
         optimiser = self.adams[name]
@@ -222,8 +222,8 @@ class SoftActorCritic(Algorithm):
         for slow, fast in (
             (self.target_critics, self.critics), (self.target_policy, self.policy)
         ):  # fmt: skip
-            pairs = list(slow.parameters()), list(fast.parameters())
-            torch._foreach_lerp_(*pairs, self.config.target_rate)
+            for behind, ahead in zip(slow.parameters(), fast.parameters(), strict=True):
+                behind.lerp_(ahead, self.config.target_rate)
 
     def _keep(self, rollout: Rollout) -> None:
         """Keep the sequences of a rollout."""
@@ -300,7 +300,9 @@ def sequences_of(rollout: Rollout, team: bool) -> TensorDict:
         valued, going = of.acts, ~of.terminated & active[:, 1:]
     found = TensorDict(
         {
-            "frames": {k: part.unflatten(0, (s, n)) for k, part in rollout.frames._asdict().items()},
+            "frames": {
+                k: part.unflatten(0, (s, n)) for k, part in rollout.frames._asdict().items()
+            },
             "is_init": rollout.is_init.unflatten(0, (s, n)),
             "action": steps["agents", "action"][:, :-1].tanh(),
             "reward": reward[:, :-1],

@@ -124,9 +124,7 @@ class RecurrentGraph(Encoder):
         """See `Encoder.attention`; it is the same whatever is asked."""
         return scene.robots, scene.humans
 
-    def _unrolled(
-        self, frames: Frames, is_init: Tensor, state: State
-    ) -> tuple[GraphScene, State]:
+    def _unrolled(self, frames: Frames, is_init: Tensor, state: State) -> tuple[GraphScene, State]:
         """The scene of all frames [B T, ...], and the state after the last."""
         f, begins = Frames(*(tensor.transpose(0, 1) for tensor in frames)), is_init.T  # [T, B, ...]
         after: State = {}

@@ -88,9 +88,7 @@ class SquashedPolicy(FlatPolicy):
         choice = super().evaluate(sequences, samples, told, taken, correlation)[LOCAL]
         slope = log_slope(taken[LOCAL].action)
         return {
-            LOCAL: choice._replace(
-                log_prob=choice.log_prob - slope, entropy=choice.entropy + slope
-            )
+            LOCAL: choice._replace(log_prob=choice.log_prob - slope, entropy=choice.entropy + slope)
         }
 
     # What soft actor-critic asks for
@@ -105,7 +103,9 @@ class SquashedPolicy(FlatPolicy):
                 given = frames.of(mine)
                 scene = net.encoder.observe(given, is_init[mine], states[i])
                 query = given.ego[:, self.history :]
-                found.append(net.encoder.read(scene, query.flatten(0, 1)).view(*query.shape[:2], -1))
+                found.append(
+                    net.encoder.read(scene, query.flatten(0, 1)).view(*query.shape[:2], -1)
+                )
         return torch.stack(found, 1).flatten(0, 1).float()  # row b is of the set b % sets
 
     def draw(self, y: Tensor) -> tuple[Tensor, Tensor]:
@@ -114,9 +114,7 @@ class SquashedPolicy(FlatPolicy):
         The gradient goes through both (MSA3C, Eq. 17).
         """
         sets = len(self.networks)
-        parts = [
-            net.heads[LOCAL](y[..., i::sets, :]) for i, net in enumerate(self.networks)
-        ]
+        parts = [net.heads[LOCAL](y[..., i::sets, :]) for i, net in enumerate(self.networks)]
         mean, std = (torch.stack(part, -2).flatten(-3, -2) for part in zip(*parts, strict=True))
         noise = torch.randn_like(mean)
         inside = mean + std * noise
