@@ -398,6 +398,7 @@ def test_teams_of_other_sizes_are_kept_apart() -> None:
 
 def test_it_learns_to_drive_to_the_goal() -> None:
     """One robot, nobody else: in seconds it is paid several times what it was."""
+    torch.set_num_threads(1)  # networks as small as these wait for each other on more
     scenario = Scenario(
         kinematics=Kinematics.holonomic,
         robots=1,
@@ -406,16 +407,16 @@ def test_it_learns_to_drive_to_the_goal() -> None:
         goal_distance=2.0,
         time_limit=10.0,
     )
-    policy = squashed(encoder="gru")
+    policy = squashed(encoder="social_attention")
     algorithm = learner(
-        policy, learning_starts=400, updates=10, batch=32, learning_rate=2e-3, team_reward=False,
+        policy, learning_starts=400, updates=10, batch=16, learning_rate=2e-3, team_reward=False,
         target_rate=0.03, discount=0.9,
     )  # fmt: skip
     going = RolloutCollector(CurriculumStage(16, scenario=scenario), policy, 10, 0, False)
     paid = []
-    for _ in range(60):
+    for _ in range(30):
         rollout = going.collect()
         algorithm.update([rollout])
         paid.append(float(rollout.steps["next", "agents", "reward"].mean()))
     assert sum(paid[:5]) / 5 < 0.2
-    assert sum(paid[-10:]) / 10 > 0.6  # straight to the goal is 0.5 a step and the arrival
+    assert sum(paid[-8:]) / 8 > 0.8  # on the straight way it is 0.5 a step, and 10 for arriving
