@@ -15,7 +15,7 @@ from tests.learning import SCENARIO, choices, collector, crowded, policy
 
 @pytest.mark.parametrize("actors", [1, 2])
 @pytest.mark.parametrize("encoder", list(ENCODERS))
-@pytest.mark.parametrize("name", ["flat", "hierarchical"])
+@pytest.mark.parametrize("name", ["flat", "hierarchical", "squashed"])
 def test_training_computes_the_log_probabilities_of_acting(
     name: str, encoder: str, actors: int
 ) -> None:
