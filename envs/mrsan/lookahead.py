@@ -64,6 +64,7 @@ class LookaheadReward:
         squared = apart[..., 0] * apart[..., 0] + apart[..., 1] * apart[..., 1]
         intrudes = (squared < (near * near)[:, None, :, None]) & visible[..., None]
         when = intrudes.any(2)  # [E, N, K]
-        driving = ~state.arrived & (state.collision == 0)
+        touches = (state.last_contact == state.clock[:, None, None]).any(-1)
+        driving = ~state.arrived & ~touches
         paid = (-self.weight * np.exp(-self.steps[:, 0])).astype(np.float32)
         return np.where(when.any(-1) & driving, paid[when.argmax(-1)], np.float32(0.0))

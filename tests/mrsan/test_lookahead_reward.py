@@ -90,6 +90,14 @@ def test_who_has_arrived_or_collided_is_paid_nothing() -> None:
     assert paid(stage([DRIVER], [(0.5, 0, 0, 0)], reward=ON), COAST) == [0.0]
 
 
+def test_who_drives_on_after_a_collision_is_paid_again() -> None:
+    """They touch in three steps; then it meets another one."""
+    crowd = [(0.7, 0, -1, 0), (3.0, 0, 0, 0)]
+    world = stage([DRIVER], crowd, reward=ON, collisions_end=False)
+    found = [paid(world, COAST)[0] for _ in range(5)]
+    assert found == [0.0, 0.0, 0.0, after(5), after(4)]
+
+
 def test_after_the_end_nothing_is_paid() -> None:
     world = stage([DRIVER, (0, 5, 0, 1, 9, 5)], [(0.5, 0, 0, 0), (2, 5, 0, 0)], reward=ON)
     assert paid(world, COAST, COAST) == [0.0, after(4)]
@@ -99,7 +107,7 @@ def test_after_the_end_nothing_is_paid() -> None:
 
 
 RANDOM = Scenario(
-    robots=3, humans=12, humans_min=4, human_radius_max=0.6, human_speed_max=1.5, fov_degrees=200.0,
+    robots=3, humans=12, humans_min=4, collisions_end=False, human_radius_max=0.6, human_speed_max=1.5, fov_degrees=200.0,
     late_probability=0.3, leave_probability=0.3, missed_detection=0.1,
     reward=Reward(lookahead=0.7, lookahead_steps=6, lookahead_distance=0.4),
 )  # fmt: skip
@@ -120,7 +128,8 @@ def oracle(state: Any, visible: np.ndarray, e: int, i: int, s: Scenario) -> tupl
             if gap < r.lookahead_distance:
                 least = min(least, -r.lookahead * math.exp(-k))
                 break
-    driving = not state.arrived[e, i] and not state.collision[e, i]
+    touches = state.clock[e] in state.last_contact[e, i]
+    driving = not state.arrived[e, i] and not touches
     return (least if driving else 0.0), sure
 
 
