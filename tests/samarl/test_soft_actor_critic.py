@@ -110,7 +110,7 @@ def test_its_card_says_which_robots_it_drives(tmp_path: Path) -> None:
     save_policy(tmp_path / "policy.safetensors", squashed(), "squashed", made)
     agent = partial(Learned, checkpoint=str(tmp_path / "policy.safetensors"))
     agent(Scenario(kinematics=Kinematics.holonomic))
-    with pytest.raises(ConfigurationError, match="is unicycle; .* drives holonomic"):
+    with pytest.raises(ConfigurationError, match=r"is unicycle; .* drives holonomic"):
         agent(Scenario(kinematics=Kinematics.unicycle))
 
 
