@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,12 +15,12 @@ from torch import Tensor
 from torch.utils._pytree import tree_flatten, tree_unflatten
 
 from mrsan import ConfigurationError, Kinematics, Scenario, World
-from samarl.agents.learned import Deployed
+from samarl.agents.learned import Deployed, Learned
 from samarl.algorithms import ALGORITHMS
 from samarl.algorithms.action_values import AttentionCritic, ConcatenationCritic
 from samarl.algorithms.soft_actor_critic import SoftActorCritic, features, sequences_of
 from samarl.encoders.temporal_spatial_graph import towards
-from samarl.policies.checkpoint import make_policy
+from samarl.policies.checkpoint import make_policy, save_policy
 from samarl.policies.squashed import SquashedLevel, SquashedPolicy, log_slope
 from samarl.rollout import Rollout
 from samarl.training.collector import RolloutCollector
@@ -100,6 +102,16 @@ def test_it_is_deployed_with_the_tanh_of_the_mean(action_size: int) -> None:
                 kinematics=Kinematics.holonomic if action_size == 3 else "acceleration_heading"
             )  # type: ignore[arg-type]
         )
+
+
+def test_its_card_says_which_robots_it_drives(tmp_path: Path) -> None:
+    """Holonomic robots and unicycles both take two numbers, which mean something else."""
+    made = {"configuration": {"stages": [{"kinematics": str(Kinematics.holonomic)}]}}
+    save_policy(tmp_path / "policy.safetensors", squashed(), "squashed", made)
+    agent = partial(Learned, checkpoint=str(tmp_path / "policy.safetensors"))
+    agent(Scenario(kinematics=Kinematics.holonomic))
+    with pytest.raises(ConfigurationError, match=r"is unicycle; .* drives holonomic"):
+        agent(Scenario(kinematics=Kinematics.unicycle))
 
 
 def test_a_squashed_level_is_saved_and_found_again() -> None:
