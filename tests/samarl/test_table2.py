@@ -49,6 +49,15 @@ def test_the_scenarios_are_msa3cs(name: str) -> None:
     assert -r.discomfort / r.discomfort_distance <= r.discomfort_limit  # the same everywhere
 
 
+def test_msa3c_is_trained_in_10p3r() -> None:
+    """In its second stage a collision costs more, and what lies ahead is paid (MSA3C, 4.1.1)."""
+    stages = yaml.safe_load((CONF / "curriculum/10p3r.yaml").read_text())["stages"]
+    first, second = (replace(scenario_of(s["scenario"]), name="10p3r") for s in stages)
+    assert first == load_scenario("10p3r")
+    changed = {"collision": -5.0, "lookahead": 1.0, "lookahead_predictor": "recurrent"}
+    assert second == replace(first, reward=replace(first.reward, **changed))
+
+
 def test_a_file_that_names_its_scenario_names_itself() -> None:
     for path in (CONF / "scenario").glob("*.yaml"):
         assert load_scenario(path.stem).name in (path.stem, Scenario.name)

@@ -15,7 +15,7 @@ import samarl
 from mrsan import Outcome
 from samarl.evaluation.summary import row_fields
 
-COMMANDS = ("evaluate", "bench", "render", "report")
+COMMANDS = ("evaluate", "bench", "render", "report", "predictor")
 
 
 def run(
@@ -232,7 +232,7 @@ def test_an_agent_of_ones_own_is_one_class_and_one_yaml(tmp_path: Path) -> None:
     assert done.stderr == "error: agent.throttle is 2.0; it must lie in [0, 1]\n"
 
 
-@pytest.mark.parametrize("command", [*COMMANDS, "predictor", "train"])
+@pytest.mark.parametrize("command", [*COMMANDS, "train"])
 def test_help_is_quick_to_say(command: str, tmp_path: Path) -> None:
     """Every number is shown with its range, and nothing that takes seconds to import is imported.
 
