@@ -71,6 +71,8 @@ results: setup ## Rewrite results/ and the README's table and pictures (RECORDIN
 	@$(BIN)/samarl-bench table=ablations output=results
 	@$(BIN)/samarl-bench table=transfer output=results \
 	  $(if $(RECORDINGS),recordings=$(RECORDINGS),merge=true)
+	@$(BIN)/samarl-predictor predictor=recurrent output=results \
+	  $(if $(RECORDINGS),recordings=$(RECORDINGS))
 	@$(BIN)/python -m benchmarks.throughput --compile --output results/throughput.json
 	@$(BIN)/python -m benchmarks.latency --output results/latency.json
 	@$(BIN)/python -m benchmarks.training --output results/training_throughput.json
@@ -129,6 +131,7 @@ check-wheel: wheel ## Install the wheel into an environment of its own and run i
 	$$pip install -c constraints.txt "$$wheel"; \
 	cd "$$folder"; PATH="$$folder/venv/bin:$$PATH"; export PATH; \
 	samarl-evaluate agent=orca evaluation.cases=5; \
+	samarl-predictor predictor=recurrent validation_cases=5; \
 	samarl-bench agents='[straight]' evaluation.cases=5 output=bench > bench.txt; \
 	python -c "import os, mrsan, samarl; from samarl.files import find_folder; \
 	home = os.path.realpath('venv') + os.sep; \

@@ -8,7 +8,7 @@ from mkdocs.plugins import event_priority
 from mkdocs.structure.files import File, Files
 
 ROOT = Path(__file__).parents[1]
-TABLES = [f"../results/{name}.md" for name in ("table1", "ablations", "transfer")]
+TABLES = [f"../results/{name}.md" for name in ("table1", "ablations", "transfer", "prediction")]
 PAGES = (*TABLES, "../examples/first_ten_minutes.ipynb")  # from elsewhere
 
 

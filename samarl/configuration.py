@@ -6,6 +6,7 @@ import contextlib
 import importlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from typing import Any
 
 from hydra import compose, initialize_config_dir
@@ -84,12 +85,31 @@ def _hydra() -> Iterator[ConfigLoader]:
         yield GlobalHydra.instance().config_loader()
 
 
-def scenario_of(column: Any) -> Scenario:
-    """The scenario of one entry of `columns`: its fields, and the defaults for the rest."""
+@cache
+def load_scenario(name: str) -> Scenario:
+    """The scenario of a file of `conf/scenario/`, or of that of `--config-dir`."""
+    with _hydra() as loader:
+        choices = sorted(set(loader.get_group_options("scenario")) - {"schema"})
+        if name not in choices:
+            raise ConfigurationError(
+                f"{name!r} is not a scenario; it must be among {', '.join(choices)}"
+            )
+        scenario = OmegaConf.to_object(compose("config", [f"scenario={name}"]).scenario)
+    assert isinstance(scenario, Scenario)
+    return scenario
+
+
+def scenario_of(column: Any, field: str = "columns") -> Scenario:
+    """The scenario of one entry of `field`: its fields, and for the rest those of a named one.
+
+    That is `scenario`, SAMARL's unless it is said.
+    """
+    fields = dict(column)
+    named = load_scenario(fields.pop("scenario", Scenario.name))
     try:
-        scenario = OmegaConf.to_object(OmegaConf.merge(OmegaConf.structured(Scenario), column))
+        scenario = OmegaConf.to_object(OmegaConf.merge(OmegaConf.structured(named), fields))
     except OmegaConfBaseException as error:
         reason = str(error).splitlines()[0]
-        raise ConfigurationError(f"columns has {column}: {reason}") from error
+        raise ConfigurationError(f"{field} has {column}: {reason}") from error
     assert isinstance(scenario, Scenario)
     return scenario

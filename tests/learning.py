@@ -23,11 +23,20 @@ ENCODERS: dict[str, dict[str, Any]] = {
     "spatio_temporal": {"width": 16, "heads": 2, "history": 4, "features": 16},
     "gru": {"width": 16, "features": 16},
     "structural_rnn": {"embedding": 16, "edge": 16, "node": 16, "attention": 8, "features": 16},
+    "temporal_spatial_graph": {
+        "embedding": 16,
+        "edge": 16,
+        "node": 16,
+        "attention": 8,
+        "heads": 2,
+        "features": 16,
+    },
     "pairwise": {"width": 16},
     "social_attention": {"embedding": 16, "interaction": 8},
 }
 POLICIES: dict[str, dict[str, Any]] = {
     "flat": {},
+    "squashed": {},
     "lookahead": {
         "discount": 0.9, "turns": 5, "speeds": 5, "directions": 16, "neighbor_distance": 10.0,
         "max_neighbors": 10, "time_horizon": 5.0, "safety_space": 0.5,
@@ -49,6 +58,12 @@ VALUE_NUMBERS: dict[str, Any] = {
     "learning_rate": 1e-3, "imitation": 0.5, "epsilon_start": 0.5, "epsilon_end": 0.1,
     "epsilon_share": 0.4, "replay": 1000, "learning_starts": 16, "batch": 16, "updates": 4,
     "target_every": 2, "max_gradient_norm": 10.0,
+}  # fmt: skip
+SOFT_NUMBERS: dict[str, Any] = {
+    "learning_rate": 1e-3, "discount": 0.95, "temperature_start": 0.02, "target_rate": 0.01,
+    "policy_delay": 2, "replay": 2000, "learning_starts": 100, "batch": 8, "updates": 4,
+    "max_gradient_norm": 10.0, "critic": "attention", "critic_width": 16, "critic_heads": 2,
+    "robots": 3, "team_reward": True,
 }  # fmt: skip
 
 

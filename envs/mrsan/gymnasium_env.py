@@ -65,7 +65,7 @@ def robot_observations(observation: Observation, world: int) -> list[dict[str, A
 
 
 def robot_reward_parts(step: Step, world: int, robot: int) -> NDArray[np.float32]:
-    """What the reward of one robot is the sum of, [5] in the order of `mrsan.RewardParts`."""
+    """What the reward of one robot is the sum of, in the order of `mrsan.RewardParts`."""
     return np.array([part[world, robot] for part in step.reward_parts], np.float32)
 
 
@@ -104,7 +104,7 @@ class GymnasiumEnv(gymnasium.Env[dict[str, Array], Array]):
     """One robot in one world; `gymnasium.make("mrsan/SocialNavigation-v0", humans=5)`.
 
     `reset(seed=s)` plays case `s`; without a seed the next episode of it. The `info` of a step has
-    `arrived` and `reward_parts` [5], in the order of `mrsan.RewardParts`, and that of the last
+    `arrived` and `reward_parts`, in the order of `mrsan.RewardParts`, and that of the last
     `is_success`, `outcome` and `social_score`. `render_mode` "rgb_array" gives pictures
     [512, 512, 3], "human" opens a window.
     """

@@ -15,7 +15,7 @@ from mrsan.state import State
 
 
 class Outcome(IntEnum):
-    """How an episode ended for one robot."""
+    """How an episode ended for one robot; whom it ran into comes before whether it arrived."""
 
     arrived = 0
     hit_human = HIT_HUMAN
@@ -43,6 +43,10 @@ class Episodes(NamedTuple):
     heading_change: NDArray[np.float64]  # [B, N] sum of the turns to either side, rad
     soonest_collision: NDArray[np.float64]  # [B, N] smallest time to one with a human, s; or inf
     ran_into_human: NDArray[np.bool_]  # [B, N] it hit one, and came to it at least as fast
+    steps: NDArray[np.int64]  # [B]
+    arrived: NDArray[np.bool_]  # [B, N] in time, whatever it hit before
+    contacts: NDArray[np.float64]  # [B, N] how often it began to touch somebody; two share one
+    comfort_share: NDArray[np.float64]  # [B, N] of its steps within a person's comfort zone
 
     @property
     def success(self) -> NDArray[np.bool_]:
@@ -103,6 +107,10 @@ def episodes_of(state: State, scenario: Scenario, worlds: NDArray[np.bool_]) -> 
         heading_change=tally["heading_change"],
         soonest_collision=tally["soonest_collision"],
         ran_into_human=tally["ran_into"] > 0,
+        steps=state.clock[worlds].astype(np.int64),
+        arrived=state.arrived[worlds].copy(),
+        contacts=tally["contacts"],
+        comfort_share=tally["comfort_steps"] / steps,
     )
 
 

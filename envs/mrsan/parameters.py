@@ -25,6 +25,7 @@ class Parameters(NamedTuple):
     arena_radius: np.float32
     time_step: np.float32
     time_limit_steps: int
+    collisions_end: bool
     kinematics: int
     instant_velocity: bool
     robot_radius: np.float32
@@ -38,6 +39,7 @@ class Parameters(NamedTuple):
     occlusion: bool
     position_noise: np.float32
     velocity_noise: np.float32
+    radius_noise: np.float32
     missed_detection: np.float32
     team_tracks: bool
     team_range: np.float32
@@ -53,6 +55,7 @@ class Parameters(NamedTuple):
     goal_distance: np.float32
     goal_change_steps: int
     goal_change_probability: np.float32
+    goal_change_probability_max: np.float32
     stand_probability: np.float32
     hurry_probability: np.float32
     hurry_speed_min: np.float32
@@ -76,6 +79,8 @@ class Parameters(NamedTuple):
     reward_discomfort_limit: np.float32
     discomfort_distance: np.float32
     reward_progress: np.float32
+    reward_goal_distance: np.float32
+    reward_time: np.float32
     reward_literal: bool
 
 
@@ -90,6 +95,7 @@ class Sensor(NamedTuple):
     occlusion: bool
     position_noise: np.float32
     velocity_noise: np.float32
+    radius_noise: np.float32
     missed_detection: np.float32
 
     @classmethod

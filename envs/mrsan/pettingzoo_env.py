@@ -28,7 +28,7 @@ class PettingZooEnv(ParallelEnv[str, dict[str, Array], Array]):
     All robots stay until the joint episode ends (a collision, all arrived, the time limit): a
     robot that has arrived parks, its action is ignored and may be left out, and it still shares
     the team's bonus. `reset(seed=s)` plays case `s`; without a seed the next episode of it. The
-    infos of a step have `arrived` and `reward_parts` [5], in the order of `mrsan.RewardParts`.
+    infos of a step have `arrived` and `reward_parts`, in the order of `mrsan.RewardParts`.
 
     Examples:
         >>> env = PettingZooEnv(humans=5)

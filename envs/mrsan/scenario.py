@@ -123,7 +123,7 @@ def _check_number(name: str, value: Any, hint: Any, metadata: Any) -> None:
 
 @dataclass
 class Reward:
-    """Weights of SAMARL, Eq. 10."""
+    """Weights of SAMARL, Eq. 10, and of the terms that MSA3C, Eq. 2 to 4, has besides."""
 
     arrival: float = number(10.0, -1e6, 1e6)  # to a robot that reaches its goal
     team: float = number(5.0, -1e6, 1e6)  # to every robot when the last one arrives
@@ -132,7 +132,13 @@ class Reward:
     discomfort_limit: float = number(-5.0, -1e6, 0.0)
     discomfort_distance: float = number(0.45, 0.0, 100.0)  # d below which it applies, m
     progress: float = number(2.0, -1e6, 1e6)  # per metre nearer to the goal
+    goal_distance: float = number(0.0, 0.0, 1e6)  # taken off per step, times d_g / circle_radius^2
+    time: float = number(0.0, -1e6, 1e6)  # per step on its way
     literal: bool = False  # the paper's first-match order: the last to arrive gets only `team`
+    lookahead: float = number(0.0, 0.0, 1e6)  # w in -w exp(-k), somebody too near in k steps
+    lookahead_steps: int = number(5, 1, 200)  # k at most
+    lookahead_distance: float = number(0.25, 0.0, 100.0)  # nearer is too near, m
+    lookahead_predictor: str = "constant_velocity"  # of people: a name or a file of weights
 
 
 @dataclass
@@ -141,6 +147,8 @@ class Scenario:
 
     Construct it, change fields with `dataclasses.replace`; both check every number.
     """
+
+    name: str = "samarl"  # of the file in conf/scenario/ that it is, or a variant of
 
     # Who is there.
     robots: int = number(3, 1, 16)  # how many
@@ -166,6 +174,7 @@ class Scenario:
     )  # a round wall for robots, m; null: open
     time_step: float = number(0.25, 0.01, 1.0)  # s
     time_limit: float = number(50.0, 0.01, 10000.0)  # s
+    collisions_end: bool = True  # the episode; false: they are counted and robots drive on
 
     # The robots.
     kinematics: Kinematics = Kinematics.acceleration_heading
@@ -182,6 +191,7 @@ class Scenario:
     occlusion: bool = False  # people and robots hide those behind them
     position_noise: float = number(0.0, 0.0, 10.0)  # standard deviation, m
     velocity_noise: float = number(0.0, 0.0, 10.0)  # standard deviation, m/s
+    radius_noise: float = number(0.0, 0.0, 2.0)  # of people, standard deviation, m
     missed_detection: float = number(0.0, 0.0, 1.0)  # probability per agent and step
 
     # What they tell each other.
@@ -203,6 +213,9 @@ class Scenario:
     goal_distance: float = number(4.0, 0.0, 1000.0)  # a new goal is at least so far, m
     goal_change_interval: float = number(5.0, 0.01, 10000.0)  # s
     goal_change_probability: float = number(0.5, 0.0, 1.0)  # at each interval
+    goal_change_probability_max: float | None = number(
+        None, 0.0, 1.0
+    )  # drawn per person up to this; null: everybody has the same
     stand_probability: float = number(0.0, 0.0, 1.0)  # to stand still until the next interval
     hurry_probability: float = number(0.0, 0.0, 1.0)  # share of people in a hurry
     hurry_speed_min: float = number(1.5, 0.05, 10.0)  # their preferred speed, drawn, m/s
@@ -241,9 +254,10 @@ class Scenario:
             ("opposite_width", "floor_size"),
             ("time_step", "time_limit"),
             ("goal_distance", "circle_radius"),
+            ("goal_change_probability", "goal_change_probability_max"),
         ):
             smallest, largest = getattr(self, low), getattr(self, high)
-            if smallest is not None and smallest > largest:
+            if None not in (smallest, largest) and smallest > largest:
                 raise ConfigurationError(
                     f"scenario.{low} is {smallest}; it must not exceed scenario.{high} ({largest})"
                 )
@@ -354,6 +368,7 @@ class Scenario:
             arena_radius=f(np.inf if self.arena_radius is None else self.arena_radius),
             time_step=f(self.time_step),
             time_limit_steps=self.time_limit_steps,
+            collisions_end=self.collisions_end,
             kinematics=self.kinematics.value,
             instant_velocity=self.kinematics is not Kinematics.acceleration_heading,
             robot_radius=f(self.robot_radius),
@@ -367,6 +382,7 @@ class Scenario:
             occlusion=self.occlusion,
             position_noise=f(self.position_noise),
             velocity_noise=f(self.velocity_noise),
+            radius_noise=f(self.radius_noise),
             missed_detection=f(self.missed_detection),
             team_tracks=self.team_tracks,
             team_range=f(self.team_range),
@@ -382,6 +398,11 @@ class Scenario:
             goal_distance=f(self.goal_distance),
             goal_change_steps=max(1, round(self.goal_change_interval / self.time_step)),
             goal_change_probability=f(self.goal_change_probability),
+            goal_change_probability_max=f(
+                self.goal_change_probability
+                if self.goal_change_probability_max is None
+                else self.goal_change_probability_max
+            ),
             stand_probability=f(self.stand_probability),
             hurry_probability=f(self.hurry_probability),
             hurry_speed_min=f(self.hurry_speed_min),
@@ -405,6 +426,8 @@ class Scenario:
             reward_discomfort_limit=f(self.reward.discomfort_limit),
             discomfort_distance=f(self.reward.discomfort_distance),
             reward_progress=f(self.reward.progress),
+            reward_goal_distance=f(self.reward.goal_distance / self.circle_radius**2),
+            reward_time=f(self.reward.time),
             reward_literal=self.reward.literal,
         )
 

@@ -25,9 +25,10 @@ class TorchRLEnv(EnvBase):
     once a robot is parked; `("agents", "action")` [E, N, A]; `("agents", "reward")` [E, N, 1] and
     the terms it is the sum of, `("agents", "reward_parts", *)` [E, N, 1] with the names of
     `mrsan.RewardParts` (observations to TorchRL, so that there is one reward; zero after a reset);
-    `success` [E, 1], all robots have arrived; `done`, `terminated` (a collision, or all arrived)
-    and `truncated` (time limit) [E, 1]. `reset(TensorDict({"case": numbers}, [E]))` plays those
-    cases; without it a world goes on to the next episode of its case. Partial resets use `_reset`.
+    `success` [E, 1], all robots have arrived and none has collided; `done`, `terminated` (all
+    arrived, or a collision that ends it) and `truncated` (time limit) [E, 1].
+    `reset(TensorDict({"case": numbers}, [E]))` plays those cases; without it a world goes on to the
+    next episode of its case. Partial resets use `_reset`.
 
     Examples:
         >>> env = TorchRLEnv(Scenario(), worlds=64)
@@ -128,7 +129,7 @@ class TorchRLEnv(EnvBase):
         truncated: np.ndarray,
     ) -> TensorDict:
         e, n = self.batch_size[0], self.scenario.robots
-        arrived = self.world.state.arrived
+        arrived, collision = self.world.state.arrived, self.world.state.collision
         paid = {name: torch.from_numpy(part[..., None]) for name, part in parts._asdict().items()}
         seen = {key: torch.from_numpy(getattr(observation, key)) for key in self._seen}
         out = TensorDict(
@@ -141,7 +142,7 @@ class TorchRLEnv(EnvBase):
                     },
                     [e, n],
                 ),
-                "success": torch.from_numpy(arrived.all(1, keepdims=True)),
+                "success": torch.from_numpy((arrived & (collision == 0)).all(1, keepdims=True)),
                 "terminated": torch.tensor(terminated[:, None]),
                 "truncated": torch.tensor(truncated[:, None]),
                 "done": torch.from_numpy((terminated | truncated)[:, None]),

@@ -19,6 +19,7 @@ from mrsan.kernels.spawn import begin_episodes
 from mrsan.kernels.step import advance
 from mrsan.kernels.tally import TALLY
 from mrsan.kernels.team import tell
+from mrsan.lookahead import LookaheadReward
 from mrsan.metrics import Episodes, episodes_of
 from mrsan.parameters import Sensor
 from mrsan.reward import RewardParts
@@ -83,7 +84,7 @@ class World:
         """Make room for `worlds` worlds.
 
         Raises:
-            ConfigurationError: the scenario names a recording that cannot be used.
+            ConfigurationError: the scenario names a recording or a predictor that cannot be used.
 
         Args:
             scenario: the numbers of the task.
@@ -99,7 +100,9 @@ class World:
         self.scenario = scenario
         self.worlds = worlds
         self.auto_reset = auto_reset
-        self.state = _empty_state(worlds, scenario)
+        self._lookahead = LookaheadReward(scenario) if scenario.reward.lookahead else None
+        looked_back = self._lookahead.predictor.history if self._lookahead else 0
+        self.state = _empty_state(worlds, scenario, looked_back)
         self._parameters = scenario.parameters()
         self._recording = scenario.load_recording()
         self._sensor = Sensor.of(self._parameters)
@@ -128,8 +131,14 @@ class World:
             self.state.episode[mask] = 0
         else:
             self.state.episode[mask] += 1
-        begin_episodes(self.worlds, mask, self.state, self._parameters, self._recording)
+        self._begin(mask)
         return self.observe()
+
+    def _begin(self, worlds: Bools) -> None:
+        """Begin the episode that the state names in some worlds [E]."""
+        begin_episodes(self.worlds, worlds, self.state, self._parameters, self._recording)
+        if self._lookahead:
+            self._lookahead.begin(self.state, worlds)
 
     def snapshot(self) -> State:
         """The whole state of all worlds, copied: what `restore` goes back to.
@@ -212,19 +221,34 @@ class World:
             raise RuntimeError(f"world {number} has not been reset; call reset() before step()")
         action = self._checked(actions)
         reward = np.empty(action.shape[:2], np.float32)
-        terms = np.empty((len(RewardParts._fields), *reward.shape), np.float32)
+        terms = np.zeros((len(RewardParts._fields), *reward.shape), np.float32)
+        going = ~state.done
         advance(self.worlds, state, action, self._parameters, self._recording, reward, terms)
         parts = RewardParts(*terms)
         observation = self.observe()
+        if self._lookahead:
+            self._look_ahead(self._lookahead, observation, going, reward, parts)
         terminated, truncated = state.terminated.copy(), state.truncated.copy()
         done = terminated | truncated
         if not (self.auto_reset and done.any()):
             return Step(observation, reward, parts, terminated, truncated, None, None)
         final, finished = observation.of_worlds(done), episodes_of(state, self.scenario, done)
         state.episode[done] += 1
-        begin_episodes(self.worlds, done, state, self._parameters, self._recording)
+        self._begin(done)
         self._look(observation, done)
         return Step(observation, reward, parts, terminated, truncated, final, finished)
+
+    def _look_ahead(
+        self, lookahead: LookaheadReward, observation: Observation, going: Bools,
+        reward: Floats, parts: RewardParts,
+    ) -> None:  # fmt: skip
+        """Add what is paid for the near future to the reward of the worlds [E] that moved."""
+        lookahead.follow(self.state, going)
+        seen = observation.humans_visible
+        if self.scenario.team_tracks:  # by itself: what it was only told does not count
+            seen = seen & ~observation.humans_told
+        parts.lookahead[going] = lookahead.reward(self.state, seen)[going]
+        reward += parts.lookahead
 
     def _mask(self, worlds: ArrayLike | None) -> Bools:
         mask = np.ones(self.worlds, np.bool_) if worlds is None else np.asarray(worlds)
@@ -258,11 +282,13 @@ def _without_limits(scenario: Scenario) -> Scenario:
         occlusion=False,
         position_noise=0.0,
         velocity_noise=0.0,
+        radius_noise=0.0,
         missed_detection=0.0,
     )
 
 
-def _empty_state(e: int, scenario: Scenario) -> State:
+def _empty_state(e: int, scenario: Scenario, looked_back: int) -> State:
+    """Room for E worlds, with so many past positions of people."""
     f, n, m = np.float32, scenario.robots, scenario.humans
     telling = scenario.team_tracks
     kept = scenario.team_delay_steps + 1 if telling else 0
@@ -280,6 +306,8 @@ def _empty_state(e: int, scenario: Scenario) -> State:
         human_position=np.zeros((e, m, 2), f),
         human_velocity=np.zeros((e, m, 2), f),
         human_goal=np.zeros((e, m, 2), f),
+        human_past=np.zeros((e, m, looked_back, 2), f),
+        human_past_known=np.zeros((e, m, looked_back), np.bool_),
         human_radius=np.zeros((e, m), f),
         human_speed=np.zeros((e, m), f),
         robot_position=np.zeros((e, n, 2), f),
@@ -289,6 +317,7 @@ def _empty_state(e: int, scenario: Scenario) -> State:
         robot_start=np.zeros((e, n, 2), f),
         arrived=np.zeros((e, n), np.bool_),
         collision=np.zeros((e, n), np.int8),
+        last_contact=np.full((e, n, m + n), -1, np.int32),
         robot_acceleration=np.zeros((e, n, 2), f),
         tally=np.zeros((e, n, len(TALLY)), f),
         said=np.zeros((e, kept, n, m + n, len(OTHER_FEATURES)), f),

@@ -80,9 +80,20 @@ class Learned(Agent):
     waypoints: Waypoints = Waypoints.learned
 
     def __post_init__(self) -> None:
-        """Load the checkpoint."""
+        """Load the checkpoint.
+
+        Raises:
+            ConfigurationError: it cannot be loaded, or was trained for another kind of robot.
+        """
         super().__post_init__()
         policy, self.card = load_policy(find_policy(self.checkpoint))
+        made, here = self.card.made.get("configuration"), self.scenario.kinematics
+        known = {str(name).rpartition(".")[2] for name in _values(made, "kinematics")}
+        if known and here.name not in known:
+            raise ConfigurationError(
+                f"scenario.kinematics is {here.name}; {self.checkpoint} drives "
+                f"{' or '.join(sorted(known))}"
+            )
         self._deployed = Deployed(policy, self.scenario, self.waypoints)
 
     def version(self) -> str:

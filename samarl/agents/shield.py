@@ -19,10 +19,12 @@ from mrsan import Observation, Scenario
 from mrsan.features import GOAL_X, GOAL_Y
 from mrsan.kernels import function, kernel
 from mrsan.kernels.contact import closest_approach
+from mrsan.prediction import find_predictor
 from mrsan.scenario import check_numbers, number
 from samarl.agents.agent import Agent
 from samarl.observations.tracker import Tracker, Tracks
 from samarl.planning.detour import way_left
+from samarl.planning.foresight import Foresight, straight_on
 from samarl.planning.tracking import SHARP, gather, move, steer, track_velocity
 from samarl.policies.explanation import Explanation
 
@@ -32,6 +34,7 @@ ENOUGH = np.float32(0.3)  # no way is better for keeping further away than that,
 HAIR = np.float32(1e-4)  # what is not for rounding, m
 UNSURE = 3  # for so many steps a team-mate may do otherwise; later than that is seen in time
 PROGRESS = np.float32(0.3)  # distance that is given for a metre nearer to the goal, m
+STRAIGHT = "constant_velocity"
 
 _ZERO = np.float32(0.0)
 _HALF = np.float32(0.5)
@@ -48,6 +51,7 @@ class Shield:
     human_margin: float = number(0.05, 0.0, 5.0)  # added to the radius of humans, m
     robot_margin: float = number(0.1, 0.0, 5.0)  # added to the radius of robots, m
     track_steps: int = number(24, 0, 1000)  # for how long those out of view are remembered
+    predictor: str = STRAIGHT  # of the people in view: a name or a file of weights
 
     def __post_init__(self) -> None:
         """Check every number.
@@ -59,19 +63,23 @@ class Shield:
 
 
 def shielded(
-    known: Observation | Tracks, action: NDArray[np.float32], scenario: Scenario, shield: Shield
-) -> NDArray[np.float32]:
+    known: Observation | Tracks, action: NDArray[np.float32], scenario: Scenario, shield: Shield,
+    aside: NDArray[np.float32] | None = None,
+) -> NDArray[np.float32]:  # fmt: skip
     """The actions [E, N, A], each of them replaced where it leads into a collision.
 
     Args:
-        known: what every robot sees, or sees and remembers; all of them go on at constant velocity.
+        known: what every robot sees, or sees and remembers.
         action: [E, N, A] in [-1, 1].
         scenario: the dynamics.
         shield: its numbers.
+        aside: by how much people will be elsewhere than at constant velocity, as
+            `Foresight.update` says; None: not at all.
     """
     checked = np.array(action, np.float32)
     margins = np.float32(shield.human_margin), np.float32(shield.robot_margin)
-    _check(len(checked), *known[:5], scenario.parameters(), shield.steps, *margins, checked)
+    aside = straight_on(known[2]) if aside is None else aside
+    _check(len(checked), *known[:5], aside, scenario.parameters(), shield.steps, *margins, checked)
     return checked
 
 
@@ -86,11 +94,19 @@ class Shielded(Agent):
         """Remember nothing yet."""
         super().__post_init__()
         self._tracker = Tracker(self.shield.track_steps, self.scenario.time_step)
+        self._foresight = None
+        if self.shield.predictor != STRAIGHT:
+            predictor = find_predictor(
+                self.shield.predictor, self.scenario.time_step, "agent.shield.predictor"
+            )
+            self._foresight = Foresight(predictor, self.shield.steps)
         self._begin(0)
 
     def _begin(self, worlds: int) -> None:
         s = self.scenario
         self._tracks = self._tracker.initial(worlds, s.robots, s.humans)
+        if self._foresight:
+            self._foresight.begin(worlds, s.robots, s.humans)
         self._is_init = np.ones(worlds, np.bool_)
         self._replaced = np.zeros((worlds, s.robots), np.bool_)
 
@@ -115,8 +131,11 @@ class Shielded(Agent):
         if len(action) != len(self._is_init):
             self._begin(len(action))
         known = self._tracker.update(observation, self._tracks, self._is_init)
+        aside = None
+        if self._foresight:
+            aside = self._foresight.update(known.ego, self._tracks, self._is_init)
         self._is_init = np.zeros(len(action), np.bool_)
-        checked = shielded(known, action, self.scenario, self.shield)
+        checked = shielded(known, action, self.scenario, self.shield, aside)
         self._replaced = (checked != action).any(-1)
         return checked
 
@@ -133,6 +152,7 @@ def _check(
     humans_known,
     robots,
     robots_known,
+    aside,
     p,
     steps,
     human_margin,
@@ -142,6 +162,7 @@ def _check(
     total = ego.shape[0]
     for chunk in prange(chunks):
         rows = np.empty((1 + humans.shape[2] + robots.shape[2], 5), np.float32)
+        bends = np.zeros((rows.shape[0], aside.shape[3], 2), np.float32)
         first = np.empty(action.shape[2], np.float32)
         attempt = np.empty(action.shape[2], np.float32)
         for e in range(chunk * total // chunks, (chunk + 1) * total // chunks):
@@ -159,12 +180,20 @@ def _check(
                     robot_margin,
                     rows,
                 )
-                mates = 1 + np.sum(humans_known[e, i])
+                mates = 1
+                for j in range(humans.shape[2]):
+                    if humans_known[e, i, j]:
+                        bends[mates] = aside[e, i, j]
+                        mates += 1
+                bends[mates:] = _ZERO
                 _allow_for_nearness(rows, count, p)
-                if not _passes(rows, count, mates, goal_x, goal_y, steps, action[e, i], attempt, p):
+                if not _passes(
+                    rows, bends, count, mates, goal_x, goal_y, steps, action[e, i], attempt, p
+                ):
                     _escape(
-                        rows, count, mates, goal_x, goal_y, steps, action[e, i], first, attempt, p
-                    )
+                        rows, bends, count, mates, goal_x, goal_y, steps, action[e, i], first,
+                        attempt, p,
+                    )  # fmt: skip
 
 
 @function
@@ -177,14 +206,14 @@ def _allow_for_nearness(rows, count, p):
 
 
 @function
-def _passes(rows, count, mates, goal_x, goal_y, steps, action, attempt, p):
+def _passes(rows, bends, count, mates, goal_x, goal_y, steps, action, attempt, p):
     """Whether some way of going on after `action` stays clear."""
     for way in range(WAYS):
         vx, vy, sharp = _way(way, goal_x, goal_y, p)
         for k in range(action.shape[0]):
             attempt[k] = action[k]
         clear, _, _ = _outlook(
-            rows, count, mates, goal_x, goal_y, vx, vy, sharp, steps, attempt, False, p
+            rows, bends, count, mates, goal_x, goal_y, vx, vy, sharp, steps, attempt, False, p
         )
         if clear >= steps:
             return True
@@ -192,7 +221,7 @@ def _passes(rows, count, mates, goal_x, goal_y, steps, action, attempt, p):
 
 
 @function
-def _escape(rows, count, mates, goal_x, goal_y, steps, action, first, attempt, p):
+def _escape(rows, bends, count, mates, goal_x, goal_y, steps, action, first, attempt, p):
     """Write the first action of the best way."""
     speed = math.sqrt(rows[0, 2] * rows[0, 2] + rows[0, 3] * rows[0, 3])
     longest, best = -_ONE, _ZERO
@@ -202,7 +231,7 @@ def _escape(rows, count, mates, goal_x, goal_y, steps, action, first, attempt, p
         for k in range(action.shape[0]):
             attempt[k] = first[k]
         clear, gap, left = _outlook(
-            rows, count, mates, goal_x, goal_y, vx, vy, sharp, steps, attempt, True, p
+            rows, bends, count, mates, goal_x, goal_y, vx, vy, sharp, steps, attempt, True, p
         )
         merit = min(gap, ENOUGH) - PROGRESS * left
         if clear > longest or (clear == longest and merit > best + HAIR):
@@ -233,7 +262,7 @@ def _way(way, goal_x, goal_y, p):
 
 @function
 def _outlook(
-    rows, count, mates, goal_x, goal_y, wanted_x, wanted_y, sharp, steps, action, judged, p
+    rows, bends, count, mates, goal_x, goal_y, wanted_x, wanted_y, sharp, steps, action, judged, p
 ):
     """What comes of taking `action`, which is overwritten, and then driving at a velocity.
 
@@ -249,7 +278,7 @@ def _outlook(
         if k > 0:
             steer(vx, vy, heading, wanted_x, wanted_y, action, p, sharp)
         new_x, new_y, vx, vy, heading = move(x, y, vx, vy, heading, action, p)
-        gap = _least_gap(rows, count, mates, x, y, new_x, new_y, k, p)
+        gap = _least_gap(rows, bends, count, mates, x, y, new_x, new_y, k, p)
         if gap < _ZERO:
             return np.float32(k) + max(_ONE + gap, _ZERO), _ZERO, left
         least = min(least, gap)
@@ -263,28 +292,33 @@ def _outlook(
 
 
 @function
-def _least_gap(rows, count, mates, x, y, new_x, new_y, step, p):
+def _least_gap(rows, bends, count, mates, x, y, new_x, new_y, step, p):
     """The smallest surface distance while driving straight from (x, y) in one step.
 
-    Everybody goes on at constant velocity. A team-mate may also stop, as those do that arrive, or
-    change its velocity as much as this robot does and against it, as both decide at the same time.
+    Everybody goes on at constant velocity, but for what `bends` adds to it. A team-mate may also
+    stop, as those do that arrive, or change its velocity as much as this robot does and against it,
+    as both decide at the same time.
     """
     begin = np.float32(step) * p.time_step
     end = begin + p.time_step
     stopped = _HALF * p.time_step  # it is as far as if it had gone on for so long
+    now, then = min(step, bends.shape[1] - 1), min(step + 1, bends.shape[1] - 1)
     least = np.float32(np.inf)
     for j in range(1, count):
         px, py, vx, vy = rows[j, 0], rows[j, 1], rows[j, 2], rows[j, 3]
         distance = closest_approach(
-            px + vx * begin - x, py + vy * begin - y, px + vx * end - new_x, py + vy * end - new_y
+            px + vx * begin + bends[j, now, 0] - x,
+            py + vy * begin + bends[j, now, 1] - y,
+            px + vx * end + bends[j, then, 0] - new_x,
+            py + vy * end + bends[j, then, 1] - new_y,
         )
         if j >= mates and step < UNSURE:
-            then = min(begin, stopped)
+            still = min(begin, stopped)
             distance = min(
                 distance,
                 closest_approach(
-                    px + vx * then - x,
-                    py + vy * then - y,
+                    px + vx * still - x,
+                    py + vy * still - y,
                     px + vx * stopped - new_x,
                     py + vy * stopped - new_y,
                 ),

@@ -1,6 +1,11 @@
 """How policies learn."""
 
-from samarl.algorithms import ippo, mappo, value_learning  # noqa: F401 (makes them known)
+from samarl.algorithms import (  # noqa: F401 (makes them known)
+    ippo,
+    mappo,
+    soft_actor_critic,
+    value_learning,
+)
 from samarl.algorithms.algorithm import ALGORITHMS, Algorithm
 
 __all__ = ["ALGORITHMS", "Algorithm"]

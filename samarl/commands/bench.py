@@ -17,7 +17,13 @@ from tqdm import tqdm
 from mrsan import ActionError, ConfigurationError, Scenario
 from samarl.agents import build_agent
 from samarl.commands.cli import run_command
-from samarl.configuration import available_agents, import_plugins, load_agent, scenario_of
+from samarl.configuration import (
+    available_agents,
+    import_plugins,
+    load_agent,
+    load_scenario,
+    scenario_of,
+)
 from samarl.evaluation.page import page
 from samarl.evaluation.regression import compare
 from samarl.evaluation.runner import Evaluation, run_cases
@@ -89,7 +95,7 @@ def bench(config: DictConfig) -> None:
     scenarios = [scenario_of(column) for column in columns]
     if not names or not scenarios:
         raise ConfigurationError("agents and columns are empty; name at least one of each")
-    if len({place_of(scenario) for scenario in scenarios}) < len(scenarios):
+    if len({_place(scenario) for scenario in scenarios}) < len(scenarios):
         raise ConfigurationError(f"columns has two with the same {', '.join(Column._fields)}")
     if config.jobs < 1 and config.jobs != -1:
         raise ConfigurationError(
@@ -112,7 +118,8 @@ def bench(config: DictConfig) -> None:
             variants = [agent, *({**agent, "checkpoint": other} for other in others)]
             cases = learned if "checkpoint" in agent else evaluation
             coming.append((name, scenario, cases.cases))
-            tasks.append(delayed(_row)(name, variants, scenario, cases, commit, plugins))
+            named = load_scenario(scenario.name)
+            tasks.append(delayed(_row)(name, variants, scenario, named, cases, commit, plugins))
     if not tasks:
         raise ConfigurationError(f"columns has nothing to play: {'; '.join(left_out.values())}")
     earlier = _kept(config, output / f"{config.name}.json", coming)
@@ -164,6 +171,7 @@ def _row(
     name: str,
     variants: list[dict[str, Any]],
     scenario: Scenario,
+    named: Scenario,
     evaluation: Evaluation,
     commit: str,
     plugins: list[str],
@@ -174,12 +182,13 @@ def _row(
     """
     import_plugins(plugins)
     cases = evaluation.numbers()
-    command = _command(name, scenario, evaluation)
+    command = _command(name, scenario, named, evaluation)
     played = [
         run_cases(build_agent(agent, scenario), scenario, cases, evaluation.batch)
         for agent in variants
     ]
-    rows = [summarise(of, scenario, name, command, commit, int(cases[0])) for of in played]
+    seed = int(cases[0])
+    rows = [summarise(of, scenario, name, command, commit, seed, named) for of in played]
     return rows[0] | across_seeds(rows) if len(rows) > 1 else rows[0]
 
 
@@ -194,7 +203,7 @@ def _kept(config: DictConfig, path: Path, tasks: Sequence[tuple[str, Scenario, i
     earlier = read_rows(path)
     if earlier is None:
         raise ConfigurationError(f"output has {path}, which is no table to merge rows into")
-    coming = {(name, place_of(scenario)): cases for name, scenario, cases in tasks}
+    coming = {(name, _place(scenario)): cases for name, scenario, cases in tasks}
     for row in earlier:
         cases = coming.get((row["method"], column_of(row)))
         if cases is None:
@@ -208,6 +217,11 @@ def _kept(config: DictConfig, path: Path, tasks: Sequence[tuple[str, Scenario, i
     return earlier
 
 
+def _place(scenario: Scenario) -> Column:
+    """The column that a scenario is."""
+    return place_of(scenario, load_scenario(scenario.name))
+
+
 def merged(rows: Sequence[Row], earlier: Sequence[Row]) -> list[Row]:
     """The rows in the place of earlier ones of the same method and column; new ones at the end."""
     every = {(column_of(row), row["method"]): row for row in (*earlier, *rows)}
@@ -216,16 +230,21 @@ def merged(rows: Sequence[Row], earlier: Sequence[Row]) -> list[Row]:
     return [every[key] for key in order]
 
 
-def _command(name: str, scenario: Scenario, evaluation: Evaluation) -> str:
+def _command(name: str, scenario: Scenario, named: Scenario, evaluation: Evaluation) -> str:
     """The evaluation that gives one row: the column, and whatever is not as by default."""
     words = ["samarl-evaluate", f"agent={name}"]
+    if scenario.name != Scenario.name:
+        words.append(f"scenario={scenario.name}")
     column = ("fov_degrees", "humans", "robots")
     words += [f"scenario.{name}={getattr(scenario, name):g}" for name in column]
-    left_out = {*(f"scenario.{name}" for name in column), "scenario.reward", "evaluation.batch"}
-    for path, given in (
-        ("scenario", scenario), ("scenario.reward", scenario.reward), ("evaluation", evaluation)
-    ):  # fmt: skip
-        for name, value in changed_fields(given, type(given)()):
+    left_out = {*(f"scenario.{name}" for name in column), "scenario.name", "scenario.reward",
+                "evaluation.batch"}  # fmt: skip
+    for path, given, default in (
+        ("scenario", scenario, named),
+        ("scenario.reward", scenario.reward, named.reward),
+        ("evaluation", evaluation, Evaluation()),
+    ):
+        for name, value in changed_fields(given, default):
             key = f"{path}.{name}"
             if key not in left_out:
                 value = Path(value).name if name == "recording" else value

@@ -14,13 +14,16 @@ from omegaconf import DictConfig, OmegaConf
 from mrsan import Episodes, Outcome, Scenario, social_score
 from samarl.agents import build_agent
 from samarl.commands.cli import chosen_agent, command_line, run_command, say_caution
+from samarl.configuration import load_scenario
 from samarl.evaluation.runner import Evaluation, run_cases
 from samarl.evaluation.summary import Row, summarise
 from samarl.evaluation.table import rows_as_markdown
 from samarl.files import code_version, write_atomically, write_json
 
 _PER_ROBOT = [
-    name for name in Episodes._fields if name not in ("case", "episode", "duration", "outcome")
+    name
+    for name in Episodes._fields
+    if name not in ("case", "episode", "duration", "outcome", "steps")
 ]
 
 
@@ -52,7 +55,8 @@ def evaluate(config: DictConfig) -> Row:
     episodes = run_cases(agent, scenario, evaluation.numbers(), evaluation.batch, name)
     command = command_line("samarl-evaluate")
     seed = int(evaluation.numbers()[0])
-    row = summarise(episodes, scenario, name, command, marker["commit"], seed)
+    named = load_scenario(scenario.name)
+    row = summarise(episodes, scenario, name, command, marker["commit"], seed, named)
     write_atomically(folder / "episodes.jsonl", episodes_as_jsonl(episodes))
     write_json(finished, {"row": row, **marker})  # last: it marks the cell as finished
     print(rows_as_markdown([row]))
@@ -78,6 +82,7 @@ def episodes_as_jsonl(episodes: Episodes) -> str:
             "case": int(episodes.case[b]),
             "success": bool(episodes.success[b]),
             "duration": float(episodes.duration[b]),
+            "steps": int(episodes.steps[b]),
             "outcome": [Outcome(value).name for value in episodes.outcome[b]],
             "social_score": scores[b].round(2).tolist(),
         }

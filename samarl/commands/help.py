@@ -26,6 +26,7 @@ from mrsan import Reward, Scenario
 from samarl.agents.build import find_class
 from samarl.evaluation.runner import Evaluation
 from samarl.files import find_folder
+from samarl.prediction.training import Training
 
 _WIDTH = 42  # of the settings; what they mean stands beside them
 _GROUPS = "Groups (choose with group=name; help of a choice: group=name --help):"
@@ -183,6 +184,8 @@ def _classes(config: DictConfig) -> dict[str, Any]:
         classes["evaluation"] = Evaluation
     if "agent" in config:
         classes["agent"] = find_class(config.agent._target_)
+    if "training" in config:
+        classes["training"] = Training
     if "trainer" in config:
         # Only here: they take seconds to import, for which help of other commands does not wait.
         from samarl.algorithms import ALGORITHMS

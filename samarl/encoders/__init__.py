@@ -6,6 +6,7 @@ from samarl.encoders import (  # noqa: F401 (makes them known)
     social_attention,
     spatio_temporal,
     structural_rnn,
+    temporal_spatial_graph,
 )
 from samarl.encoders.encoder import ENCODERS, Encoder
 

@@ -29,6 +29,7 @@ class Shown(Flag):
     printed = auto()  # those that are printed
     report = auto()  # the report's, of all that is measured
     driving = auto()  # the report's other one, of how the robots drive
+    counted = auto()  # the first two, where collisions are counted and do not end the episode
     everywhere = printed | report | driving
 
 
@@ -199,6 +200,36 @@ def _closest_human(episodes: Episodes) -> Value:
     return float(np.median(met)) if met.size else None
 
 
+@metric("csr", heading="CSR %", shown=Shown.counted)
+def _csr(episodes: Episodes) -> float:
+    """Every robot arrived in time, whatever it hit (MSA3C), %."""
+    return 100 * float(episodes.arrived.all(axis=1).mean())
+
+
+@metric("cr", heading="CR %", shown=Shown.counted)
+def _cr(episodes: Episodes) -> float:
+    """Collisions per episode (MSA3C), %."""
+    return 100 * float(episodes.contacts.sum(axis=1).mean())
+
+
+@metric("apl", heading="APL m", shown=Shown.counted)
+def _apl(episodes: Episodes) -> Value:
+    """Path of all robots together, mean over the episodes in which all arrived (MSA3C), m."""
+    return _mean(episodes.path_length.sum(axis=1)[episodes.arrived.all(axis=1)])
+
+
+@metric("ntc", heading="NTC", shown=Shown.counted)
+def _ntc(episodes: Episodes) -> Value:
+    """Steps until the last robot arrived, mean over the episodes in which all did (MSA3C)."""
+    return _mean(episodes.steps[episodes.arrived.all(axis=1)])
+
+
+@metric("cir", heading="CIR %", shown=Shown.counted)
+def _cir(episodes: Episodes) -> float:
+    """Share of the steps of all robots within 0.25 m of somebody (MSA3C), %."""
+    return 100 * float(np.average(episodes.comfort_share, weights=episodes.time))
+
+
 @metric("close_share", heading="close %", shown=Shown.report | Shown.driving)
 def _close_share(episodes: Episodes) -> float:
     """Share of a robot's steps within 0.45 m of somebody: in intimate space (Hall, 1966), %."""
@@ -263,5 +294,5 @@ def _percent(share: NDArray[np.bool_] | NDArray[np.float64]) -> float:
     return 100 * float(share.mean())
 
 
-def _mean(values: NDArray[np.float64]) -> Value:
+def _mean(values: NDArray[Any]) -> Value:
     return float(values.mean()) if values.size else None

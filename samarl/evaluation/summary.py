@@ -29,7 +29,9 @@ class Column(NamedTuple):
     goal_turn_degrees: float = 0.0
     team_perception: str = "none"
     recording: str | None = None  # the name of the file
-    changes: str = ""  # other fields of the scenario that are not as by default: `a=1 b=2`
+    changes: str = ""  # other fields that are not as in the scenario of this name: `a=1 b=2`
+    scenario: str = "samarl"  # its name
+    collisions_end: bool = True
 
     @property
     def kind(self) -> str:
@@ -38,7 +40,9 @@ class Column(NamedTuple):
             return "Recorded people"
         if self.team_perception != "none":
             return "Robots that tell each other what they see"
-        if self.changes:
+        if not self.collisions_end:
+            return "Collisions are counted and do not end the episode"
+        if self.changes or self.scenario != Scenario.name:
             return "Other settings"
         if self.layout != "circle" or self.goal_turn_degrees:
             return "Other places"
@@ -67,8 +71,13 @@ def column_of(row: Row) -> Column:
     return Column(**{name: row[name] for name in Column._fields if name in row})
 
 
-def place_of(scenario: Scenario) -> Column:
-    """The column that a scenario is."""
+def place_of(scenario: Scenario, named: Scenario | None = None) -> Column:
+    """The column that a scenario is.
+
+    Args:
+        scenario: it.
+        named: what the file of its name says. None: SAMARL's.
+    """
     file = scenario.recording or "synthetic.txt"
     return Column(
         scenario.fov_degrees,
@@ -78,16 +87,23 @@ def place_of(scenario: Scenario) -> Column:
         scenario.goal_turn_degrees,
         scenario.team_perception.name,
         Path(file).name if scenario.crowd is Crowd.recorded else None,
-        _changes(scenario),
+        _changes(scenario, named or Scenario()),
+        scenario.name,
+        scenario.collisions_end,
     )
 
 
-def _changes(scenario: Scenario) -> str:
-    """The fields that no other field of a column tells of and that are not as by default."""
-    told = {*Column._fields, "frame_seconds", "reward"}
+def _changes(scenario: Scenario, named: Scenario) -> str:
+    """The fields that no other field of a column tells of and that are not as in `named`.
+
+    A name tells of the number of people and robots and of their views as well.
+    """
+    told = {"name", "frame_seconds", "reward", "collisions_end"}
+    if scenario.name == Scenario.name:
+        told |= {*Column._fields}
     if scenario.crowd is Crowd.recorded:
         told |= {"crowd", "robot_way_min", "robot_way_max"}
-    fields = changed_fields(scenario, Scenario())
+    fields = changed_fields(scenario, named)
     return " ".join(f"{name}={value}" for name, value in fields if name not in told)
 
 
@@ -100,8 +116,9 @@ def changed_fields(given: Any, default: Any) -> Iterator[tuple[str, Any]]:
 
 
 def summarise(
-    episodes: Episodes, scenario: Scenario, method: str, command: str, commit: str, seed: int
-) -> Row:
+    episodes: Episodes, scenario: Scenario, method: str, command: str, commit: str, seed: int,
+    named: Scenario | None = None,
+) -> Row:  # fmt: skip
     """The row of one method in one scenario: rates in percent, lengths in m, times in s.
 
     Args:
@@ -111,8 +128,13 @@ def summarise(
         command: what produces the row again.
         commit: of the code that produced it.
         seed: the first case number.
+        named: see `place_of`.
     """
-    row: Row = {"method": method, **place_of(scenario)._asdict(), "episodes": len(episodes.case)}
+    row: Row = {
+        "method": method,
+        **place_of(scenario, named)._asdict(),
+        "episodes": len(episodes.case),
+    }
     for known in METRICS.values():
         row |= known.of(episodes)
     score = social_score(episodes).mean(axis=1).round().astype(np.uint8)

@@ -1,4 +1,4 @@
-"""The table as Markdown, beside the paper's figures."""
+"""The table as Markdown, beside the papers' figures."""
 
 from __future__ import annotations
 
@@ -6,28 +6,20 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from mrsan import Scenario
 from samarl.evaluation.metrics import METRICS, Metric, Shown
+from samarl.evaluation.papers import PAPER_CO_PLANNING, PAPER_NAME, PAPER_SUCCESS
 from samarl.evaluation.summary import Column, Row, column_of
 
-# SAMARL, Table I: success rate in % (500 cases). Its social score is on another scale than ours.
-PAPER_SUCCESS: dict[Column, dict[str, int]] = {
-    Column(90.0, 10, 3): {
-        "ORCA": 25, "CADRL": 55, "SAMARL-PPO": 72, "SAMARL-SRNN": 81, "SAMARL": 93,
-    },
-    Column(90.0, 10, 5): {
-        "ORCA": 21, "CADRL": 54, "SAMARL-PPO": 71, "SAMARL-SRNN": 82, "SAMARL": 89,
-    },
-    Column(360.0, 10, 5): {
-        "ORCA": 23, "CADRL": 63, "SAMARL-PPO": 72, "SAMARL-SRNN": 87, "SAMARL": 95,
-    },
-}  # fmt: skip
-_COLUMNS = ("agent=", "scenario.fov_degrees=", "scenario.humans=", "scenario.robots=")
+_COLUMNS = ("agent=", "scenario=", "scenario.fov_degrees=", "scenario.humans=", "scenario.robots=")
 _CHANGES = 3  # so many are named
-PAPER_NAME = {"orca": "ORCA"}  # what the paper calls our rows
+_CO_PLANNING = ("csr", "cr", "apl", "ntc", "cir")  # the metrics of MSA3C, Table 2
 
 
 def column_name(column: Column) -> str:
     """The column in short."""
+    if column.scenario != Scenario.name:
+        return place_name(column)
     words = [
         f"{column.fov_degrees:g}°",
         f"{column.humans}h",
@@ -41,7 +33,9 @@ def column_name(column: Column) -> str:
 
 def place_name(column: Column) -> str:
     """How a column differs from those of Table I besides its numbers."""
-    words = [Path(column.recording).stem] if column.recording else []
+    words = [column.scenario] if column.scenario != Scenario.name else []
+    if column.recording:
+        words.append(Path(column.recording).stem)
     if column.layout != "circle" and not column.recording:
         words.append(column.layout)
     if column.goal_turn_degrees:
@@ -83,6 +77,11 @@ def tells_of_driving(rows: Sequence[Row]) -> bool:
     return any(field in row for row in rows for field in fields)
 
 
+def counts_collisions(rows: Sequence[Row]) -> bool:
+    """Is some row of a scenario in which collisions do not end the episode?"""
+    return any(not column_of(row).collisions_end for row in rows)
+
+
 def rows_as_cells(
     rows: Sequence[Row], with_settings: bool = False, table: Shown = Shown.printed
 ) -> tuple[tuple[str, ...], list[list[str]]]:
@@ -93,7 +92,10 @@ def rows_as_cells(
         with_settings: say what else was set on the command line, where that tells rows apart.
         table: which of them.
     """
-    shown = [known for known in METRICS.values() if known.heading and table in known.shown]
+    tables = (
+        table if table is Shown.driving or not counts_collisions(rows) else table | Shown.counted
+    )
+    shown = [known for known in METRICS.values() if known.heading and tables & known.shown]
     measured = [known.heading for known in shown]
     header = ("method", "FOV", "humans", "robots", *measured)
     lines = [_cells(row, shown) for row in rows]
@@ -163,7 +165,12 @@ def grids_as_markdown(rows: Sequence[Row]) -> str:
 
 
 def grid_as_markdown(rows: Sequence[Row]) -> str:
-    """Success and social score, a line per method, the paper's methods below ours."""
+    """Success and social score, a line per method, the paper's methods below ours.
+
+    Where collisions are counted and do not end the episode, MSA3C's table instead.
+    """
+    if counts_collisions(rows):
+        return as_text(*co_planning_as_cells(rows))
     grid = grid_of(rows)
     header = ["success % / social score", *map(column_name, grid.columns)]
     lines = [
@@ -174,6 +181,23 @@ def grid_as_markdown(rows: Sequence[Row]) -> str:
     for name, figures in grid.paper.items():
         lines.append([f"paper: {name}"] + ["" if f is None else f"{f} / -" for f in figures])
     return as_text(header, lines)
+
+
+def co_planning_as_cells(rows: Sequence[Row]) -> tuple[list[str], list[list[str]]]:
+    """MSA3C's metrics beside joint success: the header, and the paper's lines below ours."""
+    shown = [METRICS[name] for name in ("success_rate", *_CO_PLANNING)]
+    header = ["scenario", "method", *(known.heading for known in shown)]
+    columns: dict[Column, list[Row]] = {}
+    for row in rows:
+        columns.setdefault(column_of(row), []).append(row)
+    lines = []
+    for column, found in columns.items():
+        name = column_name(column)
+        lines += [[name, row["method"], *(known.cell(row) for known in shown)] for row in found]
+        paper = PAPER_CO_PLANNING.get((column.scenario, column.changes), {})
+        for method, figures in paper.items():
+            lines.append([name, f"paper: {method}", "", *(str(figure) for figure in figures)])
+    return header, lines
 
 
 class Grid(NamedTuple):

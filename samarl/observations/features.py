@@ -36,12 +36,14 @@ STATE_OTHER_FEATURES = 12  # of the true state of another
 
 # Where some of them stand in what a robot knows of itself, see `_own`:
 EGO_TARGET = slice(0, 5)  # see `features_of_target`
+EGO_DIRECTION = slice(2, 4)  # of the goal, of length 1
 EGO_VELOCITY = slice(5, 7)
 EGO_PLACE = slice(7, 9)  # the map's origin
 EGO_TIME = slice(9, 10)
 
 # Where some of them stand in what a robot knows of another, see `_others`:
 POSITION = slice(0, 2)  # seen from the robot, in units of LENGTH_SCALE
+RADIUS = slice(4, 5)  # m
 NEAR_NOW = 5  # exp(-2 gap), gap the distance between surfaces in m
 NEAR_SOON = 8  # the same of the closest approach ahead, times exp(-0.5 t), t s away
 

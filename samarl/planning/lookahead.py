@@ -149,14 +149,15 @@ def _look_ahead(
                 )
                 collided = hit_human or hit_robot
                 dx, dy = goal_x - x, goal_y - y
-                arrived = not collided and math.sqrt(dx * dx + dy * dy) < p.robot_radius
+                left, ends = math.sqrt(dx * dx + dy * dy), collided and p.collisions_end
+                arrived = not ends and left < p.robot_radius
                 dx, dy = target_x - x, target_y - y
                 progress = target_distance - math.sqrt(dx * dx + dy * dy)
-                nearer, arrival, _, crash, discomfort = step_reward_parts(
-                    collided, arrived, False, True, gap, progress, p
+                nearer, arrival, _, crash, discomfort, far, late = step_reward_parts(
+                    collided, arrived, False, True, gap, progress, left, p
                 )
-                reward[c, r] = nearer + arrival + crash + discomfort
-                ended[c, r] = collided or arrived
+                reward[c, r] = nearer + arrival + crash + discomfort + far + late
+                ended[c, r] = ends or arrived
 
 
 @function

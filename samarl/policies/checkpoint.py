@@ -27,6 +27,7 @@ from samarl.policies import (  # noqa: F401 (makes them known)
     flat,
     hierarchical,
     lookahead,
+    squashed,
 )
 from samarl.policies.policy import POLICIES, Policy
 

@@ -147,7 +147,7 @@ class HierarchicalPolicy(Policy):
         nearer = np.float32(self.config.waypoint_progress) * progress_to(
             state["waypoint"], before, after
         )
-        local = parts.collision + parts.discomfort
+        local = parts.collision + parts.discomfort + parts.lookahead
         local += np.where(parts.progress != 0.0, nearer, np.float32(0.0))
         arrived = parts.arrival > 0.0
         local += parts.arrival + np.float32(self.config.arrival_bonus) * arrived

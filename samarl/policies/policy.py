@@ -61,9 +61,14 @@ class PolicyConfig:
 class Level(NamedTuple):
     """What one level decided, of E worlds or of P samples."""
 
-    action: Tensor  # [E, N, A] before clipping to [-1, 1]
+    action: Tensor  # [E, N, A] before it is bounded
     log_prob: Tensor  # [E, N] given the noise of the step before
     decided: Tensor  # [E, N] bool: it decided something in this step
+
+    @property
+    def bounded(self) -> Tensor:
+        """The action as it is carried out, [E, N, A] in [-1, 1]."""
+        return self.action.clamp(-1.0, 1.0)
 
 
 class Decision(NamedTuple):
@@ -80,7 +85,7 @@ class Decision(NamedTuple):
     @property
     def action(self) -> NDArray[np.float32]:
         """The action of every robot, [E, N, A] in [-1, 1]."""
-        return self.levels[LOCAL].action.clamp(-1.0, 1.0).numpy()
+        return self.levels[LOCAL].bounded.numpy()
 
 
 class Known(NamedTuple):

@@ -15,13 +15,16 @@ from matplotlib.figure import Figure
 from tqdm import tqdm
 
 from mrsan import ConfigurationError
+from samarl.configuration import load_scenario
 from samarl.evaluation.metrics import Shown
 from samarl.evaluation.recording import Recording
 from samarl.evaluation.seeds import without_seed
 from samarl.evaluation.summary import Row, place_of, read_rows
 from samarl.evaluation.table import (
     by_kind,
+    co_planning_as_cells,
     column_name,
+    counts_collisions,
     grid_of,
     place_name,
     rows_as_cells,
@@ -132,6 +135,8 @@ def build_site(
         "commit": code_version(),
         "command": command,
         "grid_of": grid_of,
+        "co_planning_as_cells": co_planning_as_cells,
+        "counts_collisions": counts_collisions,
         "place_name": place_name,
         "rows_as_cells": rows_as_cells,
         "tells_of_driving": tells_of_driving,
@@ -233,7 +238,7 @@ def _write_replays(
     entries = []
     for method, case, recording in recordings:
         scenario = recording.scenario
-        column = place_of(scenario)
+        column = place_of(scenario, load_scenario(scenario.name))
         key = slug(f"{method}-{column_name(column)}-{split}-{case}")
         data = json.dumps(as_replay(recording), separators=(",", ":"))
         write_atomically(site / f"replays/{key}.js", f"replay({json.dumps(key)},{data});\n")

@@ -141,13 +141,17 @@ class RolloutCollector:
             self.stage.scenario,
         )  # fmt: skip
         ended = result.terminated | result.truncated
-        terminated = (world.state.collision != 0) | world.state.arrived.all(1, keepdims=True)
+        terminated = self._failed() | world.state.arrived.all(1, keepdims=True)
         if ended.any():
             episodes.append(episodes_of(world.state, world.scenario, ended & self.fresh))
         self.age += 1
         self.observation = result.observation
         team = result.reward_parts.team
         return self._column(decision, before, rewards, ended, terminated, team), state
+
+    def _failed(self) -> NDArray[np.bool_]:
+        """Whose collision has ended an episode, [E, N]."""
+        return (self.world.state.collision != 0) & self.stage.scenario.collisions_end
 
     def _column(
         self, decision: Decision, before: Observation | None, rewards: Any, ended: Any,
@@ -196,7 +200,7 @@ class RolloutCollector:
                 self.crowd.step()
             return back
         if self._restarts:
-            hit = (world.state.collision != 0).any(1) & ended & (self.age > 1)
+            hit = self._failed().any(1) & ended & (self.age > 1)
             again = hit & (torch.rand(e).numpy() < stage.failure_restart_probability)
             drawn = torch.randint(1, RESTART_STEPS + 1, (e,)).numpy()
             back[again] = np.minimum(drawn, self.age)[again]

@@ -19,7 +19,7 @@ from samarl.policies.checkpoint import write_tensors
 
 STATE = "state.safetensors"
 LAST, BEST = "last.safetensors", "best.safetensors"  # policies
-FORMAT = 2
+FORMAT = 3
 
 
 class RunDir:

@@ -44,6 +44,8 @@ class Outcome:
     robot_heading: np.ndarray
     arrived: np.ndarray
     collision: np.ndarray
+    contact: np.ndarray  # [N] whom it touches in this step
+    last_contact: np.ndarray
     reward: np.ndarray
     terminated: bool
     truncated: bool
@@ -358,8 +360,10 @@ def step(s: dict[str, Any], goal: np.ndarray, actions: np.ndarray, scenario: Sce
             robots[i] *= wall / np.hypot(*robots[i])
             new = np.zeros(2)
         robot_velocity[i] = new
-    collision = np.zeros(n, int)
+    contact = np.zeros(n, int)
     ran_into = np.zeros(n, int)
+    contacts = np.zeros(n)
+    touching = set()  # pairs of a robot and a slot of `last_contact`
     gap = np.full(n, math.inf)
     for i in range(n):
         if s["arrived"][i]:
@@ -370,26 +374,36 @@ def step(s: dict[str, Any], goal: np.ndarray, actions: np.ndarray, scenario: Sce
             after = humans[j] - robots[i]
             gap[i] = min(gap[i], np.hypot(*after) - radii)
             if margin.below(closest_approach(before, after), radii):
-                collision[i] = 1
+                contact[i] = 1
+                touching.add((i, j))
                 line = first_touch(before, after, radii)
                 line = line / np.hypot(*line)
                 robots_way = (robots[i] - s["robot_position"][i]) @ line
                 humans_way = (s["human_position"][j] - humans[j]) @ line
-                if not margin.below(robots_way, humans_way):
+                new = s["last_contact"][i, j] != s["clock"]
+                if not margin.below(robots_way, humans_way) and new:
                     ran_into[i] += 1
         for k in range(n):
-            if k == i or collision[i] == 1:
+            if k == i:
                 continue
             before = s["robot_position"][k] - s["robot_position"][i]
             if margin.below(
                 closest_approach(before, robots[k] - robots[i]), 2 * scenario.robot_radius
             ):
-                collision[i] = 2
+                contact[i] = contact[i] or 2
+                touching.add((i, len(humans) + k))
+    last_contact = s["last_contact"].copy()
+    for i, slot in touching:
+        if last_contact[i, slot] != s["clock"]:  # apart in the step before
+            other_drives = slot >= len(humans) and not s["arrived"][slot - len(humans)]
+            contacts[i] += 0.5 if other_drives else 1.0
+        last_contact[i, slot] = s["clock"] + 1
     to_goal_before = np.hypot(*(s["robot_goal"] - s["robot_position"]).T)
     to_goal = np.hypot(*(s["robot_goal"] - robots).T)
     reached = np.array(
         [
-            bool(margin.below(to_goal[i], scenario.robot_radius)) and not collision[i]
+            bool(margin.below(to_goal[i], scenario.robot_radius))
+            and not (contact[i] and scenario.collisions_end)
             for i in range(n)
         ]
     )
@@ -400,8 +414,8 @@ def step(s: dict[str, Any], goal: np.ndarray, actions: np.ndarray, scenario: Sce
     reward = np.array(
         [
             _reward(
-                scenario, margin, bool(collision[i]), bool(reached[i]), team, bool(driving[i]),
-                float(gap[i]), float(to_goal_before[i] - to_goal[i]),
+                scenario, margin, bool(contact[i]), bool(reached[i]), team, bool(driving[i]),
+                float(gap[i]), float(to_goal_before[i]), float(to_goal[i]),
             )
             for i in range(n)
         ]
@@ -417,13 +431,16 @@ def step(s: dict[str, Any], goal: np.ndarray, actions: np.ndarray, scenario: Sce
             "standing_steps": margin.below(float(np.hypot(*robot_velocity[i])), 0.05),
             "heading_change": abs(wrap(headings[i] - s["robot_heading"][i])),
             "ran_into": ran_into[i],
+            "contacts": contacts[i],
+            "comfort_steps": margin.below(float(gap[i]), 0.25),
         }
         for name, value in added.items():
             tally.setdefault(name, []).append(float(value) * float(driving[i]))
-    terminated = bool(collision.any() or arrived.all())
+    terminated = bool((scenario.collisions_end and contact.any()) or arrived.all())
     late = int(s["clock"]) + 1 >= scenario.time_limit_steps
     return Outcome(
-        humans, velocity, robots, robot_velocity, headings, arrived, collision, reward,
+        humans, velocity, robots, robot_velocity, headings, arrived,
+        np.where(s["collision"] != 0, s["collision"], contact), contact, last_contact, reward,
         terminated, late and not terminated,
         {name: np.array(values) for name, values in tally.items()}, margin,
     )  # fmt: skip
@@ -437,19 +454,22 @@ def _reward(
     team: bool,
     driving: bool,
     gap: float,
-    progress: float,
+    distance_before: float,
+    distance: float,
 ) -> float:
-    """SAMARL, Eq. 10."""
+    """SAMARL, Eq. 10; and MSA3C, Eq. 2, without what Eq. 10 has already."""
     w = scenario.reward
+    on_its_way = w.time - w.goal_distance * distance / scenario.circle_radius**2
+    beside = on_its_way if driving and not collided else 0.0
     events = [(team, w.team), (reached, w.arrival), (collided, w.collision)]
     happened = [value for event, value in events if event]
     if happened:
-        return happened[0] if w.literal else sum(happened)
+        return (happened[0] if w.literal else sum(happened)) + beside
     if not driving:
         return 0.0
     if margin.below(gap, w.discomfort_distance):
-        return max(-w.discomfort / gap, w.discomfort_limit)
-    return w.progress * progress
+        return max(-w.discomfort / gap, w.discomfort_limit) + beside
+    return w.progress * (distance_before - distance) + beside
 
 
 # The sensor, without noise

@@ -4,7 +4,7 @@ import numba
 import numpy as np
 import pytest
 
-from mrsan import Crowd, Scenario, World
+from mrsan import Crowd, Reward, Scenario, World
 
 CASES, STEPS, ROBOTS = 500, 25, 3
 SCENARIOS = {
@@ -25,6 +25,17 @@ SCENARIOS = {
         arena_radius=7.0,
     ),
     "social force": Scenario(robots=ROBOTS, humans=6, crowd=Crowd.social_force),
+    "collisions counted": Scenario(
+        robots=ROBOTS,
+        humans=12,
+        collisions_end=False,
+        radius_noise=0.1,
+        goal_change_interval=1.0,
+        goal_change_probability=0.0,
+        goal_change_probability_max=1.0,
+        goal_turn_spread_degrees=180.0,
+        reward=Reward(goal_distance=1.0, time=-0.001),
+    ),
 }
 ACTIONS = np.random.default_rng(0).uniform(-1, 1, (STEPS, CASES, ROBOTS, 3)).astype(np.float32)
 

@@ -17,7 +17,8 @@ def episode(**fields) -> Episodes:
         "closest_human": [[np.inf]], "close_share": [[0.0]], "personal_share": [[0.0]],
         "social_share": [[0.0]], "standing_share": [[0.0]], "jerk": [[0.0]],
         "heading_change": [[0.0]], "soonest_collision": [[np.inf]],
-        "ran_into_human": [[False]],
+        "ran_into_human": [[False]], "steps": [40], "arrived": [[True]], "contacts": [[0.0]],
+        "comfort_share": [[0.0]],
     }  # fmt: skip
     return Episodes(**{key: np.array(value) for key, value in (values | fields).items()})
 

@@ -5,6 +5,7 @@ step; discs have radius 0.3 m.
 """
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -166,10 +167,19 @@ def test_every_robot_gets_the_teams_bonus_when_the_last_arrives(
     assert parts(world, COAST, COAST, COAST) == [{}, {}, {}]  # the episode is over
 
 
-@pytest.mark.parametrize("reward", [Reward(), LITERAL, Reward(arrival=3.3, team=0.7, progress=-1)])
-def test_the_parts_add_up_to_the_reward_exactly(reward: Reward) -> None:
+@pytest.mark.parametrize(
+    "reward",
+    [
+        Reward(goal_distance=0.3, time=-0.01),
+        Reward(literal=True, goal_distance=1.1, time=0.2),
+        Reward(arrival=3.3, team=0.7, progress=-1, goal_distance=3.0, time=-0.7),
+    ],
+)
+@pytest.mark.parametrize("lookahead", [0.0, 0.3])
+def test_the_parts_add_up_to_the_reward_exactly(reward: Reward, lookahead: float) -> None:
     """Robots that drive to their goals, and one in four at random; every part comes up."""
     rng, worlds = np.random.default_rng(0), 200
+    reward = replace(reward, lookahead=lookahead)
     scenario = Scenario(robots=2, humans=4, circle_radius=3.0, goal_distance=2.0, reward=reward)
     world = World(scenario, worlds, auto_reset=True)
     observation, paid = world.reset(np.arange(worlds)), np.zeros(len(RewardParts._fields), bool)
@@ -182,22 +192,24 @@ def test_the_parts_add_up_to_the_reward_exactly(reward: Reward) -> None:
         assert all(p.dtype == np.float32 and p.shape == (worlds, 2) for p in step.reward_parts)
         np.testing.assert_array_equal(sum(step.reward_parts), step.reward)
         paid |= np.any(step.reward_parts, axis=(1, 2))
-    assert paid.all()
+    assert paid.tolist() == [*[True] * 7, lookahead > 0]
 
 
 def test_every_weight_is_configurable() -> None:
     reward = Reward(
         arrival=3, team=4, collision=-7, discomfort=0.5, discomfort_limit=-2,
-        discomfort_distance=0.6, progress=8,
+        discomfort_distance=0.6, progress=8, goal_distance=5, time=-0.5,
     )  # fmt: skip
-    assert rewards(stage([DRIVER], reward=reward), COAST) == [2]
-    assert rewards(stage([FINISHER], reward=reward), COAST) == [7]
+    beside = -0.5 - 5 * 3.75 / 25  # 3.75 m from its goal in a circle of radius 5 m
+    assert rewards(stage([DRIVER], reward=reward), COAST) == [2 + beside]
+    assert rewards(stage([FINISHER], reward=reward), COAST) == [7 - 0.5 - 5 * 0.25 / 25]
     assert rewards(stage([DRIVER], [(0.5, 0, 0, 0)], reward=reward), COAST) == [-7]
-    assert rewards(stage([DRIVER], [(1.35, 0, 0, 0)], reward=reward), COAST) == [-1]  # 0.5 / 0.5
-    assert rewards(stage([DRIVER], [(0.95, 0, 0, 0)], reward=reward), COAST) == [-2]
+    assert rewards(stage([DRIVER], [(1.35, 0, 0, 0)], reward=reward), COAST) == [-1 + beside]
+    assert rewards(stage([DRIVER], [(0.95, 0, 0, 0)], reward=reward), COAST) == [-2 + beside]
 
 
 def test_the_defaults_are_the_papers() -> None:
     r = Scenario().reward
     assert (r.arrival, r.team, r.collision, r.progress) == (10, 5, -20, 2)
     assert (r.discomfort, r.discomfort_limit, r.discomfort_distance) == (1, -5, 0.45)
+    assert (r.goal_distance, r.time) == (0, 0)

@@ -33,6 +33,7 @@ ROOM: dict[tuple[str, str], dict[str, Any]] = {
     ("opposite_width", "high"): {"floor_size": 1000.0},
     ("robot_way_min", "high"): {"robot_way_max": 1000.0, "floor_size": 1000.0},
     ("robot_way_max", "low"): {"robot_way_min": 0.1},
+    ("goal_change_probability_max", "low"): {"goal_change_probability": 0.0},
 }
 PATH = {Scenario: "scenario", Reward: "scenario.reward", Evaluation: "evaluation"}
 
@@ -101,6 +102,10 @@ def test_names_are_among_the_choices(name: str, choices: Any) -> None:
         ({"time_limit": 0.2}, "time_step is 0.25; it must not exceed scenario.time_limit (0.2)"),
         ({"goal_distance": 5.5}, "goal_distance is 5.5; it must not exceed scenario.circle_radius"),
         ({"arena_radius": 6.0}, "arena_radius is 6.0; it must be null or at least 6.01"),
+        (
+            {"goal_change_probability_max": 0.3},
+            "goal_change_probability is 0.5; it must not exceed",
+        ),
         ({"reward": 3}, "reward is 3; it must be a Reward"),
     ],
 )

@@ -95,6 +95,31 @@ def test_noise_of_one_kind_leaves_the_other_exact() -> None:
     assert (errors(velocity_noise=0.1)[:, :2] == 0).all()
 
 
+def test_noise_of_the_radius_is_of_people_and_drawn_anew_at_every_step() -> None:
+    """The radius itself stays what it is, and that of robots is known."""
+    error = errors(radius_noise=0.05)
+    n = len(error)
+    assert (error[:, :4] == 0).all()
+    assert abs(error[:, 4].mean()) < FIVE_SIGMA * 0.05 / np.sqrt(n)
+    assert error[:, 4].std() == pytest.approx(0.05, rel=FIVE_SIGMA / np.sqrt(2 * n))
+    world = World(Scenario(robots=2, humans=1, crowd=Crowd.still, radius_noise=0.05), WORLDS)
+    world.reset(np.arange(WORLDS))
+    first = world.observe()
+    world.state.clock[:] += 1
+    later = world.observe()
+    both = first.humans_visible[:, 0, 0] & first.humans_visible[:, 1, 0]
+    seen = [of.humans[both, i, 0, 4] for of in (first, later) for i in range(2)]
+    assert np.abs(np.corrcoef(seen) - np.eye(4)).max() < FIVE_SIGMA / np.sqrt(both.sum())
+    assert (first.robots[first.robots_visible][:, 4] == np.float32(0.3)).all()
+    assert (world.state.human_radius == np.float32(0.3)).all()
+    assert (world.observe(all_seeing=True).humans[..., 4] == np.float32(0.3)).all()
+
+
+def test_noise_leaves_some_of_a_radius() -> None:
+    seen = observed(radius_noise=2.0).observe()
+    assert seen.humans[seen.humans_visible][:, 4].min() == np.float32(0.05)
+
+
 def test_noise_of_two_people_is_independent() -> None:
     exact, noisy = observed(), observed(position_noise=0.1)
     error = (noisy.observe().humans - exact.observe().humans)[:, 0, :, 0]

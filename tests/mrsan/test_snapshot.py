@@ -1,5 +1,6 @@
 """Going back: a restored world is the world it was, to the last bit."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ SCENARIO = Scenario(
     robots=2, humans=6, humans_min=2, time_limit=8.0, fov_degrees=120.0, occlusion=True,
     position_noise=0.1, missed_detection=0.1, robots_visible=True, goal_change_interval=1.0,
 )  # fmt: skip
+COUNTED = replace(SCENARIO, humans=12, collisions_end=False, radius_noise=0.1)
 ACTIONS = np.random.default_rng(0).uniform(-1, 1, (STEPS, E, 2, 3)).astype(np.float32)
 SOME = np.arange(E) % 3 == 0
 
@@ -23,8 +25,8 @@ def bits(values: Any) -> list[bytes]:
     return [b"" if values is None else np.ascontiguousarray(values).tobytes()]
 
 
-def begun(auto_reset: bool = True) -> World:
-    world = World(SCENARIO, E, auto_reset)
+def begun(auto_reset: bool = True, scenario: Scenario = SCENARIO) -> World:
+    world = World(scenario, E, auto_reset)
     world.reset(np.arange(E))
     for action in ACTIONS[:10]:
         world.step(action)
@@ -36,14 +38,15 @@ def go_on(world: World) -> list[Step]:
 
 
 @pytest.mark.parametrize("auto_reset", [True, False])
-def test_the_same_actions_lead_to_the_same_bits(auto_reset: bool) -> None:
+@pytest.mark.parametrize("scenario", [SCENARIO, COUNTED])
+def test_the_same_actions_lead_to_the_same_bits(scenario: Scenario, auto_reset: bool) -> None:
     """Eight seconds are 32 steps: every world ends on the way, and most begin again."""
-    world = begun(auto_reset)
+    world = begun(auto_reset, scenario)
     past, seen = world.snapshot(), bits(world.observe())
     first, state = go_on(world), bits(world.state)
     assert any((step.terminated | step.truncated).any() for step in first)
     assert bits(world.state) != bits(past)
-    for again in (world, begun(auto_reset), World(SCENARIO, E, auto_reset)):
+    for again in (world, begun(auto_reset, scenario), World(scenario, E, auto_reset)):
         again.restore(past)
         assert bits(again.observe()) == seen
         assert [bits(step) for step in go_on(again)] == [bits(step) for step in first]
@@ -102,7 +105,7 @@ def test_what_does_not_fit_is_refused_and_nothing_is_written() -> None:
         (World(SCENARIO, 2).snapshot(), None, ValueError,
          r"snapshot.case has shape \(2,\); it must have \(24,\)"),
         (past._replace(tally=past.tally[:, :1]), None, ValueError,
-         r"snapshot.tally has shape \(24, 1, 11\); it must have \(24, 2, 11\)"),
+         r"snapshot.tally has shape \(24, 1, 13\); it must have \(24, 2, 13\)"),
         (past._replace(clock=past.clock.astype(float)), None, ValueError,
          "snapshot.clock is of float64; it must be of int32"),
         (past, [True] * 3, ValueError, "it must be 24 booleans"),

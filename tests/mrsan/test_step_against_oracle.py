@@ -35,7 +35,15 @@ SCENARIOS = st.builds(
     max_neighbors=st.sampled_from([2, 10]),
     neighbor_distance=st.sampled_from([2.0, 10.0]),
     human_safety_space=st.sampled_from([0.0, 0.25]),
-    reward=st.builds(Reward, literal=st.booleans(), arrival=st.sampled_from([10.0, 25.0])),
+    collisions_end=st.booleans(),
+    goal_change_probability_max=st.sampled_from([None, 0.7]),
+    reward=st.builds(
+        Reward,
+        literal=st.booleans(),
+        arrival=st.sampled_from([10.0, 25.0]),
+        goal_distance=st.sampled_from([0.0, 7.0]),
+        time=st.sampled_from([0.0, -0.5]),
+    ),
 )
 
 
@@ -55,6 +63,9 @@ def scatter(world: World, seed: int, room: float) -> np.ndarray:
     state.arrived[0] = rng.random(n) < 0.25
     if state.arrived[0].all():
         state.arrived[0, 0] = False
+    if not scenario.collisions_end:  # some touch since before, some have touched
+        state.last_contact[0] = rng.choice([-1, 0, *state.clock], state.last_contact[0].shape)
+        state.collision[0] = rng.choice([0, 0, Outcome.hit_human, Outcome.hit_robot], n)
     state.human_position[0] = rng.uniform(-room, room, (m, 2))
     angle, pace = rng.uniform(-np.pi, np.pi, m), rng.uniform(0.5, 1.5, m)
     state.human_velocity[0] = (pace * [np.cos(angle), np.sin(angle)]).T
@@ -123,6 +134,7 @@ def test_a_step_is_the_twins_step(scenario: Scenario, seed: int, room: float) ->
     np.testing.assert_allclose(np.sin(turned / 2), 0, **close)
     assert (after["arrived"] == expected.arrived).all()
     assert (after["collision"] == expected.collision).all()
+    assert (after["last_contact"] == expected.last_contact).all()
     assert (bool(step.terminated[0]), bool(step.truncated[0])) == (
         expected.terminated,
         expected.truncated,
@@ -147,7 +159,7 @@ def test_a_step_counts_what_the_twin_counts(scenario: Scenario, seed: int, room:
     found = dict(zip(TALLY, after["tally"].T, strict=True))
     for name, added in expected.tally.items():
         np.testing.assert_allclose(found[name], added, rtol=0, atol=TOLERANCE, err_msg=name)
-    soonest[after["collision"] == Outcome.hit_human] = 0.0
+    soonest[expected.contact == Outcome.hit_human] = 0.0
     soonest[before["arrived"]] = math.inf
     found_soonest = np.minimum(found["soonest_collision"], 10.0)
     np.testing.assert_allclose(found_soonest, np.minimum(soonest, 10.0), rtol=1e-3, atol=1e-3)

@@ -8,8 +8,8 @@ ROOT = Path(__file__).resolve().parents[2]
 ROOMS = [
     "mrsan", "samarl.files", "samarl.registry", "samarl.observations", "samarl.planning",
     "samarl.encoders", "samarl.policies", "samarl.rollout", "samarl.algorithms", "samarl.agents",
-    "samarl.evaluation", "samarl.configuration", "samarl.training", "samarl.report",
-    "samarl.commands",
+    "samarl.evaluation", "samarl.prediction", "samarl.configuration", "samarl.training",
+    "samarl.report", "samarl.commands",
 ]  # fmt: skip
 
 

@@ -20,11 +20,13 @@ from samarl.policies.checkpoint import find_policy, load_policy, save_policy
 def test_the_command_names_all_that_is_not_as_by_default() -> None:
     column = Scenario(fov_degrees=90.0, humans=4, robots=2)
     plain = "samarl-evaluate agent=orca scenario.fov_degrees=90 scenario.humans=4 scenario.robots=2"
-    assert _command("orca", column, Evaluation()) == plain
-    assert _command("orca", column, Evaluation(batch=7)) == plain  # does not change the result
+    assert _command("orca", column, Scenario(), Evaluation()) == plain
+    assert (
+        _command("orca", column, Scenario(), Evaluation(batch=7)) == plain
+    )  # does not change the result
     scenario = replace(column, crowd=Crowd.still, occlusion=True, reward=Reward(arrival=3.0))
     evaluation = Evaluation(split=Split.validation, first_case=7, cases=9)
-    assert _command("orca", scenario, evaluation) == plain + (
+    assert _command("orca", scenario, Scenario(), evaluation) == plain + (
         " scenario.occlusion=True scenario.crowd=still scenario.reward.arrival=3.0"
         " evaluation.split=validation evaluation.first_case=7 evaluation.cases=9"
     )
@@ -72,17 +74,22 @@ def test_a_policy_with_damaged_weights_shows(tmp_path: Path) -> None:
             parameter.zero_()  # it sees nobody
     save_policy(tmp_path / "damaged.safetensors", policy, card.policy, {})
     agent, cases = load_agent("samarl_flat"), Evaluation(cases=25)
-    whole = compare(_row("samarl_flat", [agent], Scenario(), cases, "", []), committed())
+    whole = compare(
+        _row("samarl_flat", [agent], Scenario(), Scenario(), cases, "", []), committed()
+    )
     assert whole.startswith(("same ", "close "))
     agent["checkpoint"] = str(tmp_path / "damaged.safetensors")
-    damaged = compare(_row("samarl_flat", [agent], Scenario(), cases, "", []), committed())
+    damaged = compare(
+        _row("samarl_flat", [agent], Scenario(), Scenario(), cases, "", []), committed()
+    )
     assert damaged.startswith("DIFFERS ")
 
 
 def test_a_planner_that_is_five_points_worse_shows() -> None:
     agent = load_agent("perimeter")
-    good = _row("perimeter", [agent], Scenario(), Evaluation(), "", [])
+    played = Scenario(), Scenario(), Evaluation(), "", []
+    good = _row("perimeter", [agent], *played)
     assert compare(good, committed()).startswith(("same ", "close "))
-    worse = _row("perimeter", [{**agent, "radius": 7.0}], Scenario(), Evaluation(), "", [])
+    worse = _row("perimeter", [{**agent, "radius": 7.0}], *played)
     assert 4.0 < good["success_rate"] - worse["success_rate"] < 6.0
     assert compare(worse, committed()).startswith("DIFFERS ")

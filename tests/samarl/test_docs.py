@@ -14,6 +14,7 @@ from samarl.evaluation.metrics import metric_fields
 DOCS = Path(__file__).parents[2] / "docs"
 SMALL = {
     "samarl-evaluate": ["evaluation.cases=2"],
+    "samarl-predictor": ["validation_cases=2"],
     "samarl-train": [
         "trainer.steps=200", "trainer.rollout=10", "trainer.validation_cases=2",
         "trainer.threads=1", "encoder.width=8", "encoder.features=8", "policy.hidden=8",
@@ -54,6 +55,14 @@ def test_a_scenario_of_ones_own(tmp_path: Path) -> None:
     (tmp_path / "my_conf/scenario/plaza.yaml").write_text(block(text, "yaml"))
     said = run(text, tmp_path)
     assert re.search(r"\| model_predictive +\| +360° +\| +20 \| +2 \|", said)
+
+
+def test_a_predictor_of_ones_own(tmp_path: Path) -> None:
+    text = section("A predictor")
+    (tmp_path / "my_predictor.py").write_text(block(text, "python"))
+    said = run(text, tmp_path)
+    assert re.search(r"\| orca +\| +\d+ \| +predictor \|", said)
+    assert "| samarl " in said
 
 
 def test_an_encoder_of_ones_own(tmp_path: Path) -> None:

@@ -8,8 +8,8 @@ from torch import Tensor
 
 from samarl.encoders import ENCODERS, Encoder
 from samarl.encoders.encoder import State
+from samarl.encoders.recurrent_graph import RecurrentUnit
 from samarl.encoders.spatio_temporal import Pool, nearness
-from samarl.encoders.structural_rnn import RecurrentUnit
 from samarl.observations.features import (
     NEAR_NOW,
     NEAR_SOON,

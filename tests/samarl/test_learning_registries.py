@@ -40,7 +40,14 @@ SMALL = [
 ]  # fmt: skip
 VALUES = "policy=lookahead encoder=pairwise algorithm=value_learning algorithm.learning_starts=4"
 PPO = "algorithm.minibatches=2 algorithm.epochs=1"
-TOGETHER = {"policy=lookahead": VALUES, "algorithm=value_learning": VALUES}
+SOFT = (
+    "policy=squashed encoder=temporal_spatial_graph algorithm=soft_actor_critic "
+    "algorithm.learning_starts=8 algorithm.updates=2 algorithm.batch=2"
+)
+TOGETHER = {
+    "policy=lookahead": VALUES, "algorithm=value_learning": VALUES,
+    "policy=squashed": SOFT, "algorithm=soft_actor_critic": SOFT,
+}  # fmt: skip
 """What only works with others; everything else works with the defaults."""
 
 
@@ -84,10 +91,21 @@ def test_every_experiment_begins(
 @pytest.mark.parametrize(
     "choice",
     [f"{kind}={name}" for kind, registry in KINDS.items() for name in registry]
-    + ["policy.actors=2", "encoder=gru policy.actors=2 algorithm=ippo"],
+    + ["policy.actors=2", "encoder=gru policy.actors=2 algorithm=ippo"]
+    + [
+        f"{SOFT} {other}"
+        for other in (
+            "policy.actors=2",
+            "encoder=social_attention",
+            "encoder=social_attention algorithm.critic=concatenation algorithm.robots=2",
+            "encoder=spatio_temporal",
+            "algorithm.team_reward=false",
+        )
+    ],
 )
 def test_every_name_trains_and_its_checkpoint_drives_as_before(choice: str, tmp_path: Path) -> None:
-    choices = TOGETHER.get(choice, f"{choice} {PPO}").split()
+    alone = choice if SOFT in choice else f"{choice} {PPO}"
+    choices = TOGETHER.get(choice, alone).split()
     overrides = [*SMALL, *choices, f"run_dir={tmp_path}/run"]
     trainer = build_trainer(compose("train", overrides), "test")
     before = {key: value.clone() for key, value in trainer.policy.state_dict().items()}

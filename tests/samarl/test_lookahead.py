@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from mrsan import Crowd, Kinematics, Scenario, World
+from mrsan import Crowd, Kinematics, Reward, Scenario, World
 from mrsan.features import GOAL, HEADING_COS, HEADING_SIN
 from samarl.observations.tracker import AGE, Tracks
 from samarl.planning.lookahead import command_set, look_ahead
@@ -57,12 +57,16 @@ def test_a_robot_alone_is_foreseen_as_the_world_moves_it(kinematics: Kinematics)
     assert 1 <= outcomes.ended.sum() < len(commands)
 
 
+@pytest.mark.parametrize("collisions_end", [True, False])
 @pytest.mark.parametrize("kinematics", Kinematics)
 def test_where_all_others_keep_their_velocity_the_world_does_as_foreseen(
-    kinematics: Kinematics,
+    kinematics: Kinematics, collisions_end: bool
 ) -> None:
     """Contacts, discomfort, arrivals and everybody's next place, in random crowds."""
-    scenario = Scenario(robots=3, humans=4, kinematics=kinematics, crowd=Crowd.still)
+    scenario = Scenario(
+        robots=3, humans=4, kinematics=kinematics, crowd=Crowd.still,
+        collisions_end=collisions_end, reward=Reward(goal_distance=7.0, time=-0.5),
+    )  # fmt: skip
     e, rng = 200, np.random.default_rng(0)
     world = World(scenario, e)
     world.reset(np.arange(e))
@@ -100,7 +104,7 @@ def test_where_all_others_keep_their_velocity_the_world_does_as_foreseen(
     assert tracks.humans_known.all()
     assert tracks.robots_known.all()
     hit, arrived = state.collision[:, 0] != 0, state.arrived[:, 0]
-    assert (outcomes.ended[chosen, rows] == (hit | arrived)).all()
+    assert (outcomes.ended[chosen, rows] == ((hit & collisions_end) | arrived)).all()
     paid = (step.reward - step.reward_parts.team)[:, 0]
     np.testing.assert_allclose(outcomes.reward[chosen, rows], paid, atol=2e-4)
     assert min(hit.sum(), arrived.sum(), (step.reward_parts.discomfort[:, 0] < 0).sum()) > 10

@@ -15,7 +15,7 @@ from tests.learning import SCENARIO, choices, collector, crowded, policy
 
 @pytest.mark.parametrize("actors", [1, 2])
 @pytest.mark.parametrize("encoder", list(ENCODERS))
-@pytest.mark.parametrize("name", ["flat", "hierarchical"])
+@pytest.mark.parametrize("name", ["flat", "hierarchical", "squashed"])
 def test_training_computes_the_log_probabilities_of_acting(
     name: str, encoder: str, actors: int
 ) -> None:
@@ -85,6 +85,18 @@ def test_a_collision_ends_the_stream_of_the_robot_and_cuts_short_those_of_its_te
     assert cut[alone].any()
     assert not hit[cut].any()
     assert done.squeeze(-1)[alone].all()
+
+
+def test_a_collision_that_does_not_end_the_episode_ends_no_stream() -> None:
+    """The time limit does, as one of a state that has a value."""
+    scenario = crowded(collisions_end=False, time_limit=4.0)
+    steps = collector(policy(), 32, 40, scenario).collect().steps
+    hit = steps["next", "agents", "macro", "reward"] <= -15.0
+    terminated, done = steps["next", "agents", "terminated"], steps["next", "done"]
+    assert (hit & ~done).any()
+    assert done.any()
+    assert (terminated == terminated.all(-1, keepdim=True)).all()  # all have arrived, or nobody
+    assert not terminated[hit & (steps["next", "agents", "team_reward"] == 0)].any()
 
 
 def test_exploration_keeps_its_direction_for_a_while() -> None:

@@ -87,6 +87,10 @@ def four_episodes() -> Episodes:
         heading_change=np.array([[1.0, 2], [9, 9], [9, 9], [3, 9]]),
         soonest_collision=np.array([[2.0, 3], [0, 4], [6, 5], [12, np.inf]]),
         ran_into_human=np.array([[False, False], [True, False], [False, False], [False, False]]),
+        steps=np.array([40, 8, 12, 200]),
+        arrived=np.array([[True, True], [False, False], [False, False], [True, False]]),
+        contacts=np.array([[0.0, 0], [1, 0], [0.5, 0.5], [0, 0]]),
+        comfort_share=np.array([[0.0, 0.3], [0.5, 0], [0, 0], [0, 0.1]]),
     )
 
 
@@ -95,7 +99,7 @@ def test_a_row_by_hand() -> None:
     expected: dict[str, Any] = {
         "method": "mine", "fov_degrees": 360.0, "humans": 10, "robots": 2, "layout": "circle",
         "goal_turn_degrees": 0.0, "team_perception": "none", "recording": None, "changes": "",
-        "episodes": 4,
+        "scenario": "samarl", "collisions_end": True, "episodes": 4,
         "success_rate": 25.0, "success_low": 4.56, "success_high": 69.94,
         "robot_success_rate": 37.5,  # three of eight
         # 100, 100 (1/4 + 1/2 (1/4 + 1/4)) = 50, 100 (5/12 + 1/2) = 91.67 and five zeros;
@@ -104,7 +108,11 @@ def test_a_row_by_hand() -> None:
         "collision_rate": 50.0, "human_collision_rate": 25.0, "robot_on_person_rate": 25.0,
         "person_on_robot_rate": 0.0, "robot_collision_rate": 25.0,
         "timeout_rate": 25.0, "path_length": 14.0, "time_to_goal": 11.0,
-        "closest_human": 0.9, "close_share": 12.5, "personal_share": 25.0, "social_share": 25.0,
+        "closest_human": 0.9,
+        # One of four, two collisions in four; of the one 10 + 20 m in 40 steps; of 93 s driven
+        # 0.3 of 10, 0.5 of 2 and 0.1 of 50.
+        "csr": 25.0, "cr": 50.0, "apl": 30.0, "ntc": 40.0, "cir": 9.68,
+        "close_share": 12.5, "personal_share": 25.0, "social_share": 25.0,
         "soonest_collision": 4.0,  # the middle of 0, 2, 3, 4, 5, 6 and 10
         "jerk": 2.0, "standing_share": 5.0, "heading_change": 2.0,
         "path_irregularity": 0.15,  # of 1 rad on 10 m, 2 on 20 and 3 on 12
@@ -327,10 +335,12 @@ def test_every_metric_gives_its_fields(name: str) -> None:
 
 
 def test_committed_rows_have_every_metric_of_the_printed_table() -> None:
-    """Those of how the robots drive came later; all fields stand in their order."""
+    """Those of how the robots drive and of MSA3C came later; all stand in their order."""
     rows = read_rows(COMMITTED)
     assert rows is not None
-    later = {f for known in METRICS.values() if known.shown is Shown.driving for f in known.fields}
+    shown = Shown.driving, Shown.counted
+    later = {f for known in METRICS.values() if known.shown in shown for f in known.fields}
+    later |= {"scenario", "collisions_end"}
     of_seeds = list(across_seeds(rows[:2]))
     for one in rows:
         assert set(row_fields()) - later <= one.keys()

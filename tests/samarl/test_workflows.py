@@ -15,7 +15,7 @@ import samarl
 from mrsan import Outcome
 from samarl.evaluation.summary import row_fields
 
-COMMANDS = ("evaluate", "bench", "render", "report")
+COMMANDS = ("evaluate", "bench", "render", "report", "predictor")
 
 
 def run(
@@ -257,6 +257,7 @@ def test_help_is_quick_to_say(command: str, tmp_path: Path) -> None:
         "evaluate": ("fov_degrees: 360.0", "# centred on the heading (0, 360]"),
         "render": ("time_horizon: 5.0", "be safe, s [0.01, 100]"),
         "report": ("agents: null", "# a list of names to record; null: all of conf/agent/"),
+        "predictor": ("history: 8", "reads: 1.75 s [2, 200]"),
         "bench": ("cases: 500", "# how many [1, 1e+06]"),
         "train": ("waypoint_range: 1.5", "may move it from there, m [0.1, 100]"),
     }

@@ -43,6 +43,10 @@ def draw_robot_way(start, goal, key, i, attempt, layout, p):
             )
             cos, sin = math.cos(angle), math.sin(angle)
             goal[0], goal[1] = cos * goal[0] - sin * goal[1], sin * goal[0] + cos * goal[1]
+            if p.goal_turn_spread != _ZERO and attempt < _TRIES:  # not by chance to the start
+                dx, dy = goal[0] - start[0], goal[1] - start[1]
+                apart = p.robot_radius + p.robot_radius + p.spawn_clearance
+                return dx * dx + dy * dy >= apart * apart
         return True
     half = _floor(attempt, p)
     return draw_way_on_floor(start, goal, key, i, attempt, half, half, p)

@@ -26,6 +26,7 @@ from mrsan.features import (
 from mrsan.kernels import function, kernel, rng
 
 _ZERO = np.float32(0.0)
+_LEAST_RADIUS = np.float32(0.05)  # that noise leaves, as of a person in `Scenario`, m
 _FULL_CIRCLE = np.float32(-1.0)  # the cosine of half a field of view of 360 degrees
 
 
@@ -53,10 +54,11 @@ def observe(chunks, worlds, state, p, ego, humans, humans_visible, robots, robot
         human_radius, human_present, keys = state.human_radius, state.human_present, state.key
         robot_radius, robot_speed = p.robot_radius, p.robot_speed
         limit, cos_half_fov, occlusion = p.sensing_range, p.cos_half_fov, p.occlusion
-        missed, position_noise, velocity_noise = (
+        missed, position_noise, velocity_noise, radius_noise = (
             p.missed_detection,
             p.position_noise,
             p.velocity_noise,
+            p.radius_noise,
         )
         noisy = position_noise > _ZERO or velocity_noise > _ZERO
         steps = np.float32(p.time_limit_steps)
@@ -122,6 +124,9 @@ def observe(chunks, worlds, state, p, ego, humans, humans_visible, robots, robot
                         left += position_noise * rng.normal(key, rng.NOISE, agent, step, 2)
                         along += velocity_noise * rng.normal(key, rng.NOISE, agent, step, 4)
                         across += velocity_noise * rng.normal(key, rng.NOISE, agent, step, 6)
+                    if seen and radius_noise > _ZERO and j < m:
+                        error = rng.normal(key, rng.NOISE, i * 128 + j, step, 8)
+                        radius = max(radius + radius_noise * error, _LEAST_RADIUS)
                     if not seen:
                         ahead = left = along = across = radius = _ZERO
                     if j < m:

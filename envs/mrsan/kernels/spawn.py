@@ -88,6 +88,7 @@ def _place_robot(state, e, i, key, layout, recording, p):
         state.robot_acceleration[e, i, k] = _ZERO
     state.arrived[e, i] = False
     state.collision[e, i] = 0
+    state.last_contact[e, i, :] = -1
     state.tally[e, i, :] = _ZERO
     state.tally[e, i, CLOSEST_HUMAN] = state.tally[e, i, SOONEST_COLLISION] = _FAR
 

@@ -16,6 +16,8 @@ from mrsan.kernels.social_force import social_force_velocity
 from mrsan.kernels.tally import (
     CLOSE_STEPS,
     CLOSEST_HUMAN,
+    COMFORT_STEPS,
+    CONTACTS,
     DRIVEN_STEPS,
     HEADING_CHANGE,
     JERK_SUM,
@@ -37,6 +39,7 @@ STILL = 2
 PERSONAL_SPACE = np.float32(0.45)
 SOCIAL_SPACE = np.float32(1.2)
 PUBLIC_SPACE = np.float32(3.6)
+COMFORT_ZONE = np.float32(0.25)  # round a person (MSA3C, Table 1), m
 STANDING_SPEED = np.float32(0.05)  # slower is not moving, m/s
 
 HIT_HUMAN = 1
@@ -60,7 +63,7 @@ def advance(chunks, state, action, p, recording, reward, parts):
         p: the scenario's parameters.
         recording: the ways of recorded people.
         reward: [E, N], written; zero in worlds that had ended.
-        parts: [5, E, N], written: its terms in the order of `RewardParts`.
+        parts: [8, E, N], written: its terms in the order of `RewardParts`, but the last.
     """
     total, robots = reward.shape
     people = state.human_radius.shape[1]
@@ -73,6 +76,7 @@ def advance(chunks, state, action, p, recording, reward, parts):
         projected = np.empty((p.max_neighbors, 4), np.float32)
         moved = np.empty((robots, 2), np.float32)
         gap = np.empty(robots, np.float32)
+        contact = np.empty(robots, np.int8)
         for e in range(chunk * total // chunks, (chunk + 1) * total // chunks):
             if state.terminated[e] or state.truncated[e]:
                 reward[e, :] = _ZERO
@@ -94,8 +98,8 @@ def advance(chunks, state, action, p, recording, reward, parts):
                 )
             _move_robots(state, e, action, p, moved)
             _move_humans(state, e, p, here, chosen)
-            _find_contacts(state, e, p, here, moved, gap)
-            _settle(state, e, p, moved, gap, reward, parts)
+            _find_contacts(state, e, p, here, moved, gap, contact)
+            _settle(state, e, p, moved, gap, contact, reward, parts)
 
 
 @function
@@ -140,7 +144,11 @@ def _choose_human_velocities(state, e, p, here, agents, chosen, neighbors, lines
         dx, dy = goal[e, j, 0] - x, goal[e, j, 1] - y
         renew = dx * dx + dy * dy < radius[e, j] * radius[e, j]
         if change_time and not renew:
-            renew = rng.uniform(key, rng.GOAL_CHANGE, j, step, 0) < p.goal_change_probability
+            renew = rng.uniform(key, rng.GOAL_CHANGE, j, step, 0) < rng.uniform_between(
+                p.goal_change_probability,
+                p.goal_change_probability_max,
+                key, rng.HUMAN_TRAITS, j, 0, 2,
+            )  # fmt: skip
         old_x, old_y = goal[e, j, 0], goal[e, j, 1]
         if walks_along(key, j, p) and state.human_present[e, j - 1]:
             goal[e, j, 0], goal[e, j, 1] = old_x + led_x, old_y + led_y
@@ -233,15 +241,27 @@ def _move_humans(state, e, p, here, chosen):
 
 
 @function
-def _find_contacts(state, e, p, here, moved, gap):
-    """Collisions during the step, and `gap`: surface distance to the nearest human after it."""
+def _find_contacts(state, e, p, here, moved, gap, contact):
+    """Whom robots touch during the step, and how near they come.
+
+    Args:
+        state: the worlds.
+        e: which of them.
+        p: the scenario's parameters.
+        here: the humans who are present.
+        moved: [N, 2] displacements of the robots.
+        gap: [N], written: surface distance to the nearest human after the step.
+        contact: [N], written: 0, or whom it touches (HIT_*); a human comes first.
+    """
     position, arrived, collision = state.robot_position, state.arrived, state.collision
+    last_contact, clock = state.last_contact, state.clock[e]
     velocity, tally = state.robot_velocity, state.tally
     human_position, human_velocity = state.human_position, state.human_velocity
     human_radius = state.human_radius
+    people = human_radius.shape[1]
     dt, robot_radius, robots = p.time_step, p.robot_radius, moved.shape[0]
     for i in range(robots):
-        gap[i] = _FAR
+        gap[i], contact[i] = _FAR, 0
         if arrived[e, i]:  # parked: it hits nobody, and who walks into it does not count
             continue
         x, y, vx, vy = position[e, i, 0], position[e, i, 1], velocity[e, i, 0], velocity[e, i, 1]
@@ -260,20 +280,32 @@ def _find_contacts(state, e, p, here, moved, gap):
             nearest = min(nearest, math.sqrt(dx * dx + dy * dy) - radii)
             soonest = time_to_collision(dx, dy, human_vx - vx, human_vy - vy, radii, soonest)
             if approach < _ZERO:
-                collision[e, i] = HIT_HUMAN
+                contact[i] = HIT_HUMAN
                 soonest = _ZERO
                 other_x, other_y = human_vx * dt, human_vy * dt
-                if comes_to_the_other(own_x, own_y, other_x, other_y, before_x, before_y, radii):
-                    tally[e, i, RAN_INTO] += _ONE
+                if last_contact[e, i, j] != clock:  # they did not touch in the step before
+                    tally[e, i, CONTACTS] += _ONE
+                    tally[e, i, RAN_INTO] += comes_to_the_other(
+                        own_x, own_y, other_x, other_y, before_x, before_y, radii
+                    )
+                last_contact[e, i, j] = clock + 1
         gap[i] = nearest
         tally[e, i, CLOSEST_HUMAN], tally[e, i, SOONEST_COLLISION] = closest, soonest
         for k in range(robots):
-            if k == i or collision[e, i] != 0:
+            if k == i:
                 continue
             dx, dy = position[e, k, 0] - x, position[e, k, 1] - y
             before_x, before_y = dx - moved[k, 0] + moved[i, 0], dy - moved[k, 1] + moved[i, 1]
             if closest_approach(before_x, before_y, dx, dy) < robot_radius + robot_radius:
-                collision[e, i] = HIT_ROBOT
+                if contact[i] == 0:
+                    contact[i] = HIT_ROBOT
+                if last_contact[e, i, people + k] != clock:
+                    tally[e, i, CONTACTS] += _ONE if arrived[e, k] else _HALF
+                last_contact[e, i, people + k] = clock + 1
+        if collision[e, i] == 0:
+            collision[e, i] = contact[i]
+        if nearest < COMFORT_ZONE:
+            tally[e, i, COMFORT_STEPS] += _ONE
         if nearest < PERSONAL_SPACE:
             tally[e, i, CLOSE_STEPS] += _ONE
         elif nearest < SOCIAL_SPACE:
@@ -283,35 +315,35 @@ def _find_contacts(state, e, p, here, moved, gap):
 
 
 @function
-def _settle(state, e, p, moved, gap, reward, parts):
+def _settle(state, e, p, moved, gap, contact, reward, parts):
     """Arrival, the end of the episode, and the reward of the step that led here."""
-    position, goal = state.robot_position, state.robot_goal
-    arrived, collision = state.arrived, state.collision
+    position, goal, arrived = state.robot_position, state.robot_goal, state.arrived
     state.clock[e] += 1
     collided = False
     newly_arrived = 0
     all_arrived = True
     for i in range(moved.shape[0]):
-        hit = collision[e, i] != 0
+        ends = contact[i] != 0 and p.collisions_end
         dx, dy = goal[e, i, 0] - position[e, i, 0], goal[e, i, 1] - position[e, i, 1]
-        reached = not hit and math.sqrt(dx * dx + dy * dy) < p.robot_radius
+        reached = not ends and math.sqrt(dx * dx + dy * dy) < p.robot_radius
         newly_arrived += not arrived[e, i] and reached
         all_arrived = all_arrived and (arrived[e, i] or reached)
-        collided = collided or hit
+        collided = collided or ends
     team_arrived = all_arrived and newly_arrived > 0
     for i in range(moved.shape[0]):
-        hit, driving = collision[e, i] != 0, not arrived[e, i]
+        hit, driving = contact[i] != 0, not arrived[e, i]
         dx, dy = goal[e, i, 0] - position[e, i, 0], goal[e, i, 1] - position[e, i, 1]
         distance = math.sqrt(dx * dx + dy * dy)
         dx, dy = dx + moved[i, 0], dy + moved[i, 1]
         progress = math.sqrt(dx * dx + dy * dy) - distance
-        reached = driving and not hit and distance < p.robot_radius
-        nearer, arrival, team, crash, discomfort = step_reward_parts(
-            hit, reached, team_arrived, driving, gap[i], progress, p
+        reached = driving and not (hit and p.collisions_end) and distance < p.robot_radius
+        nearer, arrival, team, crash, discomfort, far, late = step_reward_parts(
+            hit, reached, team_arrived, driving, gap[i], progress, distance, p
         )
         parts[0, e, i], parts[1, e, i], parts[2, e, i] = nearer, arrival, team
         parts[3, e, i], parts[4, e, i] = crash, discomfort
-        reward[e, i] = nearer + arrival + team + crash + discomfort
+        parts[5, e, i], parts[6, e, i] = far, late
+        reward[e, i] = nearer + arrival + team + crash + discomfort + far + late
         arrived[e, i] = arrived[e, i] or reached
     state.terminated[e] = collided or all_arrived
     state.truncated[e] = not state.terminated[e] and state.clock[e] >= p.time_limit_steps

@@ -16,6 +16,9 @@ TALLY = (
     "heading_change",  # sum of the turns to either side
     "soonest_collision",  # smallest time to one with a human after a step, s; inf: none
     "ran_into",  # humans it hit that did not come to it faster than it to them
+    "contacts",  # how often it began to touch somebody; half for each of two robots that drive
+    "comfort_steps",  # that ended within 0.25 m of the nearest human
 )
 PATH_LENGTH, CLOSEST_HUMAN, DRIVEN_STEPS, CLOSE_STEPS, PERSONAL_STEPS, SOCIAL_STEPS = range(6)
 STANDING_STEPS, JERK_SUM, HEADING_CHANGE, SOONEST_COLLISION, RAN_INTO = range(6, 11)
+CONTACTS, COMFORT_STEPS = range(11, 13)

@@ -1,0 +1,121 @@
+"""`samarl-predictor`: train the predictor of people, and measure it beside constant velocity."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from omegaconf import MISSING, DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from mrsan import ConfigurationError, Scenario, Split
+from mrsan.prediction import find_predictor
+from mrsan.scenario import check_numbers, number
+from samarl.commands.cli import command_line, run_command
+from samarl.configuration import scenario_of
+from samarl.files import check_writable, code_version, write_atomically, write_json
+from samarl.prediction.training import Training
+
+if TYPE_CHECKING:
+    from samarl.prediction.windows import Windows
+
+WEIGHTS = "recurrent.safetensors"
+
+
+@dataclass
+class Predictor:
+    """Schema of `conf/predictor.yaml`."""
+
+    predictor: str | None = None
+    training: Any = MISSING
+    crowds: dict[str, Any] = field(default_factory=dict)
+    validation_cases: int = number(MISSING, 1, 10**6)
+    shown_steps: int = number(MISSING, 1, 200)
+    recordings: str | None = None
+    frame_seconds: dict[str, float] = field(default_factory=dict)
+    output: str = MISSING
+    plugins: list[str] = field(default_factory=list)
+
+
+def main() -> None:
+    """Entry point."""
+    run_command(predictor, "predictor", predictor_schema=Predictor)
+
+
+def predictor(config: DictConfig) -> None:
+    """Train, unless `predictor` names one; measure; write the weights and the table."""
+    from samarl.prediction.learner import Learner, save_predictor
+    from samarl.prediction.table import errors, page
+    from samarl.prediction.windows import watch, watch_recording
+
+    training = _training(config.training)
+    numbers = Predictor(validation_cases=config.validation_cases, shown_steps=config.shown_steps)
+    check_numbers(numbers, "predictor")
+    if config.shown_steps > training.steps:
+        raise ConfigurationError(
+            f"shown_steps is {config.shown_steps}; it must be at most training.steps "
+            f"({training.steps})"
+        )
+    crowds = {str(name): scenario_of(crowd, "crowds") for name, crowd in config.crowds.items()}
+    if not crowds:
+        raise ConfigurationError("crowds is empty; name at least one")
+    time_step = next(iter(crowds.values())).time_step
+    output = Path(config.output)
+    check_writable(output / WEIGHTS, "output")
+    made: dict[str, Any] = {
+        "command": command_line("samarl-predictor"), "commit": code_version(),
+    }  # fmt: skip
+    cases = Split.validation.case(0) + np.arange(config.validation_cases, dtype=np.int64)
+    measured: dict[str, Windows] = {
+        name: watch(scenario, cases, training) for name, scenario in crowds.items()
+    }
+    for path, frame_seconds in _recordings(config).items():
+        measured[path.stem] = watch_recording(path, frame_seconds, time_step, training)
+    if config.predictor is not None:
+        found = find_predictor(config.predictor, time_step)
+        result = made | {"errors": errors(found, measured, config.shown_steps)}
+    else:
+        learner = Learner(training, crowds, output / "training.safetensors")
+        if learner.round:
+            print(f"going on at round {learner.round} of {training.rounds}")
+        learner.learn()
+        learned = learner.predictor()
+        result = made | {"errors": errors(learned, measured, config.shown_steps)}
+        plain = {
+            "training": asdict(training),
+            "crowds": OmegaConf.to_container(config.crowds, enum_to_str=True),
+        }
+        save_predictor(output / WEIGHTS, learned, result | plain)
+    write_json(output / "prediction.json", result)
+    text = page(result, time_step)
+    write_atomically(output / "prediction.md", text)
+    print(text)
+    print(f"written to {output}")
+
+
+def _training(config: DictConfig) -> Training:
+    try:
+        training = OmegaConf.to_object(OmegaConf.merge(OmegaConf.structured(Training), config))
+    except OmegaConfBaseException as error:
+        raise ConfigurationError(f"training: {str(error).splitlines()[0]}") from error
+    assert isinstance(training, Training)
+    return training
+
+
+def _recordings(config: DictConfig) -> dict[Path, float]:
+    """The recordings in a folder, each with the time from one frame number to the next, s."""
+    if config.recordings is None:
+        return {}
+    files = sorted(Path(config.recordings).glob("*.txt"))
+    if not files:
+        raise ConfigurationError(
+            f"recordings is {config.recordings!r}; it must be a folder with *.txt files in it"
+        )
+    default = Scenario().frame_seconds
+    return {file: config.frame_seconds.get(file.stem, default) for file in files}
+
+
+if __name__ == "__main__":
+    main()

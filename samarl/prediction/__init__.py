@@ -1,0 +1,1 @@
+"""Training and measuring the predictor of people that the simulator runs (`mrsan.prediction`)."""

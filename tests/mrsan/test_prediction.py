@@ -1,0 +1,214 @@
+"""Predicting people: by hand, by symmetry, against plain Python, and files that are wrong."""
+
+import hashlib
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from safetensors.numpy import save
+
+from mrsan import ConfigurationError
+from mrsan.prediction import (
+    FORMAT,
+    PREDICTORS,
+    SHIPPED,
+    ConstantVelocity,
+    RecurrentPredictor,
+    find_predictor,
+    own_frame,
+    shapes,
+)
+
+H, K, DT, HIDDEN = 6, 7, 0.25, 5
+People = tuple[np.ndarray, np.ndarray, np.ndarray]
+
+
+def weights(scale: float = 0.5) -> dict[str, np.ndarray]:
+    rng = np.random.default_rng(1)
+    return {
+        name: rng.normal(0, scale, shape).astype(np.float32)
+        for name, shape in shapes(HIDDEN).items()
+    }
+
+
+NETWORK = RecurrentPredictor(weights(), H, DT)
+
+
+def walks(worlds: int = 5, people: int = 4) -> People:
+    """People who walk at random, some of whom came into view lately."""
+    rng = np.random.default_rng(0)
+    velocity = np.cumsum(rng.normal(0, 0.4, (worlds, people, H, 2)), 2)
+    past = (rng.normal(0, 5, (worlds, people, 1, 2)) + np.cumsum(DT * velocity, 2)).astype("f4")
+    known = np.arange(H) >= rng.integers(0, H, (worlds, people, 1))
+    return past, known, velocity[..., -1, :].astype(np.float32)
+
+
+def test_constant_velocity_by_hand() -> None:
+    past = np.array([[[[9, 9], [1, 2]]]], np.float32)
+    found = ConstantVelocity(DT).predict(
+        past, np.ones((1, 1, 2), bool), np.array([[[1, -2]]], np.float32), 3
+    )
+    np.testing.assert_array_equal(found, [[[[1.25, 1.5], [1.5, 1.0], [1.75, 0.5]]]])
+
+
+def test_weights_of_zero_are_constant_velocity_to_the_bit() -> None:
+    zero = RecurrentPredictor(weights(0.0), H, DT)
+    people = walks()
+    np.testing.assert_array_equal(
+        zero.predict(*people, K), ConstantVelocity(DT).predict(*people, K)
+    )
+    assert np.abs(NETWORK.predict(*people, K) - zero.predict(*people, K)).max() > 0.1
+
+
+@pytest.mark.parametrize("angle", [0.3, 2.0, -1.2])
+def test_it_turns_and_moves_with_the_world(angle: float) -> None:
+    cos, sin = np.cos(angle), np.sin(angle)
+    turn = np.array([[cos, sin], [-sin, cos]], np.float32)
+    past, known, velocity = walks()
+    moved = past @ turn + np.float32(3), known, velocity @ turn
+    found = NETWORK.predict(past, known, velocity, K) @ turn + np.float32(3)
+    np.testing.assert_allclose(NETWORK.predict(*moved, K), found, atol=1e-4)
+
+
+def test_who_never_moved_is_expected_to_stay() -> None:
+    past = np.ones((1, 1, H, 2), np.float32)
+    found = NETWORK.predict(past, np.ones((1, 1, H), bool), np.zeros((1, 1, 2), np.float32), K)
+    np.testing.assert_array_equal(found, np.ones((1, 1, K, 2)))
+
+
+def test_who_stops_is_predicted_in_the_direction_of_before() -> None:
+    """Who walked along y and now stands: ahead is y."""
+    past = np.zeros((1, 1, H, 2), np.float32)
+    past[..., 1] = np.minimum(np.arange(H), H - 2) * DT
+    ahead = own_frame(past, np.ones((1, 1, H), bool), np.zeros((1, 1, 2), "f4"), np.float32(DT))[2]
+    np.testing.assert_array_equal(ahead, [[[0, 1]]])
+
+
+def test_what_is_not_known_does_not_matter_by_one_bit() -> None:
+    past, known, velocity = walks()
+    known[..., -1] = True
+    other = np.where(known[..., None], past, np.float32(77))
+    assert (other != past).any()
+    found = NETWORK.predict(past, known, velocity, K)
+    np.testing.assert_array_equal(NETWORK.predict(other, known, velocity, K), found)
+
+
+def test_alone_or_among_others_it_is_the_same_to_the_bit() -> None:
+    past, known, velocity = walks(worlds=300)
+    found = NETWORK.predict(past, known, velocity, K)
+    for rows in (slice(0, 1), slice(17, 40)):
+        some = NETWORK.predict(past[rows], known[rows], velocity[rows], K)
+        np.testing.assert_array_equal(some, found[rows])
+    one = NETWORK.predict(past[3, 2], known[3, 2], velocity[3, 2], K)
+    np.testing.assert_array_equal(one, found[3, 2])
+
+
+def read(w: dict[str, np.ndarray], hidden: list[float], x: float, y: float) -> list[float]:
+    """A gated recurrent unit in plain Python."""
+
+    def squash(a: float) -> float:
+        return a / (1 + abs(a))
+
+    def inputs(o: int) -> float:
+        return float(w["bias"][o] + w["w_input"][0, o] * x + w["w_input"][1, o] * y)
+
+    def before(o: int) -> float:
+        return sum(float(w["w_hidden"][i, o]) * hidden[i] for i in range(HIDDEN))
+
+    new = []
+    for i in range(HIDDEN):
+        update = 0.5 + 0.5 * squash(inputs(i) + before(i))
+        reset = 0.5 + 0.5 * squash(inputs(HIDDEN + i) + before(HIDDEN + i))
+        candidate = squash(inputs(2 * HIDDEN + i) + reset * before(2 * HIDDEN + i))
+        new.append((1 - update) * candidate + update * hidden[i])
+    return new
+
+
+def test_the_network_agrees_with_plain_python() -> None:
+    w, (past, known, velocity) = weights(), walks(worlds=1)
+    found = NETWORK.predict(past, known, velocity, K)[0]
+    for j in range(len(found)):
+        angle = np.arctan2(velocity[0, j, 1], velocity[0, j, 0])
+        cos, sin = np.cos(angle), np.sin(angle)
+        hidden = [0.0] * HIDDEN
+        for t in range(1, H):
+            v = velocity[0, j] if t == H - 1 else (past[0, j, t] - past[0, j, t - 1]) / DT
+            if t == H - 1 or (known[0, j, t] and known[0, j, t - 1]):
+                hidden = read(w, hidden, cos * v[0] + sin * v[1], cos * v[1] - sin * v[0])
+        speed, added = float(np.hypot(*velocity[0, j])), np.zeros(2)
+        place = np.zeros(2)
+        for k in range(K):
+            if k > 0:
+                hidden = read(w, hidden, speed + added[0], added[1])
+            added = added + np.array(hidden) @ w["w_output"]
+            place = place + DT * (added + np.array([speed, 0.0]))
+            expected = past[0, j, -1] + [
+                cos * place[0] - sin * place[1], sin * place[0] + cos * place[1]
+            ]  # fmt: skip
+            np.testing.assert_allclose(found[j, k], expected, atol=2e-5)
+
+
+@pytest.mark.parametrize(
+    "name", [*PREDICTORS, *(path.stem for path in SHIPPED.glob("*.safetensors"))]
+)
+def test_every_predictor_does_what_the_interface_says(name: str) -> None:
+    predictor = find_predictor(name, DT)
+    past, known, velocity = walks()
+    past = np.repeat(past, predictor.history, 2)[:, :, -predictor.history :]
+    known = np.repeat(known, predictor.history, 2)[:, :, -predictor.history :]
+    found = predictor.predict(past, known, velocity, K)
+    assert found.shape == (5, 4, K, 2)
+    assert found.dtype == np.float32
+    assert np.isfinite(found).all()
+    np.testing.assert_array_equal(predictor.predict(past, known, velocity, K), found)
+    assert predictor.predict(past[:, :0], known[:, :0], velocity[:, :0], K).shape == (5, 0, K, 2)
+
+
+def written(folder: Path, content: bytes, **card: object) -> str:
+    path = folder / "mine.safetensors"
+    path.write_bytes(content)
+    known = {"format": FORMAT, "history": H, "time_step": DT, "made": {}}
+    digest = hashlib.sha256(content).hexdigest()
+    path.with_suffix(".json").write_text(json.dumps(known | {"sha256": digest} | card))
+    return str(path)
+
+
+def test_a_file_is_what_was_written(tmp_path: Path) -> None:
+    found = find_predictor(written(tmp_path, save(weights())), DT)
+    assert found.history == H
+    np.testing.assert_array_equal(found.predict(*walks(), K), NETWORK.predict(*walks(), K))
+
+
+def test_what_is_wrong_with_a_file_is_said_in_one_line(tmp_path: Path) -> None:
+    good = save(weights())
+    unlike = save(weights() | {"bias": np.zeros(4, np.float32)})
+    endless = save(weights() | {"bias": np.full(3 * HIDDEN, np.nan, np.float32)})
+    for content, card, message in (
+        (good, {"time_step": 0.1}, "predicts in steps of 0.1 s; scenario.time_step is 0.25"),
+        (good, {"format": 7}, "has format 7; it must be 1"),
+        (good, {"sha256": "0"}, "is damaged"),
+        (good, {"history": "many"}, "is not the card of a predictor"),
+        (b"nonsense", {}, "is no file of weights"),
+        (unlike, {}, "has weights .*; they must be"),
+        (endless, {}, "no finite numbers"),
+    ):
+        name = written(tmp_path, content, **card)
+        with pytest.raises(ConfigurationError, match=f"my.field: .*{message}") as caught:
+            find_predictor(name, DT, "my.field")
+        assert len(str(caught.value).splitlines()) == 1
+    (tmp_path / "mine.json").unlink()
+    with pytest.raises(ConfigurationError, match=r"mine\.json cannot be read"):
+        find_predictor(name, DT)
+    with pytest.raises(
+        ConfigurationError, match=r"predictor is 'x'; .* constant_velocity, recurrent"
+    ):
+        find_predictor("x", DT)
+
+
+def test_the_simulator_does_not_load_torch() -> None:
+    code = "import sys, mrsan; mrsan.World(mrsan.Scenario()); print('torch' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "False"

@@ -1,0 +1,278 @@
+"""The predictor of people: how it learns, what it is worth, and the shield that uses it."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from safetensors.numpy import save
+
+from mrsan import ConfigurationError, Crowd, Scenario, Split, World
+from mrsan.prediction import PREDICTORS, ConstantVelocity, find_predictor, own_frame
+from samarl.agents import build_agent
+from samarl.agents.shield import Shielded
+from samarl.configuration import load_agent
+from samarl.observations.tracker import Tracker
+from samarl.planning.foresight import Foresight
+from samarl.prediction.learner import Learner, Network, save_predictor
+from samarl.prediction.table import displacement
+from samarl.prediction.training import Training
+from samarl.prediction.windows import watch, watch_recording
+
+SMALL = Training(
+    hidden=6, history=5, steps=4, rounds=20, worlds=2, duration=20, batch=64,
+    learning_rate=0.01, max_gradient_norm=1.0, newly_seen=0.3, seed=3,
+)  # fmt: skip
+DT = 0.25
+
+
+def test_a_window_is_what_the_world_was() -> None:
+    """Among people who stand still everything is where it was."""
+    windows = watch(Scenario(crowd=Crowd.still, humans=3), np.arange(2), SMALL)
+    assert windows.past.shape == (6 * 6, 5, 2)  # from step 4 on every second one, to step 14
+    np.testing.assert_array_equal(windows.future, windows.past[:, :4])
+    assert not windows.velocity.any()
+    assert windows.known.all()
+
+
+def test_nobody_is_in_the_way_of_those_who_are_watched() -> None:
+    """The people of a case walk as they do when the robots of the benchmark stand aside."""
+    scenario = Scenario(humans=4)
+    windows = watch(scenario, np.arange(3), SMALL)
+    world = World(replace(scenario, robots=1), 3)
+    world.reset(np.arange(3))
+    world.state.robot_position[:] = 500.0
+    for _ in range(5):
+        world.step(np.zeros((3, 1, 3)))
+    now = world.state.human_position.reshape(-1, 2)
+    np.testing.assert_array_equal(windows.past[: len(now), -1], now)
+
+
+def test_a_recording_counts_only_where_people_were_seen(tmp_path: Path) -> None:
+    """A person who walks at 1 m/s and turns; others are seen once, long before and after."""
+    ways = [(20 + k, 1, 0.25 * min(k, 6), 0.25 * max(k - 6, 0)) for k in range(12)]
+    path = tmp_path / "people.txt"
+    path.write_text("\n".join(" ".join(map(str, row)) for row in ways) + "\n0 2 9 9\n60 3 9 9\n")
+    windows = watch_recording(path, 0.25, 0.25, SMALL)
+    assert len(windows.past) == 2  # of eleven moments with a velocity, at the fifth and seventh
+    np.testing.assert_allclose(windows.velocity[0], [1, 0], atol=1e-5)
+    np.testing.assert_allclose(windows.future[0] - windows.past[0, -1], [
+        [0.25, 0], [0.25, 0.25], [0.25, 0.5], [0.25, 0.75]], atol=1e-5)  # fmt: skip
+    with pytest.raises(
+        ConfigurationError, match=r"recordings: nobody in .* is there for 109 steps"
+    ):
+        watch_recording(path, 0.25, 0.25, replace(SMALL, steps=104, duration=200))
+
+
+def test_the_network_that_learns_is_the_one_that_runs() -> None:
+    torch.manual_seed(0)
+    network = Network(6)
+    torch.nn.init.normal_(network.w_output)
+    windows = watch(Scenario(), np.arange(4), SMALL)
+    known = windows.known & (np.arange(5) >= np.arange(len(windows.known))[:, None] % 5)
+    velocities, readable, ahead = own_frame(windows.past, known, windows.velocity, np.float32(DT))
+    aside = network(torch.from_numpy(velocities), torch.from_numpy(readable), 4, DT)
+    cos, sin = ahead[:, None, 0], ahead[:, None, 1]
+    x, y = aside.detach().numpy()[..., 0], aside.detach().numpy()[..., 1]
+    straight = ConstantVelocity(DT).predict(windows.past, known, windows.velocity, 4)
+    expected = straight + np.stack([cos * x - sin * y, sin * x + cos * y], -1)
+    found = network.predictor(5, DT).predict(windows.past, known, windows.velocity, 4)
+    np.testing.assert_allclose(found, expected, atol=1e-5)
+
+
+def test_it_learns_and_goes_on_where_it_was_interrupted(tmp_path: Path) -> None:
+    crowds = {"orca": Scenario(human_speed_max=1.5), "force": Scenario(crowd=Crowd.social_force)}
+    whole = Learner(SMALL, crowds, tmp_path / "whole.safetensors")
+    before = [weight.clone() for weight in whole.network.parameters()]
+    whole.learn()
+    half = Learner(SMALL, crowds, tmp_path / "half.safetensors")
+    for half.round in range(10):
+        half._one_round()
+    half._save()
+    again = Learner(SMALL, crowds, tmp_path / "half.safetensors")
+    assert again.round == 10
+    again.learn()
+    for a, b, c in zip(whole.network.parameters(), again.network.parameters(), before, strict=True):
+        assert torch.equal(a, b)
+        assert not torch.equal(a, c)
+    assert Learner(SMALL, crowds, tmp_path / "whole.safetensors").round == 20
+    with pytest.raises(ConfigurationError, match=r"whole\.safetensors is of another training"):
+        Learner(replace(SMALL, seed=4), crowds, tmp_path / "whole.safetensors")
+    windows = watch(crowds["force"], Split.validation.case(0) + np.arange(20), SMALL)
+    plain = displacement(ConstantVelocity(DT), windows, 4)
+    assert displacement(again.predictor(), windows, 4)[-1] < plain[-1]
+
+
+def test_what_was_learned_is_saved_as_the_simulator_reads_it(tmp_path: Path) -> None:
+    torch.manual_seed(0)
+    network = Network(6)
+    torch.nn.init.normal_(network.w_output)
+    save_predictor(tmp_path / "mine.safetensors", network.predictor(5, DT), {"command": "mine"})
+    found = find_predictor(str(tmp_path / "mine.safetensors"), DT)
+    windows = watch(Scenario(), np.arange(4), SMALL)
+    assert displacement(found, windows, 4) == displacement(network.predictor(5, DT), windows, 4)
+    assert json.loads((tmp_path / "mine.json").read_text())["made"] == {"command": "mine"}
+
+
+@pytest.mark.parametrize(
+    ("crowd", "gain"), [(Scenario(), 0.05), (Scenario(crowd=Crowd.social_force), 0.1)]
+)
+def test_the_shipped_predictor_is_better_than_constant_velocity(
+    crowd: Scenario, gain: float
+) -> None:
+    """In cases that it was neither trained nor measured on, after five steps."""
+    cases = Split.validation.case(5000) + np.arange(30)
+    windows = watch(crowd, cases, replace(SMALL, history=8, steps=5, duration=60))
+    plain = displacement(ConstantVelocity(DT), windows, 5)[-1]
+    assert displacement(find_predictor("recurrent", DT), windows, 5)[-1] < (1 - gain) * plain
+
+
+SCENARIO = Scenario(robots=3, humans=16, fov_degrees=200.0)
+
+
+def driven(shield: object, scenario: Scenario = SCENARIO) -> tuple[list[np.ndarray], Shielded]:
+    """What the blind walk straight ahead does under a shield."""
+    agent = build_agent({**load_agent("straight"), "shield": shield}, scenario)
+    assert isinstance(agent, Shielded)
+    world, actions = World(scenario, 20), []
+    observation = world.reset(Split.validation.case(0) + np.arange(20))
+    for _ in range(50):
+        actions.append(agent.act(observation))
+        observation = world.step(actions[-1]).observation
+    return actions, agent
+
+
+def test_the_shield_with_constant_velocity_is_the_shield(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """To the bit: as by default, through the interface of predictors, with weights of zero."""
+    expected, _ = driven(True)
+    save_predictor(tmp_path / "zero.safetensors", Network(4).predictor(8, DT), {})
+    monkeypatch.setitem(PREDICTORS, "straight", ConstantVelocity)
+    names = ("constant_velocity", "straight", str(tmp_path / "zero.safetensors"))
+    for name in names:
+        found, agent = driven({"predictor": name})
+        assert (agent._foresight is None) == (name == "constant_velocity")
+        np.testing.assert_array_equal(found, expected)
+    assert any((a != b).any() for a, b in zip(driven({"predictor": "recurrent"})[0], expected,
+                                              strict=True))  # fmt: skip
+
+
+def test_a_predictor_that_does_not_fit_is_named() -> None:
+    for scenario, name, message in (
+        (SCENARIO, "crystal_ball", "agent.shield.predictor is 'crystal_ball'; it must be"),
+        (replace(SCENARIO, time_step=0.1), "recurrent", "predicts in steps of 0.25 s"),
+    ):
+        with pytest.raises(ConfigurationError, match=message):
+            build_agent({**load_agent("straight"), "shield": {"predictor": name}}, scenario)
+
+
+class Sideways(ConstantVelocity):
+    """Everybody goes to the world's +y as well, at 1 m/s."""
+
+    history = 3
+
+    def predict(self, past, known, velocity, steps):  # type: ignore[no-untyped-def]
+        self.asked = past.copy(), known.copy()
+        found = super().predict(past, known, velocity, steps)
+        found[..., 1] += DT * np.arange(1, steps + 1, dtype=np.float32)
+        return found
+
+
+def test_what_is_foreseen_is_in_the_body_frame_and_of_those_in_view() -> None:
+    scenario = Scenario(robots=2, humans=6, fov_degrees=180.0)
+    world, foresight = World(scenario, 4), Foresight(Sideways(DT), 5)
+    tracker = Tracker(24, DT)
+    memory = tracker.initial(4, 2, 6)
+    foresight.begin(4, 2, 6)
+    observation, is_init = world.reset(np.arange(4)), np.ones(4, np.bool_)
+    for t in range(6):
+        tracker.update(observation, memory, is_init)
+        aside = foresight.update(observation.ego, memory, is_init)
+        seen, is_init = observation.humans_visible, np.zeros(4, np.bool_)
+        heading = world.state.robot_heading[:, :, None, None]
+        along = DT * np.arange(6) * np.stack([np.sin(heading), np.cos(heading)])
+        expected = np.where(seen[..., None, None], np.moveaxis(along, 0, -1), 0.0)
+        np.testing.assert_allclose(aside, expected, atol=1e-5)
+        past, known = foresight.predictor.asked
+        np.testing.assert_array_equal(known[..., -1], seen)
+        places = np.broadcast_to(world.state.human_position[:, None], (4, 2, 6, 2))
+        np.testing.assert_allclose(past[..., -1, :][seen], places[seen], atol=1e-4)
+        assert not known[..., : max(2 - t, 0)].any()
+        observation = world.step(np.full((4, 2, 3), 0.3)).observation
+    assert 0 < seen.sum() < seen.size
+
+
+def test_a_shield_that_foresees_a_turn_acts_on_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Somebody walks past beside the robot; foreseen to turn into it, it is avoided."""
+    monkeypatch.setitem(PREDICTORS, "sideways", Sideways)
+    scenario = Scenario(robots=1, humans=1)
+    acted = {}
+    for name in ("constant_velocity", "sideways"):
+        world = World(scenario)
+        world.reset([0])
+        state = world.state
+        state.robot_position[0, 0], state.robot_goal[0, 0] = (0, 0), (8, 0)
+        state.robot_heading[0, 0], state.robot_velocity[0, 0] = 0, (1, 0)
+        state.human_position[0, 0], state.human_velocity[0, 0] = (0.0, -0.7), (1, 0)
+        state.human_radius[0, 0] = 0.3
+        agent = build_agent({**load_agent("straight"), "shield": {"predictor": name}}, scenario)
+        action = agent.act(world.observe())
+        explanation = agent.explain()
+        assert explanation is not None
+        acted[name] = bool(explanation.shielded[0, 0])
+        assert np.isfinite(action).all()
+    assert acted == {"constant_velocity": False, "sideways": True}
+
+
+def test_the_command_trains_measures_and_says_what_is_wrong(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from samarl.commands import predictor as command
+
+    small = [
+        "training.rounds=2", "training.worlds=2", "training.duration=20", "training.hidden=4",
+        "validation_cases=2", "output=mine",
+    ]  # fmt: skip
+    recordings = tmp_path / "recordings"
+    recordings.mkdir()
+    rows = [(k, 1, 0.3 * k, 0.0) for k in range(60)]
+    (recordings / "street.txt").write_text("\n".join(" ".join(map(str, row)) for row in rows))
+    (recordings / "street.safetensors").write_bytes(save({}))
+    monkeypatch.chdir(tmp_path)
+
+    def said(*words: str) -> str:
+        monkeypatch.setattr("sys.argv", ["samarl-predictor", *small, *words])
+        command.main()
+        return capsys.readouterr().out
+
+    assert "| street" in said("recordings=recordings", "+frame_seconds.street=0.25")
+    made = json.loads((tmp_path / "mine/recurrent.json").read_text())["made"]
+    assert set(made["errors"]) == {"orca", "social_force", "mixed", "street"}
+    assert made["errors"]["street"]["constant_velocity"] == pytest.approx([0.0] * 5, abs=1e-4)
+    assert made["command"].startswith("samarl-predictor training.rounds=2")
+    result = json.loads((tmp_path / "mine/prediction.json").read_text())
+    assert result["errors"] == made["errors"]
+    said("recordings=recordings", "+frame_seconds.street=0.25",
+         "predictor=mine/recurrent.safetensors", "output=again")  # fmt: skip
+    again = json.loads((tmp_path / "again/prediction.json").read_text())
+    assert again["errors"] == result["errors"]
+    assert sorted(path.name for path in (tmp_path / "again").iterdir()) == [
+        "prediction.json", "prediction.md",
+    ]  # fmt: skip
+    for words, message in (
+        (["shown_steps=9"], "shown_steps is 9; it must be at most training.steps (8)"),
+        (["training.duration=10"], "training.duration is 10; it must be at least"),
+        (["training.hidden=0"], "training.hidden is 0; it must be a whole number in [1, 1024]"),
+        (["recordings=nowhere"], "recordings is 'nowhere'; it must be a folder with *.txt files"),
+        (["predictor=nobody"], "predictor is 'nobody'; it must be a .safetensors file or one of"),
+        (["+crowds.orca.walls=3"], "error: walls is not known; it must be one of arena_radius"),
+    ):
+        with pytest.raises(SystemExit) as stopped:
+            said(*words)
+        error = capsys.readouterr().err.strip()
+        assert stopped.value.code == 2
+        assert message in error
+        assert len(error.splitlines()) == 1

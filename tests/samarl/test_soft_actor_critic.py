@@ -1,0 +1,434 @@
+"""Soft actor-critic: its targets, its critics, what padding must not touch, and that it learns."""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from tensordict import TensorDict
+from torch import Tensor
+from torch.utils._pytree import tree_flatten, tree_unflatten
+
+from mrsan import ConfigurationError, Kinematics, Scenario, World
+from samarl.agents.learned import Deployed, Learned
+from samarl.algorithms import ALGORITHMS
+from samarl.algorithms.action_values import AttentionCritic, ConcatenationCritic
+from samarl.algorithms.soft_actor_critic import SoftActorCritic, features, sequences_of
+from samarl.encoders.temporal_spatial_graph import towards
+from samarl.policies.checkpoint import make_policy, save_policy
+from samarl.policies.squashed import SquashedLevel, SquashedPolicy, log_slope
+from samarl.rollout import Rollout
+from samarl.training.collector import RolloutCollector
+from samarl.training.curriculum import CurriculumStage
+from tests.learning import SOFT_NUMBERS, policy_numbers
+
+SCENARIO = Scenario(
+    kinematics=Kinematics.holonomic, robots=3, humans=4, time_limit=3.0, circle_radius=4.0
+)
+
+
+def squashed(
+    action_size: int = 2, encoder: str = "temporal_spatial_graph", **changes: Any
+) -> SquashedPolicy:
+    torch.manual_seed(0)
+    numbers = policy_numbers("squashed", encoder, **changes)
+    made = make_policy(numbers.pop("name"), numbers, action_size)
+    assert isinstance(made, SquashedPolicy)
+    return made
+
+
+def learner(of: SquashedPolicy, **changes: Any) -> SoftActorCritic:
+    numbers = {"name": "soft_actor_critic", **SOFT_NUMBERS, **changes}
+    made = ALGORITHMS["soft_actor_critic"].made(of, ALGORITHMS.config(numbers))
+    assert isinstance(made, SoftActorCritic)
+    return made
+
+
+def collected(of: SquashedPolicy, rounds: int = 3, **stage: Any) -> Rollout:
+    """A rollout of crowded worlds, in the middle of episodes."""
+    stage = {"scenario": SCENARIO, **stage}
+    going = RolloutCollector(CurriculumStage(12, **stage), of, 10, 0, central=False)
+    for _ in range(rounds - 1):
+        going.collect()
+    return going.collect()
+
+
+# The policy
+
+
+def test_what_drives_is_squashed_and_so_is_its_density() -> None:
+    """The density of tanh(x) is the Gaussian's over the slope, and sums to 1."""
+    policy = squashed()
+    y = torch.randn(5, 3, policy.networks[0].encoder.features)
+    action, log_prob = policy.draw(y.expand(4000, 5, 3, -1))
+    assert (action.abs() <= 1).all()
+    mean, std = policy.networks[0].heads["local"](y)
+    inside = action[:100].double().atanh()
+    normal = torch.distributions.Normal(mean.double(), std.double()).log_prob(inside).sum(-1)
+    expected = normal - (1.0 - action[:100].double().square()).log().sum(-1)
+    torch.testing.assert_close(log_prob[:100].double(), expected, atol=1e-3, rtol=0)
+    # The mean of 1 / density over the square that actions lie in is its area, 4.
+    assert (-log_prob).exp().mean().item() == pytest.approx(4.0, rel=0.05)
+
+
+def test_the_slope_is_exact_where_tanh_is_one() -> None:
+    x = torch.tensor([[0.0], [1.0], [-3.0], [15.0], [-40.0]], requires_grad=True)
+    expected = [math.log(1.0 - math.tanh(v) ** 2) for v in (0.0, 1.0, -3.0)]
+    expected += [2.0 * (math.log(2.0) - v) for v in (15.0, 40.0)]  # 4 exp(-2 |x|)
+    assert log_slope(x).tolist() == pytest.approx(expected, abs=1e-5)
+    log_slope(x).sum().backward()
+    assert x.grad is not None
+    torch.testing.assert_close(x.grad, -2.0 * x.tanh().detach())
+
+
+@pytest.mark.parametrize("action_size", [2, 3])
+def test_it_is_deployed_with_the_tanh_of_the_mean(action_size: int) -> None:
+    kinematics = {2: Kinematics.holonomic, 3: Kinematics.acceleration_heading}[action_size]
+    scenario = Scenario(kinematics=kinematics, robots=2, humans=3)
+    policy = squashed(action_size)
+    with torch.no_grad():
+        policy.networks[0].heads["local"].body[-1].bias[:action_size] = 3.0
+    world = World(scenario, 4)
+    action = Deployed(policy, scenario).act(world.reset([0, 1, 2, 3]))
+    assert action == pytest.approx(np.full((4, 2, action_size), math.tanh(3.0)), abs=0.01)
+    with pytest.raises(ConfigurationError, match=f"kinematics is .*this policy has {action_size}"):
+        squashed(action_size).check(
+            Scenario(
+                kinematics=Kinematics.holonomic if action_size == 3 else "acceleration_heading"
+            )  # type: ignore[arg-type]
+        )
+
+
+def test_its_card_says_which_robots_it_drives(tmp_path: Path) -> None:
+    """Holonomic robots and unicycles both take two numbers, which mean something else."""
+    made = {"configuration": {"stages": [{"kinematics": str(Kinematics.holonomic)}]}}
+    save_policy(tmp_path / "policy.safetensors", squashed(), "squashed", made)
+    agent = partial(Learned, checkpoint=str(tmp_path / "policy.safetensors"))
+    agent(Scenario(kinematics=Kinematics.holonomic))
+    with pytest.raises(ConfigurationError, match=r"is unicycle; .* drives holonomic"):
+        agent(Scenario(kinematics=Kinematics.unicycle))
+
+
+def test_a_squashed_level_is_saved_and_found_again() -> None:
+    level = SquashedLevel(torch.ones(2, 1, 2), torch.zeros(2, 1), torch.ones(2, 1))
+    leaves, structure = tree_flatten({"local": level})
+    assert len(leaves) == 3
+    again = tree_unflatten(leaves, structure)["local"]
+    assert again.bounded[0, 0].tolist() == pytest.approx([math.tanh(1.0)] * 2)
+
+
+def test_features_of_sequences_are_those_of_acting() -> None:
+    """With one set of parameters for each robot, and from the middle of episodes."""
+    policy = squashed(actors=3)
+    rollout = collected(policy)
+    batch = sequences_of(rollout, team=False)
+    y = features(policy, batch)
+    assert y.shape[:3] == (12, 11, 3)
+    parts = [net.heads["local"](y[:, :, i]) for i, net in enumerate(policy.networks)]
+    mean, std = (torch.stack(part, 2) for part in zip(*parts, strict=True))
+    at = rollout.steps["agents", "active_mask"]
+    inside = rollout.steps["agents", "action"]
+    normal = torch.distributions.Normal(mean, std).log_prob(inside).sum(-1)
+    stored = rollout.steps["agents", "sample_log_prob"]
+    torch.testing.assert_close((normal - log_slope(inside))[at], stored[at], atol=1e-4, rtol=0)
+    assert torch.equal(batch["action"], inside[:, :-1].tanh())
+
+
+def test_vectors_along_the_way_to_the_goal() -> None:
+    """The goal is to the left: what is to the left is ahead, what is ahead is to the right."""
+    direction = torch.tensor([0.0, 1.0])
+    assert towards(direction, torch.tensor([0.0, 2.0])).tolist() == [2.0, 0.0]
+    assert towards(direction, torch.tensor([3.0, 0.0])).tolist() == [0.0, -3.0]
+
+
+# The critics
+
+
+def test_attention_between_two_robots_by_hand() -> None:
+    torch.manual_seed(0)
+    critic = AttentionCritic(5, 2, 8, 2)
+    y, own, others = torch.randn(2, 5), torch.randn(2, 2), torch.randn(2, 2)
+    both, none = torch.ones(2, dtype=torch.bool), torch.zeros(2, dtype=torch.bool)
+    for active in (both, none):
+        found = critic(y, own, others, active)
+        for i, j in ((0, 1), (1, 0)):
+            of_self = critic.own(torch.cat([y[i], own[i]]))
+            told = critic.values(critic.other(torch.cat([y[j], others[j]])))  # a share of 1
+            expected = critic.out(torch.cat([told * active[j], of_self]))
+            torch.testing.assert_close(found[i], expected[0])
+
+
+def test_attention_among_many_by_hand() -> None:
+    """Head by head in plain sums; who has arrived does not count, and the others have no order."""
+    torch.manual_seed(0)
+    critic = AttentionCritic(5, 2, 8, 2)
+    y, own, others = torch.randn(4, 5), torch.randn(4, 2), torch.randn(4, 2)
+    active = torch.tensor([True, True, False, True])
+    q = critic(y, own, others, active)
+    of_self = critic.own(torch.cat([y, own], -1))
+    of_other = critic.other(torch.cat([y, others], -1))
+    asked, keys, values = critic.asks(of_self), critic.keys(of_other), critic.values(of_other)
+    for i in range(4):
+        rest, found = [j for j in (0, 1, 3) if j != i], torch.zeros(8)
+        for head in (slice(0, 4), slice(4, 8)):
+            weights = [((asked[i, head] @ keys[j, head]) / 2.0).exp() for j in rest]
+            told = sum(w * values[j, head] for w, j in zip(weights, rest, strict=True))
+            found[head] = told / sum(weights)
+        expected = critic.out(torch.cat([found, of_self[i]]))
+        torch.testing.assert_close(q[i], expected[0])
+    order = torch.tensor([3, 2, 0, 1])
+    mixed = critic(y[order], own[order], others[order], active[order])
+    torch.testing.assert_close(mixed, q[order])
+
+
+def test_concatenation_is_told_the_others_in_order() -> None:
+    torch.manual_seed(0)
+    critic = ConcatenationCritic(5, 2, 8, 3)
+    y, own, others = torch.randn(3, 5), torch.randn(3, 2), torch.randn(3, 2)
+    active = torch.tensor([True, False, True])
+    q = critic(y, own, others, active)
+    nobody = torch.zeros(7)
+    told = [torch.cat([y[j], others[j]]) if active[j] else nobody for j in range(3)]
+    for i, (j, k) in enumerate(((1, 2), (0, 2), (0, 1))):
+        expected = critic.out(torch.cat([y[i], own[i], told[j], told[k]]))
+        torch.testing.assert_close(q[i], expected[0])
+
+
+# What is learned from
+
+
+def batch_of(
+    active: list[list[list[bool]]], reward: list[list[list[float]]], done: list[list[bool]],
+    terminated: list[list[list[bool]]], team: bool,
+) -> TensorDict:  # fmt: skip
+    """Sequences [S, T + 1, N] as `sequences_of` makes them of a rollout with nobody in view."""
+    on_way = torch.tensor(active)
+    s, t, n = on_way.shape
+    scenario = Scenario(kinematics=Kinematics.holonomic, robots=n, humans=2)
+    policy = squashed()
+    going = RolloutCollector(CurriculumStage(s, scenario=scenario), policy, t - 1, 0, False)
+    rollout = going.collect()
+    steps = rollout.steps
+    steps["agents", "active_mask"] = on_way
+    steps["next", "agents", "reward"] = torch.tensor(reward)
+    steps["next", "agents", "team_reward"] = torch.zeros(s, t, n)
+    steps["next", "done"] = torch.tensor(done).unsqueeze(-1)
+    steps["next", "agents", "terminated"] = torch.tensor(terminated)
+    return sequences_of(rollout, team)
+
+
+o, x = True, False
+# Robot 0 arrives in step 1, robot 1 hits somebody in step 2, and an episode begins. In the second
+# sequence time is up in step 1; in the third robot 1 hits somebody while robot 0 is on its way.
+ACTIVE = [
+    [[o, o], [o, o], [x, o], [o, o]],
+    [[o, o], [o, o], [o, o], [o, o]],
+    [[o, o], [o, o], [o, o], [o, o]],
+]
+REWARD = [
+    [[1.0, 2.0], [10.0, 3.0], [0.0, -20.0], [0.0, 0.0]],
+    [[4.0, 5.0], [9.0, 9.0], [6.0, 7.0], [0.0, 0.0]],
+    [[9.0, 9.0], [8.0, 0.5], [9.0, -20.0], [0.0, 0.0]],
+]
+DONE = [[x, x, o, x], [x, o, x, x], [x, x, o, x]]
+TERMINATED = [
+    [[x, x], [x, x], [x, o], [x, x]],
+    [[x, x], [x, x], [x, x], [x, x]],
+    [[x, x], [x, x], [x, o], [x, x]],
+]
+
+
+def test_where_values_are_learned_and_where_they_end() -> None:
+    alone = batch_of(ACTIVE, REWARD, DONE, TERMINATED, team=False)
+    assert alone["valued"].tolist() == alone["acts"].tolist()
+    assert alone["acts"].tolist() == [
+        [[o, o], [o, o], [x, o]], [[o, o], [x, x], [o, o]], [[o, o], [o, o], [x, o]]
+    ]  # fmt: skip
+    assert alone["going"][alone["acts"]].tolist() == [
+        o, o, x, o, x, o, o, o, o, o, o, o, o, x
+    ]  # fmt: skip
+    assert alone["reward"].tolist() == [row[:3] for row in REWARD]
+    team = batch_of(ACTIVE, REWARD, DONE, TERMINATED, team=True)
+    # Robot 0 waits in the last step of the first sequence, and is paid as robot 1 is.
+    assert team["valued"].tolist() == [
+        [[o, o], [o, o], [o, o]], [[o, o], [x, x], [o, o]], [[o, o], [o, o], [o, o]]
+    ]  # fmt: skip
+    assert team["acts"].tolist() == [
+        [[o, o], [o, o], [x, o]], [[o, o], [x, x], [o, o]], [[o, o], [o, o], [o, o]]
+    ]  # fmt: skip
+    ends = ~team["going"]
+    assert ends.nonzero().tolist() == [[0, 2, 0], [0, 2, 1], [2, 2, 0], [2, 2, 1]]
+    assert team["reward"][0].tolist() == [[3.0, 3.0], [13.0, 13.0], [-20.0, -20.0]]
+
+
+@pytest.mark.parametrize("team", [True, False])
+def test_targets_by_hand(team: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Sums in plain Python, of critics whose values are known and of draws that are known."""
+    batch = batch_of(ACTIVE, REWARD, DONE, TERMINATED, team)
+    policy = squashed()
+    algorithm = learner(policy, team_reward=team, discount=0.9, temperature_start=0.5)
+    seen: list[Tensor] = []
+
+    def known(offset: float) -> Any:
+        class Known(torch.nn.Module):
+            def forward(self, y: Tensor, own: Tensor, others: Tensor, active: Tensor) -> Tensor:
+                seen.append(own)
+                return offset + 10.0 * own.sum(-1) + active.sum(-1, keepdim=True)
+
+        return Known()
+
+    algorithm.target_critics = torch.nn.ModuleList([known(100.0), known(99.0)])
+    drawn = torch.arange(3 * 3 * 2, dtype=torch.float32).view(3, 3, 2) / 20.0
+    monkeypatch.setattr(
+        policy, "draw", lambda y: (torch.stack([drawn, 0 * drawn], -1), -1.0 - drawn)
+    )
+    found = algorithm.targets(batch, features(policy, batch)[:, 1:])
+    assert (seen[0][0, 1, 0] == 0.0).all()  # it has arrived, and does nothing more
+    for s in range(3):
+        for t in range(3):
+            for i in range(2):
+                if not batch["valued"][s, t, i]:
+                    continue
+                paid = sum(REWARD[s][t]) if team else REWARD[s][t][i]
+                on_way = ACTIVE[s][t + 1][i]
+                over = DONE[s][t] or (not team and not on_way)
+                q = 99.0 + 10.0 * float(drawn[s, t, i]) * on_way + sum(ACTIVE[s][t + 1])
+                soft = q + 0.5 * (1.0 + float(drawn[s, t, i])) * on_way
+                expected = paid + (0.0 if over else 0.9 * soft)
+                assert float(found[s, t, i]) == pytest.approx(expected, rel=1e-5)
+
+
+def losses(algorithm: SoftActorCritic, batch: TensorDict) -> list[Tensor]:
+    """The gradients of all weights, of both losses."""
+    torch.manual_seed(5)
+    algorithm.zero_grad()
+    algorithm.policy.zero_grad()
+    y = features(algorithm.policy, batch)
+    now, later = y[:, :-1], y[:, 1:].detach()
+    loss, _ = algorithm.critic_loss(batch, now, algorithm.targets(batch, later))
+    loss.backward()
+    of_critics = [p.grad.clone() for p in algorithm.valuing if p.grad is not None]
+    loss, _ = algorithm.actor_loss(batch, now.detach())
+    loss.backward()
+    return of_critics + [p.grad.clone() for p in algorithm.acting if p.grad is not None]
+
+
+@pytest.mark.parametrize("encoder", ["temporal_spatial_graph", "social_attention"])
+def test_padding_changes_no_bit_of_a_gradient(encoder: str) -> None:
+    policy = squashed(encoder=encoder)
+    algorithm = learner(policy)
+    rollout = collected(policy)
+    rollout.steps["mask"][0, 4:] = False  # from step 4 on, and all of the next one
+    rollout.steps["mask"][1] = False
+    batch = sequences_of(rollout, team=True)
+    assert batch["valued"][2:].any()
+    before = losses(algorithm, batch)
+    changed = batch.clone()
+    for key in (("frames", "ego"), ("frames", "humans"), ("frames", "robots")):
+        changed[key][0, :, 5:] += torch.randn_like(changed[key][0, :, 5:])  # step 4 is bootstrapped
+        changed[key][1] += 3.0
+    for key in ("action", "reward"):
+        changed[key][0, 4:] -= 0.7
+        changed[key][1] += 0.3
+    for one, other in zip(before, losses(algorithm, changed), strict=True):
+        assert torch.equal(one, other)
+    changed["frames", "ego"][0, :, 3] += 1.0  # and this is no padding
+    assert not torch.equal(before[0], losses(algorithm, changed)[0])
+
+
+def test_the_actor_does_not_move_the_encoder_nor_the_critics() -> None:
+    policy = squashed()
+    algorithm = learner(policy)
+    batch = sequences_of(collected(policy), team=True)
+    y = features(policy, batch)[:, :-1].detach()
+    loss, _ = algorithm.actor_loss(batch, y)
+    loss.backward()
+    assert all(p.grad is None for p in algorithm.valuing)
+    assert all(p.grad is not None for p in algorithm.acting)
+    assert all(p.requires_grad for p in algorithm.critics.parameters())
+
+
+def test_entropy_is_worth_more_when_there_is_too_little_of_it() -> None:
+    for entropy, sign in ((-3.0, 1.0), (-1.0, -1.0)):  # it should come to -2
+        algorithm = learner(squashed())
+        assert float(algorithm.temperature) == pytest.approx(0.02)
+        found: Any = {}
+        loss = algorithm.temperature_loss(torch.full((7,), -entropy))
+        algorithm._descend("temperature", loss, [], found)
+        assert sign * float(algorithm.temperature - 0.02) > 0
+
+
+def test_the_target_networks_follow_slowly() -> None:
+    policy = squashed()
+    algorithm = learner(policy, target_rate=0.25)
+    with torch.no_grad():
+        policy.networks[0].encoder.values.fill_(1.0)
+        algorithm.target_policy.networks[0].encoder.values.fill_(0.0)
+    for expected in (0.25, 0.25 + 0.75 * 0.25):
+        algorithm._follow()
+        assert (algorithm.target_policy.networks[0].encoder.values == expected).all()
+
+
+def test_what_does_not_fit_is_refused() -> None:
+    policy = squashed()
+    for changes, message in (
+        ({"learning_starts": 2001}, "learning_starts is 2001; it must not exceed .* .2000."),
+        ({"critic_heads": 3}, "critic_width is 16; it must be a multiple of .*heads .3."),
+    ):
+        with pytest.raises(ConfigurationError, match=message):
+            learner(policy, **changes)
+    with pytest.raises(ConfigurationError, match="robots is 2; it must be 3"):
+        learner(policy, critic="concatenation", robots=2).update([collected(policy)])
+    with pytest.raises(ConfigurationError, match="must be one that does not cap it: soft_actor"):
+        policy.bound_std("local", 0.1, 0.2)
+    numbers = policy_numbers("flat", "gru")
+    flat = make_policy(numbers.pop("name"), numbers, 2)
+    with pytest.raises(ConfigurationError, match=r"policy\.name must be squashed"):
+        learner(flat)  # type: ignore[arg-type]
+
+
+def test_teams_of_other_sizes_are_kept_apart() -> None:
+    policy = squashed()
+    algorithm = learner(policy, learning_starts=1, updates=6)
+    one, three = (
+        collected(policy, scenario=Scenario(kinematics=Kinematics.holonomic, robots=n, humans=m))
+        for n, m in ((1, 0), (3, 2))
+    )
+    algorithm.update([one, three])
+    assert sorted(len(replay) for replay in algorithm.replays.values()) == [12, 12]
+    assert algorithm.kept == 240
+    for _ in range(3):
+        statistics = algorithm.update([one])
+    assert all(math.isfinite(value) for value in statistics.values())
+    assert max(len(replay) for replay in algorithm.replays.values()) == 48
+
+
+def test_it_learns_to_drive_to_the_goal() -> None:
+    """One robot, nobody else: in seconds it is paid several times what it was."""
+    torch.set_num_threads(1)  # networks as small as these wait for each other on more
+    scenario = Scenario(
+        kinematics=Kinematics.holonomic,
+        robots=1,
+        humans=0,
+        circle_radius=2.0,
+        goal_distance=2.0,
+        time_limit=10.0,
+    )
+    policy = squashed(encoder="social_attention")
+    algorithm = learner(
+        policy, learning_starts=400, updates=10, batch=16, learning_rate=2e-3, team_reward=False,
+        target_rate=0.03, discount=0.9,
+    )  # fmt: skip
+    going = RolloutCollector(CurriculumStage(16, scenario=scenario), policy, 10, 0, False)
+    paid = []
+    for _ in range(30):
+        rollout = going.collect()
+        algorithm.update([rollout])
+        paid.append(float(rollout.steps["next", "agents", "reward"].mean()))
+    assert sum(paid[:5]) / 5 < 0.2
+    assert sum(paid[-8:]) / 8 > 0.8  # on the straight way it is 0.5 a step, and 10 for arriving
