@@ -15,6 +15,7 @@ def _run(command: str) -> None:
         sys.exit(130)
 
 
-evaluate, bench, render, train, report = (
-    partial(_run, command) for command in ("evaluate", "bench", "render", "train", "report")
+evaluate, bench, render, train, report, export = (
+    partial(_run, command)
+    for command in ("evaluate", "bench", "render", "train", "report", "export")
 )

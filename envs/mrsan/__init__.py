@@ -1,8 +1,7 @@
 """Multi-robot socially-aware navigation: a batched simulator with three standard wrappers."""
 
 from importlib.metadata import version
-
-import gymnasium
+from importlib.util import find_spec
 
 from mrsan.compile_cache import ensure_compile_cache
 from mrsan.threads import let_threads_sleep
@@ -50,8 +49,11 @@ __all__ = [
     "social_score",
 ]
 
-gymnasium.register(
-    "mrsan/SocialNavigation-v0",
-    entry_point="mrsan.gymnasium_env:GymnasiumEnv",
-    vector_entry_point="mrsan.gymnasium_env:GymnasiumVectorEnv",
-)
+if find_spec("gymnasium"):  # a robot that only drives (samarl.runtime) does without
+    import gymnasium
+
+    gymnasium.register(
+        "mrsan/SocialNavigation-v0",
+        entry_point="mrsan.gymnasium_env:GymnasiumEnv",
+        vector_entry_point="mrsan.gymnasium_env:GymnasiumVectorEnv",
+    )

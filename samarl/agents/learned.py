@@ -82,8 +82,8 @@ class Learned(Agent):
     def __post_init__(self) -> None:
         """Load the checkpoint."""
         super().__post_init__()
-        policy, self.card = load_policy(find_policy(self.checkpoint))
-        self._deployed = Deployed(policy, self.scenario, self.waypoints)
+        self.policy, self.card = load_policy(find_policy(self.checkpoint))
+        self._deployed = Deployed(self.policy, self.scenario, self.waypoints)
 
     def version(self) -> str:
         """A digest of the code and of the weights."""

@@ -14,7 +14,7 @@ from torch.utils._pytree import tree_leaves, tree_map
 from mrsan import Episodes, Observation, Split, World
 from mrsan.features import VELOCITY
 from mrsan.metrics import episodes_of
-from samarl.agents.shield import Shield, shielded
+from samarl.planning.shield import Shield, shielded
 from samarl.observations.features import state_of
 from samarl.observations.frames import Frames
 from samarl.policies.policy import LOCAL, Decision, Policy, no_frames

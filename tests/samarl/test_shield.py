@@ -6,7 +6,7 @@ import pytest
 from mrsan import ConfigurationError, Crowd, Kinematics, Observation, Scenario, Split, World
 from mrsan.features import GOAL
 from samarl.agents import Agent, build_agent
-from samarl.agents.shield import Shield, shielded
+from samarl.planning.shield import Shield, shielded
 from samarl.configuration import load_agent
 from samarl.evaluation.runner import run_cases
 
