@@ -21,6 +21,7 @@ from samarl.files import unfinished
 from samarl.observations.features import frames_of
 from samarl.observations.tracker import TRACK_FEATURES, Tracks
 from samarl.planning.lookahead import command_set
+from samarl.planning.shield import Shield
 from samarl.policies.hierarchical import Waypoints
 from samarl.policies.lookahead import LookaheadPolicy
 from samarl.policies.policy import Policy
@@ -73,9 +74,9 @@ def export_agent(path: Path, agent: Agent, name: str) -> None:
     Raises:
         ConfigurationError: it is not trained, or cannot be exported.
     """
-    shield = None
+    shield: Shield | None = None
     if isinstance(agent, Shielded):
-        agent, shield = agent.agent, agent.shield
+        shield, agent = agent.shield, agent.agent
     if not isinstance(agent, Learned):
         raise ConfigurationError(
             f"agent is {name}; it must be a trained one, such as samarl_flat: only policies are "

@@ -1,7 +1,6 @@
 """Multi-robot socially-aware navigation: a batched simulator with three standard wrappers."""
 
 from importlib.metadata import version
-from importlib.util import find_spec
 
 from mrsan.compile_cache import ensure_compile_cache
 from mrsan.threads import let_threads_sleep
@@ -49,9 +48,11 @@ __all__ = [
     "social_score",
 ]
 
-if find_spec("gymnasium"):  # a robot that only drives (samarl.runtime) does without
+try:
     import gymnasium
-
+except ModuleNotFoundError:  # a robot that only drives (samarl.runtime) does without
+    pass
+else:
     gymnasium.register(
         "mrsan/SocialNavigation-v0",
         entry_point="mrsan.gymnasium_env:GymnasiumEnv",

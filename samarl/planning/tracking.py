@@ -7,7 +7,6 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from mrsan import Scenario
 from mrsan.features import (
     GOAL_X,
     GOAL_Y,
@@ -22,6 +21,7 @@ from mrsan.features import (
 )
 from mrsan.kernels import function, kernel
 from mrsan.kernels.kinematics import ACCELERATION_HEADING, HOLONOMIC, next_velocity
+from mrsan.parameters import Parameters
 
 _ZERO = np.float32(0.0)
 _HALF = np.float32(0.5)
@@ -89,21 +89,21 @@ def move(x, y, vx, vy, heading, action, p):
 
 
 def motion_after(
-    ego: NDArray[np.float32], action: NDArray[np.float32], scenario: Scenario
+    ego: NDArray[np.float32], action: NDArray[np.float32], p: Parameters
 ) -> tuple[float, float, float, float]:
     """What an action means to a robot.
 
     Args:
         ego: [1, 1, 11] the robot.
         action: [1, 1, A] in [-1, 1].
-        scenario: the dynamics.
+        p: the scenario's parameters.
 
     Returns:
         Its speed after one step (m/s), by how much it turns in it (rad), and its acceleration along
         and across its new heading (m/s^2; of robots that drive by velocities the mean along it).
     """
     out = np.empty(4, np.float32)
-    _motion_after(1, ego, action, scenario.parameters(), out)
+    _motion_after(1, ego, action, p, out)
     speed, turn, along, across = (float(value) for value in out)
     return speed, turn, along, across
 

@@ -11,7 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mrsan import EGO_FEATURES, OTHER_FEATURES, Kinematics, Observation
+from mrsan import EGO_FEATURES, OTHER_FEATURES, Observation
+from mrsan.features import GOAL
 from samarl.observations.route import route
 from samarl.observations.tracker import Tracker, TrackMemory, Tracks
 from samarl.planning.lookahead import Commands, command_set, look_ahead
@@ -40,11 +41,8 @@ class Driver:
     def __init__(self, network: Network) -> None:
         """Drive with a loaded network; `load` is what one usually wants."""
         self._network, told = network, network.description
-        self.description, self.scenario, self._shield = (
-            told,
-            told.make_scenario(),
-            told.make_shield(),
-        )
+        self.description, self.scenario = told, told.make_scenario()
+        self._shield, self._parameters = told.make_shield(), self.scenario.parameters()
         policy, s = told.policy, self.scenario
         if network.looks_ahead:
             sizes = Commands(**{f.name: policy[f.name] for f in fields(Commands)})
@@ -150,15 +148,17 @@ class Driver:
                 )  # fmt: skip
                 visible[0, 0, slot] = True
             parts += [rows, visible]
-        nothing = np.zeros((1, 1, 0), np.bool_)  # nobody says who saw whom
-        return Observation(ego, *parts, nothing, nothing)
+        nothing = np.zeros((1, 1, 0), np.bool_)  # it is not said who saw whom
+        humans, humans_seen, robots, robots_seen = parts
+        return Observation(ego, humans, humans_seen, robots, robots_seen, nothing, nothing)
 
     def _decided(self, tracks: Tracks) -> NDArray[np.float32]:
         """What the policy does, [1, 1, A]."""
         policy = self.description.policy
-        aim = route(
-            tracks.ego, self.scenario.fov_degrees, policy["round_below"], policy["round_radius"]
-        )
+        aim = tracks.ego[..., GOAL]
+        if self._network.asks_the_way:
+            below, radius = policy["round_below"], policy["round_radius"]
+            aim = route(tracks.ego, self.scenario.fov_degrees, below, radius)
         if not self._network.looks_ahead:
             return self._network.action(tracks, aim)
         here = np.ones((1, 1), np.bool_)
@@ -171,7 +171,7 @@ class Driver:
         self, ego: NDArray[np.float32], action: NDArray[np.float32], heading: float, replaced: bool
     ) -> Command:
         s = self.scenario
-        speed, turn, acceleration, lateral = motion_after(ego, action, s)
+        speed, turn, acceleration, lateral = motion_after(ego, action, self._parameters)
         new = math.remainder(heading + turn, 2.0 * math.pi)
         return Command(
             action[0, 0], acceleration, lateral, new, speed, turn / s.time_step, replaced

@@ -43,6 +43,7 @@ class Network:
         self._inputs = {put.name: put for put in self._session.get_inputs()}
         self._outputs = [put.name for put in self._session.get_outputs()]
         self.looks_ahead = "value" in self._outputs
+        self.asks_the_way = self.looks_ahead or "aim" in self._inputs
         self.forget()
 
     def forget(self) -> None:

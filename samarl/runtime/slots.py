@@ -13,8 +13,8 @@ GATE = 0.8  # m; in 0.4 s somebody at 2 m/s who turns round is so far from where
 class Slots:
     """A number of places; who was seen in one of them keeps it until somebody else needs it.
 
-    Those with an id are known by it again, however late. Those without are matched with whom constant velocity leads
-    nearest to them, the nearest pairs first, within `GATE`.
+    Those with an id are known by it again, however late. Those without are matched with whom
+    constant velocity leads nearest to them, the nearest pairs first, within `GATE`.
     """
 
     def __init__(self, number: int, keep: float) -> None:
