@@ -125,7 +125,7 @@ def _tracks(rows: int, robots: int, humans: int) -> dict[str, Tensor]:
         return torch.zeros(rows, 1, number, len(TRACK_FEATURES)), known
 
     tracks = Tracks(own, *of(humans), *of(robots))  # type: ignore[arg-type]
-    return tracks._asdict()  # type: ignore[return-value]
+    return tracks._asdict()
 
 
 def _slots(
