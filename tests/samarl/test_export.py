@@ -1,5 +1,6 @@
 """An exported policy drives as the policy does."""
 
+import copy
 import dataclasses
 import subprocess
 import sys
@@ -12,6 +13,7 @@ import pytest
 from mrsan import ConfigurationError, Observation, Scenario, World
 from samarl.agents import Agent, build_agent
 from samarl.agents.learned import Learned
+from samarl.agents.shielded import Shielded
 from samarl.configuration import load_agent
 from samarl.encoders import ENCODERS
 from samarl.export import OPSET, export_agent
@@ -32,10 +34,9 @@ def agent_of(policy: Policy, name: str, folder: Path, scenario: Scenario) -> Age
     return Learned(scenario, str(folder / "policy.safetensors"))
 
 
-def without_shield(path: Path) -> Driver:
-    network = Network(path)
-    network.description = dataclasses.replace(network.description, shield=None)
-    return Driver(network)
+def team_of(network: Network, robots: int) -> list[Driver]:
+    """A driver for each robot; the network is read once."""
+    return [Driver(copy.copy(network)) for _ in range(robots)]
 
 
 def decide(drivers: list[Driver], observation: Observation, time: float) -> list[Command]:
@@ -61,36 +62,46 @@ def different(
     return found
 
 
+def remembered(agent: Agent) -> list[np.ndarray]:
+    """What an agent does from now on, added to as it acts."""
+    done: list[np.ndarray] = []
+    act = agent.act
+
+    def remember(observation: Observation) -> np.ndarray:
+        done.append(act(observation))
+        return done[-1]
+
+    agent.act = remember  # type: ignore[method-assign]
+    return done
+
+
 @pytest.mark.parametrize("name", ["samarl", "samarl_flat", "cadrl", "samarl_planned"])
 def test_a_thousand_decisions_are_those_of_the_policy(name: str, tmp_path: Path) -> None:
     """With the shield and without, in the same scenes, from what a robot itself could say."""
     scenario = Scenario()
-    agents = [
-        build_agent({**load_agent(name), "shield": shield}, scenario) for shield in (True, False)
-    ]
-    export_agent(tmp_path / "policy.onnx", agents[0], name)
-    teams = [
-        [load(tmp_path / "policy.onnx") for _ in range(scenario.robots)]
-        for load in (Driver.load, without_shield)
-    ]
+    agent = build_agent({**load_agent(name), "shield": True}, scenario)
+    assert isinstance(agent, Shielded)
+    export_agent(tmp_path / "policy.onnx", agent, name)
+    networks = [Network(tmp_path / "policy.onnx"), Network(tmp_path / "policy.onnx")]
+    networks[1].description = dataclasses.replace(networks[1].description, shield=None)
+    teams = [team_of(network, scenario.robots) for network in networks]
+    unchecked = remembered(agent.agent)
     world = World(scenario, 1)
     observation, begins, step, case, replaced, decisions = world.reset([0]), True, 0, 0, 0, 0
     while decisions < 1000:
-        actions = []
-        for agent, team in zip(agents, teams, strict=True):
-            if begins:
-                agent.reset(np.ones(1, np.bool_))
-                for driver in team:
-                    driver.reset()
-            actions.append(agent.act(observation))
-            commands = decide(team, observation, 7.0 + step * scenario.time_step)
-            assert different(commands, actions[-1], observation, scenario) == []
+        if begins:
+            agent.reset(np.ones(1, np.bool_))
+            for driver in (*teams[0], *teams[1]):
+                driver.reset()
+        actions = [agent.act(observation), unchecked[-1]]
+        time = 7.0 + step * scenario.time_step
+        driven, free = (decide(team, observation, time) for team in teams)
+        for commands, action in ((driven, actions[0]), (free, actions[1])):
+            assert different(commands, action, observation, scenario) == []
             if name in ("samarl", "samarl_flat"):
                 given = np.stack([command.action for command in commands])
-                np.testing.assert_allclose(given, actions[-1][0], atol=SAME)
-            if agent is agents[0]:
-                driven = commands
-                replaced += sum(command.shielded for command in commands)
+                np.testing.assert_allclose(given, action[0], atol=SAME)
+        replaced += sum(command.shielded for command in driven)
         driving = ~world.state.arrived[0] & ~world.state.terminated[0]
         after = world.step(actions[0])
         decisions, step, observation = decisions + scenario.robots, step + 1, after.observation
@@ -131,7 +142,7 @@ def test_every_policy_and_every_encoder_is_exported(
         made = learning.policy(policy, encoder, gain=100.0)
     agent = agent_of(made, policy, tmp_path, scenario)
     export_agent(tmp_path / "policy.onnx", agent, "mine")
-    team = [Driver.load(tmp_path / "policy.onnx") for _ in range(2)]
+    team = team_of(Network(tmp_path / "policy.onnx"), 2)
     world = World(scenario, 1)
     observation, seen = world.reset([3]), set()
     for step in range(25):
