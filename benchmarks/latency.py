@@ -1,7 +1,7 @@
 """How long one decision takes: `python -m benchmarks.latency [--checkpoint policy.safetensors]`.
 
-One robot among ten people on one core, and a batch of 512 such robots; the observations are those
-of episodes that the agent itself drives.
+One robot among ten people on one core, the same with the policy exported (`samarl.runtime`), and a
+batch of 512 such robots; the observations are those of episodes that the agent itself drives.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ import argparse
 import shlex
 import statistics
 import sys
+import tempfile
 import time
 from pathlib import Path
 from typing import Any
@@ -20,15 +21,19 @@ import torch
 from tqdm import tqdm
 
 from benchmarks.workload import interruptible, positive_number
-from mrsan import Scenario, World
+from mrsan import ConfigurationError, Scenario, World
 from samarl.agents import build_agent
 from samarl.configuration import available_agents, load_agent
 from samarl.evaluation.table import as_text
+from samarl.export import export_agent
 from samarl.files import code_version, machine, write_json
+from samarl.runtime import Driver
+from samarl.runtime.simulation import as_seen
 
 BATCH = 512
 SCENARIO = Scenario(robots=1, humans=10, fov_degrees=90.0)
 _WARM_UP = 20
+_MEASURED = ("one_robot_ms", "exported_ms", f"batch_of_{BATCH}_ms")
 
 
 def main() -> None:
@@ -36,7 +41,7 @@ def main() -> None:
     arguments = _parse()
     numba.set_num_threads(1)
     torch.set_num_threads(1)
-    agents = {name: load_agent(name) for name in available_agents()}
+    agents = {name: load_agent(name) for name in arguments.agents or available_agents()}
     if arguments.checkpoint is not None:
         target = "samarl.agents.learned.Learned"
         agents["checkpoint"] = {"_target_": target, "checkpoint": str(arguments.checkpoint)}
@@ -44,13 +49,14 @@ def main() -> None:
     with interruptible():
         for name, config in tqdm(agents.items(), desc="latency", unit="agent", disable=None):
             one = decision_times(config, 1, arguments.seconds)
+            exported = exported_times(config, name, arguments.seconds)
             batch = decision_times(config, BATCH, arguments.seconds)
-            rows.append({"agent": name, "one_robot_ms": one, f"batch_of_{BATCH}_ms": batch})
-    header = ("agent", "one robot ms [smallest, largest]", f"{BATCH} robots ms [smallest, largest]")
-    lines = [
-        [row["agent"], *(_cell(row[key]) for key in ("one_robot_ms", f"batch_of_{BATCH}_ms"))]
-        for row in rows
-    ]
+            rows.append(dict(zip(("agent", *_MEASURED), (name, one, exported, batch), strict=True)))
+    header = (
+        "agent", "one robot ms [smallest, largest]", "exported ms [smallest, largest]",
+        f"{BATCH} robots ms [smallest, largest]",
+    )  # fmt: skip
+    lines = [[row["agent"], *(_cell(row[key]) for key in _MEASURED)] for row in rows]
     print(as_text(header, lines))
     result = {
         "agents": rows,
@@ -81,6 +87,41 @@ def decision_times(config: dict[str, Any], worlds: int, seconds: float) -> dict[
         if end == float("inf") and len(times) == _WARM_UP:  # compiled, episodes under way
             times.clear()
             end = time.perf_counter() + seconds
+    return _summary(times)
+
+
+def exported_times(config: dict[str, Any], name: str, seconds: float) -> dict[str, float] | None:
+    """The same of one step of the runtime for one robot; None for what is not exported."""
+    agent = build_agent(config, SCENARIO)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "policy.onnx"
+        try:
+            export_agent(path, agent, name)
+        except ConfigurationError:  # a planner, or an ablation
+            return None
+        driver = Driver.load(path)
+    world = World(SCENARIO, 1, auto_reset=True)
+    observation, begins, step = world.reset([0]), True, 0
+    times: list[float] = []
+    end = float("inf")
+    while time.perf_counter() < end:
+        if begins:
+            driver.reset()
+            step = 0
+        own, seen = as_seen(observation, 0)
+        start = time.perf_counter()
+        command = driver.step(own, seen, step * SCENARIO.time_step)
+        times.append(1e3 * (time.perf_counter() - start))
+        after = world.step(command.action[None, None])
+        observation, step = after.observation, step + 1
+        begins = bool((after.terminated | after.truncated)[0])
+        if end == float("inf") and len(times) == _WARM_UP:
+            times.clear()
+            end = time.perf_counter() + seconds
+    return _summary(times)
+
+
+def _summary(times: list[float]) -> dict[str, float]:
     return {
         "median": round(statistics.median(times), 4),
         "smallest": round(min(times), 4),
@@ -88,7 +129,9 @@ def decision_times(config: dict[str, Any], worlds: int, seconds: float) -> dict[
     }
 
 
-def _cell(times: dict[str, float]) -> str:
+def _cell(times: dict[str, float] | None) -> str:
+    if times is None:
+        return ""
     return f"{times['median']:.3f} [{times['smallest']:.3f}, {times['largest']:.3f}]"
 
 
@@ -97,6 +140,7 @@ def _parse() -> argparse.Namespace:
         prog="python -m benchmarks.latency", description=(__doc__ or "").partition("\n")[0]
     )
     parser.add_argument("--seconds", type=positive_number, default=2.0, help="per figure")
+    parser.add_argument("--agents", nargs="+", help="of conf/agent/; all of them by default")
     parser.add_argument("--checkpoint", type=Path, help="a trained policy to measure as well")
     parser.add_argument("--output", type=Path, default=Path("outputs/latency.json"))
     return parser.parse_args()

@@ -15,7 +15,7 @@ def _run(command: str) -> None:
         sys.exit(130)
 
 
-evaluate, bench, render, train, report, predictor = (
+evaluate, bench, render, train, report, predictor, export = (
     partial(_run, command)
-    for command in ("evaluate", "bench", "render", "train", "report", "predictor")
+    for command in ("evaluate", "bench", "render", "train", "report", "predictor", "export")
 )

@@ -2,8 +2,6 @@
 
 from importlib.metadata import version
 
-import gymnasium
-
 from mrsan.compile_cache import ensure_compile_cache
 from mrsan.threads import let_threads_sleep
 
@@ -50,8 +48,13 @@ __all__ = [
     "social_score",
 ]
 
-gymnasium.register(
-    "mrsan/SocialNavigation-v0",
-    entry_point="mrsan.gymnasium_env:GymnasiumEnv",
-    vector_entry_point="mrsan.gymnasium_env:GymnasiumVectorEnv",
-)
+try:
+    import gymnasium
+except ModuleNotFoundError:  # a robot that only drives (samarl.runtime) does without
+    pass
+else:
+    gymnasium.register(
+        "mrsan/SocialNavigation-v0",
+        entry_point="mrsan.gymnasium_env:GymnasiumEnv",
+        vector_entry_point="mrsan.gymnasium_env:GymnasiumVectorEnv",
+    )

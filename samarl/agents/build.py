@@ -12,7 +12,8 @@ from omegaconf import MISSING, DictConfig
 
 from mrsan import ConfigurationError, Scenario
 from samarl.agents.agent import Agent
-from samarl.agents.shield import Shield, Shielded
+from samarl.agents.shielded import Shielded
+from samarl.planning.shield import Shield
 from samarl.registry import checked_fields
 
 

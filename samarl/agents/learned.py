@@ -86,7 +86,7 @@ class Learned(Agent):
             ConfigurationError: it cannot be loaded, or was trained for another kind of robot.
         """
         super().__post_init__()
-        policy, self.card = load_policy(find_policy(self.checkpoint))
+        self.policy, self.card = load_policy(find_policy(self.checkpoint))
         made, here = self.card.made.get("configuration"), self.scenario.kinematics
         known = {str(name).rpartition(".")[2] for name in _values(made, "kinematics")}
         if known and here.name not in known:
@@ -94,7 +94,7 @@ class Learned(Agent):
                 f"scenario.kinematics is {here.name}; {self.checkpoint} drives "
                 f"{' or '.join(sorted(known))}"
             )
-        self._deployed = Deployed(policy, self.scenario, self.waypoints)
+        self._deployed = Deployed(self.policy, self.scenario, self.waypoints)
 
     def version(self) -> str:
         """A digest of the code and of the weights."""

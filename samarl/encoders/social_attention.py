@@ -95,4 +95,6 @@ class SocialAttentionEncoder(Encoder):
 def _sums(of_encounters: Tensor, of: Tensor, samples: int) -> Tensor:
     """Sums over the encounters of each of P samples, [P, D]; `of` [Q] says of which each is."""
     zero = of_encounters.new_zeros(samples, of_encounters.shape[-1])
+    if torch.onnx.is_in_onnx_export():  # where what index_add adds to one row twice is lost
+        return zero.scatter_add(0, of.unsqueeze(-1).expand_as(of_encounters), of_encounters)
     return zero.index_add(0, of, of_encounters)

@@ -23,8 +23,9 @@ compiled = numba.njit(cache=True, parallel=True, error_model="numpy", fastmath=F
 
 
 def on_cpu(tensor: Tensor) -> bool:
-    """Whether what is compiled can work on it."""
-    return tensor.device.type == "cpu" and tensor.dtype == torch.float32
+    """Whether what is compiled can work on it; what is exported is made of torch's operations."""
+    exported = torch.onnx.is_in_onnx_export()
+    return tensor.device.type == "cpu" and tensor.dtype == torch.float32 and not exported
 
 
 def windowed_attention(

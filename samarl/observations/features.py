@@ -6,6 +6,7 @@ Shapes: E worlds, N robots, M humans, B = E N robots of all worlds, one frame.
 from __future__ import annotations
 
 import math
+from typing import TypeVar
 
 import numpy as np
 import torch
@@ -29,6 +30,8 @@ from mrsan.features import (
 from samarl.observations.frames import Frames
 from samarl.observations.tracker import AGE, Tracks
 
+A = TypeVar("A", NDArray[np.float32], Tensor)
+
 LENGTH_SCALE = 5.0  # metres that are 1 to the network
 NETWORK_EGO_FEATURES = 11
 NETWORK_OTHER_FEATURES = 10  # of what a robot knows of another
@@ -51,10 +54,12 @@ NEAR_SOON = 8  # the same of the closest approach ahead, times exp(-0.5 t), t s 
 def frames_of(tracks: Tracks, scenario: Scenario, known_origin: bool = True) -> Frames:
     """What the robots know: the input of the actors' encoder.
 
+    The tracks may be tensors as well: so these features are part of an exported policy.
+
     A policy for any place must not know where the middle of the map is: it would learn what is
     there.
     """
-    age = [torch.from_numpy(known[..., AGE : AGE + 1]) for known in (tracks.humans, tracks.robots)]
+    age = [torch.as_tensor(known[..., AGE : AGE + 1]) for known in (tracks.humans, tracks.robots)]
     humans = _others(tracks.humans, age[0], tracks.humans_known, scenario)
     robots = _others(tracks.robots, age[1], tracks.robots_known, scenario)
     own = _own(tracks.ego, scenario)
@@ -85,25 +90,31 @@ def state_of(world: World) -> Frames:
     return Frames(_own(seen.ego, scenario), *found)
 
 
-def to_world(point: NDArray[np.float32], ego: NDArray[np.float32]) -> NDArray[np.float32]:
+def to_world(point: A, ego: A) -> A:
     """From the body frames of robots `ego` [..., 11] to the world frame, [..., 2]."""
     cos, sin = ego[..., HEADING_COS], ego[..., HEADING_SIN]
     dx, dy = point[..., 0] - ego[..., ORIGIN_X], point[..., 1] - ego[..., ORIGIN_Y]
-    return np.stack([cos * dx - sin * dy, sin * dx + cos * dy], -1)
+    return _stacked(cos * dx - sin * dy, sin * dx + cos * dy)
 
 
-def to_body(point: NDArray[np.float32], ego: NDArray[np.float32]) -> NDArray[np.float32]:
+def to_body(point: A, ego: A) -> A:
     """From the world frame to the body frames of robots `ego` [..., 11], [..., 2]."""
     cos, sin = ego[..., HEADING_COS], ego[..., HEADING_SIN]
     x = -(cos * ego[..., ORIGIN_X] - sin * ego[..., ORIGIN_Y])
     y = -(sin * ego[..., ORIGIN_X] + cos * ego[..., ORIGIN_Y])
     dx, dy = point[..., 0] - x, point[..., 1] - y
-    return np.stack([cos * dx + sin * dy, cos * dy - sin * dx], -1)
+    return _stacked(cos * dx + sin * dy, cos * dy - sin * dx)
+
+
+def _stacked(x: A, y: A) -> A:
+    if isinstance(x, Tensor):
+        return torch.stack([x, y], -1)
+    return np.stack([x, y], -1)
 
 
 def _own(of_robots: NDArray[np.float32], scenario: Scenario) -> Tensor:
     """[B, 1, NETWORK_EGO_FEATURES]."""
-    ego = torch.from_numpy(of_robots).flatten(0, 1)
+    ego = torch.as_tensor(of_robots).flatten(0, 1)
     goal, velocity, origin = ego[:, GOAL], ego[:, VELOCITY], ego[:, ORIGIN]
     view = ego.new_full((len(ego), 1), math.cos(math.radians(scenario.fov_degrees / 2)))
     own = torch.cat(
@@ -133,7 +144,7 @@ def _others(
 
     That is when and how near the two will pass if both keep their velocities.
     """
-    others, mask = torch.from_numpy(of_others).flatten(0, 1), torch.from_numpy(known).flatten(0, 1)
+    others, mask = torch.as_tensor(of_others).flatten(0, 1), torch.as_tensor(known).flatten(0, 1)
     position, velocity = others[..., OTHER_POSITION], others[..., OTHER_VELOCITY]
     radii = others[..., OTHER_RADIUS : OTHER_RADIUS + 1] + scenario.robot_radius
     gap = position.norm(dim=-1, keepdim=True) - radii

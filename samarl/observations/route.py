@@ -7,6 +7,22 @@ from numpy.typing import NDArray
 
 from mrsan.features import GOAL, GOAL_X, GOAL_Y, ORIGIN, ORIGIN_X, ORIGIN_Y
 
+LOOKAHEAD = 0.3  # of policies that go round the crowd, rad
+ENTRY_ANGLE = 0.15  # rad
+
+
+def route(
+    ego: NDArray[np.float32], fov_degrees: float, round_below: float, round_radius: float
+) -> NDArray[np.float32]:
+    """Where the route of a policy leads next in the body frames, [E, N, 2] in m.
+
+    Straight to the goal, or with a view narrower than `round_below` counter-clockwise round the
+    crowd, on a circle of `round_radius` metres.
+    """
+    if fov_degrees < round_below:
+        return way_round(ego, round_radius, LOOKAHEAD, ENTRY_ANGLE)
+    return ego[..., GOAL]
+
 
 def way_round(
     ego: NDArray[np.float32], radius: float, lookahead: float, entry_angle: float

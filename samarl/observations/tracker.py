@@ -28,6 +28,7 @@ TRACK_FEATURES = (*OTHER_FEATURES, "age")  # age: share of the longest time a tr
 AGE = 5
 
 _ZERO = np.float32(0.0)
+_ONE = np.float32(1.0)
 
 
 class Tracks(NamedTuple):
@@ -44,9 +45,9 @@ class TrackMemory(NamedTuple):
     """The tracks of every robot, in the world frame; a robot knows its own pose, so it can."""
 
     humans: NDArray[np.float32]  # [E, N, M, 5] position, velocity, radius
-    human_age: NDArray[np.int32]  # [E, N, M] steps since the last sighting, -1: no track
+    human_age: NDArray[np.float32]  # [E, N, M] steps since the last sighting, -1: no track
     robots: NDArray[np.float32]  # [E, N, N - 1, 5]
-    robot_age: NDArray[np.int32]  # [E, N, N - 1]
+    robot_age: NDArray[np.float32]  # [E, N, N - 1]
 
 
 class Tracker:
@@ -64,7 +65,11 @@ class Tracker:
         )
 
     def update(
-        self, observation: Observation, memory: TrackMemory, is_init: NDArray[np.bool_]
+        self,
+        observation: Observation,
+        memory: TrackMemory,
+        is_init: NDArray[np.bool_],
+        elapsed: float | None = None,
     ) -> Tracks:
         """Take in what is seen now and return what is known now.
 
@@ -72,7 +77,9 @@ class Tracker:
             observation: of all worlds.
             memory: of all worlds, updated in place.
             is_init: [E] the worlds in which an episode begins; their tracks are forgotten.
+            elapsed: since the last update, s; None: one step.
         """
+        dt = self.time_step if elapsed is None else np.float32(elapsed)
         memory.human_age[is_init], memory.robot_age[is_init] = -1, -1
         known = []
         for seen, visible, tracks, age in (
@@ -83,30 +90,35 @@ class Tracker:
             alive = np.empty(visible.shape, np.bool_)
             worlds = len(observation.ego)
             _track(
-                worlds, observation.ego, seen, visible, self.steps, self.time_step, tracks, age,
-                out, alive,
+                worlds, observation.ego, seen, visible, self.steps, dt, dt / self.time_step, tracks,
+                age, out, alive,
             )  # fmt: skip
             known += [out, alive]
         return Tracks(observation.ego, *known)
 
 
-def _no_tracks(shape: tuple[int, ...]) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
-    return np.zeros((*shape, 5), np.float32), np.full(shape, -1, np.int32)
+def _no_tracks(shape: tuple[int, ...]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    return np.zeros((*shape, 5), np.float32), np.full(shape, -1.0, np.float32)
 
 
 @kernel
-def _track(chunks, ego, seen, visible, steps, dt, tracks, age, out, alive):
+def _track(chunks, ego, seen, visible, steps, dt, aged, tracks, age, out, alive):
     total = ego.shape[0]
     for chunk in prange(chunks):
         for e in range(chunk * total // chunks, (chunk + 1) * total // chunks):
             for i in range(ego.shape[1]):
-                _take_in(ego[e, i], seen[e, i], visible[e, i], steps, dt, tracks[e, i], age[e, i])
+                _take_in(
+                    ego[e, i], seen[e, i], visible[e, i], steps, dt, aged, tracks[e, i], age[e, i]
+                )
                 _recall(ego[e, i], steps, tracks[e, i], age[e, i], out[e, i], alive[e, i])
 
 
 @function
-def _take_in(ego, seen, visible, steps, dt, tracks, age):
-    """Coast every track [M, 5] (world frame) by one step and replace those that are seen."""
+def _take_in(ego, seen, visible, steps, dt, aged, tracks, age):
+    """Coast every track [M, 5] (world frame) by `dt` and replace those that are seen.
+
+    `aged` is the same time in steps.
+    """
     cos, sin = ego[HEADING_COS], ego[HEADING_SIN]
     x = -(cos * ego[ORIGIN_X] - sin * ego[ORIGIN_Y])
     y = -(sin * ego[ORIGIN_X] + cos * ego[ORIGIN_Y])
@@ -120,11 +132,11 @@ def _take_in(ego, seen, visible, steps, dt, tracks, age):
             tracks[j, OTHER_VELOCITY_X] = cos * vx - sin * vy
             tracks[j, OTHER_VELOCITY_Y] = sin * vx + cos * vy
             tracks[j, OTHER_RADIUS] = seen[j, OTHER_RADIUS]
-            age[j] = 0
-        elif age[j] >= 0:
+            age[j] = _ZERO
+        elif age[j] >= _ZERO:
             tracks[j, OTHER_X] += tracks[j, OTHER_VELOCITY_X] * dt
             tracks[j, OTHER_Y] += tracks[j, OTHER_VELOCITY_Y] * dt
-            age[j] = age[j] + 1 if age[j] < steps else -1
+            age[j] = age[j] + aged if age[j] + aged <= steps else -_ONE
 
 
 @function
@@ -134,7 +146,7 @@ def _recall(ego, steps, tracks, age, out, alive):
     x = -(cos * ego[ORIGIN_X] - sin * ego[ORIGIN_Y])
     y = -(sin * ego[ORIGIN_X] + cos * ego[ORIGIN_Y])
     for j in range(age.shape[0]):
-        alive[j] = age[j] >= 0
+        alive[j] = age[j] >= _ZERO
         if not alive[j]:
             out[j, :] = _ZERO
             continue
@@ -144,4 +156,4 @@ def _recall(ego, steps, tracks, age, out, alive):
         out[j, OTHER_VELOCITY_X] = cos * vx + sin * vy - ego[VELOCITY_X]
         out[j, OTHER_VELOCITY_Y] = cos * vy - sin * vx - ego[VELOCITY_Y]
         out[j, OTHER_RADIUS] = tracks[j, OTHER_RADIUS]
-        out[j, AGE] = np.float32(age[j]) / np.float32(max(steps, 1))
+        out[j, AGE] = age[j] / np.float32(max(steps, 1))

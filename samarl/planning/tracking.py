@@ -1,8 +1,11 @@
-"""From a velocity that a planner wants to an action that the robot can execute."""
+"""From a velocity that a planner wants to an action that the robot can execute, and back."""
+
+from __future__ import annotations
 
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mrsan.features import (
     GOAL_X,
@@ -16,8 +19,9 @@ from mrsan.features import (
     VELOCITY_X,
     VELOCITY_Y,
 )
-from mrsan.kernels import function
+from mrsan.kernels import function, kernel
 from mrsan.kernels.kinematics import ACCELERATION_HEADING, HOLONOMIC, next_velocity
+from mrsan.parameters import Parameters
 
 _ZERO = np.float32(0.0)
 _HALF = np.float32(0.5)
@@ -82,6 +86,40 @@ def move(x, y, vx, vy, heading, action, p):
     x += _HALF * (vx + new_vx) * p.time_step
     y += _HALF * (vy + new_vy) * p.time_step
     return x, y, new_vx, new_vy, heading
+
+
+def motion_after(
+    ego: NDArray[np.float32], action: NDArray[np.float32], p: Parameters
+) -> tuple[float, float, float, float]:
+    """What an action means to a robot.
+
+    Args:
+        ego: [1, 1, 11] the robot.
+        action: [1, 1, A] in [-1, 1].
+        p: the scenario's parameters.
+
+    Returns:
+        Its speed after one step (m/s), by how much it turns in it (rad), and its acceleration along
+        and across its new heading (m/s^2; of robots that drive by velocities the mean along it).
+    """
+    out = np.empty(4, np.float32)
+    _motion_after(1, ego, action, p, out)
+    speed, turn, along, across = (float(value) for value in out)
+    return speed, turn, along, across
+
+
+@kernel
+def _motion_after(chunks, ego, action, p, out):
+    vx, vy = ego[0, 0, VELOCITY_X], ego[0, 0, VELOCITY_Y]
+    new_vx, new_vy, turn = next_velocity(vx, vy, _ZERO, action[0, 0], p)
+    speed = math.sqrt(new_vx * new_vx + new_vy * new_vy)
+    out[0], out[1] = speed, turn
+    if p.kinematics == ACCELERATION_HEADING:
+        ahead, left = action[0, 0, 0], action[0, 0, 1]
+        scale = p.max_acceleration / max(math.sqrt(ahead * ahead + left * left), _ONE)
+        out[2], out[3] = ahead * scale, left * scale
+    else:
+        out[2], out[3] = (speed - math.sqrt(vx * vx + vy * vy)) / p.time_step, _ZERO
 
 
 @function

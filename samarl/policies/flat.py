@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from samarl.encoders import Encoder
+from samarl.observations.frames import Frames
 from samarl.policies.heads import Gaussian
 from samarl.policies.policy import (
     LOCAL,
@@ -52,3 +53,11 @@ class FlatPolicy(Policy):
         self, scene: Any, ego: Tensor, rows: Tensor, told: Tensor, asked: Mapping[str, Tensor]
     ) -> dict[str, tuple[Tensor, Tensor]]:
         return {LOCAL: self._ask(LOCAL, scene, ego, None, rows)}
+
+    def drive_alone(
+        self, frames: Frames, ego: Tensor, aim: Tensor, begins: Tensor, state: State
+    ) -> Tensor:
+        """See `Policy.drive_alone`."""
+        scene, row = self._seen_alone(frames, begins, state), torch.zeros(1, dtype=torch.long)
+        mean, _ = self._ask(LOCAL, scene, frames.ego[:, 0], None, row)
+        return mean

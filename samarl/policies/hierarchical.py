@@ -20,6 +20,7 @@ from samarl.observations.features import (
     EGO_PLACE,
     EGO_TARGET,
     EGO_TIME,
+    A,
     features_of_target,
     to_body,
     to_world,
@@ -135,6 +136,29 @@ class HierarchicalPolicy(Policy):
             LOCAL: self._ask(LOCAL, scene, self._local_query(ego, told), told, rows),
         }
 
+    def memory_alone(self, robots: int, humans: int) -> dict[str, Tensor]:
+        """See `Policy.memory_alone`; with the waypoint in the world frame and its clock."""
+        return {
+            **super().memory_alone(robots, humans),
+            "waypoint": torch.zeros(1, 2),
+            "clock": torch.zeros(1, dtype=torch.long),
+        }
+
+    def drive_alone(
+        self, frames: Frames, ego: Tensor, aim: Tensor, begins: Tensor, state: State
+    ) -> Tensor:
+        """See `Policy.drive_alone`; the same as `_decide`."""
+        scene, row = self._seen_alone(frames, begins, state), torch.zeros(1, dtype=torch.long)
+        own, clock = frames.ego[:, 0], torch.where(begins, 0, state["clock"])
+        due = (clock <= 0) | (to_body(state["waypoint"], ego).norm(dim=-1) < REACHED)
+        macro, _ = self._ask(MACRO, scene, own, None, row)
+        proposed = to_world(self._target(aim, macro), ego)
+        state["waypoint"] = torch.where(due.unsqueeze(-1), proposed, state["waypoint"])
+        state["clock"] = torch.where(due, self.config.macro_steps, clock) - 1
+        told = told_of(to_body(state["waypoint"], ego))
+        mean, _ = self._ask(LOCAL, scene, self._local_query(own, told), told, row)
+        return mean
+
     def rewards(
         self, reward: NDArray[np.float32], parts: RewardParts, before: Observation,
         after: Observation, state: State, scenario: Scenario,
@@ -170,22 +194,31 @@ class HierarchicalPolicy(Policy):
     def _set_waypoints(
         self, state: State, known: Known, due: NDArray[np.bool_], macro: NDArray[np.float32]
     ) -> None:
-        """Take up macro actions [E, N, 2] where they are due.
+        """Take up macro actions [E, N, 2] where they are due."""
+        target = self._target(self._route(known.ego, known.scenario), macro)
+        state["waypoint"][due] = to_world(target, known.ego)[due]
+        once = self.waypoints is Waypoints.first
+        state["clock"][due] = np.iinfo(np.int32).max if once else self.config.macro_steps
+
+    def _target(self, aim: A, macro: A) -> A:
+        """The waypoints [..., 2] in the body frame that macro actions [..., 2] mean.
 
         The waypoint is a point on the route, as far ahead as `waypoint_ahead`, moved by the macro
         action in [-1, 1] times `waypoint_range`: zero means "along the route". A local level that
         is not told the goal could not arrive if waypoints were moved as far there: where less than
         `waypoint_ahead` is left they are moved by so much less.
+
+        Args:
+            aim: where the route leads next in the body frame, [..., 2] in m.
+            macro: before clipping.
         """
-        c, aim = self.config, self._route(known.ego, known.scenario)
-        left = np.maximum(np.linalg.norm(aim, axis=-1, keepdims=True), np.float32(1e-6))
-        ahead, reach = np.float32(c.waypoint_ahead), np.float32(c.waypoint_range)
+        c, x, y = self.config, aim[..., 0], aim[..., 1]
+        left = ((x * x + y * y) ** 0.5).clip(min=1e-6)[..., None]
+        share = (c.waypoint_ahead / left).clip(max=1.0)
+        reach = c.waypoint_range
         if not c.local_goal:
-            reach = reach * np.minimum(left / ahead, 1)
-        target = aim * np.minimum(ahead / left, 1) + reach * np.clip(macro, -1, 1)
-        state["waypoint"][due] = to_world(target, known.ego)[due]
-        once = self.waypoints is Waypoints.first
-        state["clock"][due] = np.iinfo(np.int32).max if once else c.macro_steps
+            reach = reach * (left / c.waypoint_ahead).clip(max=1.0)
+        return aim * share + reach * macro.clip(-1.0, 1.0)
 
     def _given(self, frames: Frames) -> Frames:
         """Without `local_goal` the scene does not tell the goal either: both levels share it."""

@@ -31,7 +31,7 @@ from samarl.observations.features import (
     to_world,
 )
 from samarl.observations.frames import Frames
-from samarl.observations.route import way_round
+from samarl.observations.route import route
 from samarl.observations.tracker import Tracker, Tracks
 from samarl.policies.explanation import Explanation
 from samarl.policies.heads import log_prob
@@ -394,7 +394,33 @@ class Policy(nn.Module, ABC):
                 "parameters of their own for so many robots"
             )
 
+    # One robot alone, of tensors alone: what is exported, see `samarl.export`
+
+    def memory_alone(self, robots: int, humans: int) -> dict[str, Tensor]:
+        """What one robot that knows of `robots` others and `humans` remembers, besides tracks."""
+        example = no_frames(1, 1 + robots, humans, self.device)
+        return dict(self.networks[0].encoder.initial_state(example))
+
+    def drive_alone(
+        self, frames: Frames, ego: Tensor, aim: Tensor, begins: Tensor, state: State
+    ) -> Tensor:
+        """What `act` decides without exploration, [1, A] before clipping.
+
+        Args:
+            frames: [1, 1, ...] what the robot knows.
+            ego: [1, 11] its own state as observed.
+            aim: [1, 2] where its route leads next in the body frame, m.
+            begins: [1] bool: it remembers nothing.
+            state: what `memory_alone` describes, updated in place.
+        """
+        raise ConfigurationError(
+            f"{type(self).__name__} has no `drive_alone`, so it cannot be exported"
+        )
+
     # Helpers of the policies
+
+    def _seen_alone(self, frames: Frames, begins: Tensor, state: State) -> Any:
+        return self.networks[0].encoder.step(self._given(frames), begins, state)
 
     def _perceive(
         self, observation: Observation, state: State, is_init: NDArray[np.bool_],
@@ -439,13 +465,9 @@ class Policy(nn.Module, ABC):
         return tree_map(lambda *parts: torch.cat(parts)[order], *found)
 
     def _route(self, ego: NDArray[np.float32], scenario: Scenario) -> NDArray[np.float32]:
-        """Where the route leads next in the body frames, [E, N, 2] in m.
-
-        Straight to the goal, or with a narrow view counter-clockwise round the crowd.
-        """
-        if scenario.fov_degrees < self.config.round_below:
-            return way_round(ego, self.config.round_radius, 0.3, 0.15)
-        return ego[..., GOAL]
+        """See `route`."""
+        c = self.config
+        return route(ego, scenario.fov_degrees, c.round_below, c.round_radius)
 
     def _route_reward(
         self, reward: NDArray[np.float32], parts: RewardParts, before: Observation,

@@ -14,9 +14,9 @@ from torch.utils._pytree import tree_leaves, tree_map
 from mrsan import Episodes, Observation, Split, World
 from mrsan.features import VELOCITY
 from mrsan.metrics import episodes_of
-from samarl.agents.shield import Shield, shielded
 from samarl.observations.features import state_of
 from samarl.observations.frames import Frames
+from samarl.planning.shield import Shield, shielded
 from samarl.policies.policy import LOCAL, Decision, Policy, no_frames
 from samarl.rollout import Rollout, level_key
 from samarl.training.curriculum import CurriculumStage

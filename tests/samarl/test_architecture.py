@@ -7,9 +7,9 @@ ROOT = Path(__file__).resolve().parents[2]
 # Each room may import from those before it.
 ROOMS = [
     "mrsan", "samarl.files", "samarl.registry", "samarl.observations", "samarl.planning",
-    "samarl.encoders", "samarl.policies", "samarl.rollout", "samarl.algorithms", "samarl.agents",
-    "samarl.evaluation", "samarl.prediction", "samarl.configuration", "samarl.training",
-    "samarl.report", "samarl.commands",
+    "samarl.runtime", "samarl.encoders", "samarl.policies", "samarl.rollout", "samarl.algorithms",
+    "samarl.agents", "samarl.export", "samarl.evaluation", "samarl.prediction",
+    "samarl.configuration", "samarl.training", "samarl.report", "samarl.commands",
 ]  # fmt: skip
 
 

@@ -103,6 +103,28 @@ def test_an_algorithm_of_ones_own(tmp_path: Path) -> None:
     assert "| my_ppo " in said
 
 
+@pytest.mark.parametrize("page", ["docs/runtime.md", "README.md"])
+def test_an_exported_policy_drives(page: str, exported: Path) -> None:
+    text = (DOCS.parent / page).read_text().split("# On a robot\n")[1]
+    code = block(text, "python")
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=exported, capture_output=True, text=True, timeout=240
+    )
+    assert done.returncode == 0, done.stderr
+    speed, turn_rate = map(float, re.findall(r"-?\d+\.\d+(?:e-?\d+)?", done.stdout))
+    assert 0.0 <= speed <= 1.0
+    assert abs(turn_rate) <= 1.05  # 15 degrees in 0.25 s
+
+
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where the command of the page has written its file."""
+    folder = tmp_path_factory.mktemp("exported")
+    run((DOCS / "runtime.md").read_text(), folder)
+    assert [path.name for path in folder.iterdir()] == ["policy.onnx"]
+    return folder
+
+
 @pytest.mark.parametrize("page", sorted(DOCS.glob("*.md")), ids=lambda page: page.stem)
 def test_links_lead_somewhere(page: Path) -> None:
     for target in re.findall(r"\]\(([^)#]+)", page.read_text()):

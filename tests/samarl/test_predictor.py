@@ -12,7 +12,7 @@ from safetensors.numpy import save
 from mrsan import ConfigurationError, Crowd, Scenario, Split, World
 from mrsan.prediction import PREDICTORS, ConstantVelocity, find_predictor, own_frame
 from samarl.agents import build_agent
-from samarl.agents.shield import Shielded
+from samarl.agents.shielded import Shielded
 from samarl.configuration import load_agent
 from samarl.observations.tracker import Tracker
 from samarl.planning.foresight import Foresight

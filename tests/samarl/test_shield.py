@@ -6,9 +6,9 @@ import pytest
 from mrsan import ConfigurationError, Crowd, Kinematics, Observation, Scenario, Split, World
 from mrsan.features import GOAL
 from samarl.agents import Agent, build_agent
-from samarl.agents.shield import Shield, shielded
 from samarl.configuration import load_agent
 from samarl.evaluation.runner import run_cases
+from samarl.planning.shield import Shield, shielded
 
 CASES = Split.test.case(0) + np.arange(40)
 

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from samarl.agents.shield import Shield, shielded
 from samarl.algorithms.advantages import streams
+from samarl.planning.shield import Shield, shielded
 from samarl.policies.policy import LOCAL
 from samarl.training.collector import RolloutCollector
 from samarl.training.curriculum import CurriculumStage

@@ -1,0 +1,80 @@
+"""A ROS 2 node that drives with an exported policy: `python driver_node.py policy.onnx`."""
+
+from __future__ import annotations
+
+import sys
+
+import rclpy
+from conversion import arrived, detections, own_state, seconds, velocity
+from geometry_msgs.msg import PoseStamped, Twist
+from nav_msgs.msg import Odometry
+from people_msgs.msg import People
+from rclpy.node import Node
+
+from samarl.runtime import Driver, InputError
+
+SILENCE = 0.5  # without odometry for so long the robot stops, s
+
+
+class DriverNode(Node):
+    """Odometry, people and a goal in; velocities out."""
+
+    def __init__(self, path: str) -> None:
+        """Load the policy, then listen."""
+        super().__init__("samarl_driver")
+        self._driver = Driver.load(path)
+        self._odometry: Odometry | None = None
+        self._people: People | None = None  # since the last step
+        self._goal: PoseStamped | None = None
+        self._out = self.create_publisher(Twist, "cmd_vel", 1)
+        self.create_subscription(Odometry, "odom", self._on_odometry, 1)
+        self.create_subscription(People, "people", self._on_people, 1)
+        self.create_subscription(PoseStamped, "goal_pose", self._on_goal, 1)
+        self.create_timer(self._driver.scenario.time_step, self._step)
+
+    def _on_odometry(self, message: Odometry) -> None:
+        self._odometry = message
+
+    def _on_people(self, message: People) -> None:
+        self._people = message
+
+    def _on_goal(self, message: PoseStamped) -> None:
+        self._goal = message
+        self._driver.reset()  # a new goal is a new episode
+
+    def _step(self) -> None:
+        twist = Twist()  # to stand
+        try:
+            twist.linear.x, twist.angular.z = self._decision()
+        except InputError as error:
+            self.get_logger().error(f"stopped: {error}")
+        self._out.publish(twist)
+
+    def _decision(self) -> tuple[float, float]:
+        if self._goal is None or self._odometry is None:
+            return 0.0, 0.0
+        now = self.get_clock().now().nanoseconds * 1e-9
+        if now - seconds(self._odometry.header.stamp) > SILENCE:
+            raise InputError(f"there was no odometry for {SILENCE} s")
+        people, self._people = self._people, None  # nobody is taken for seen twice
+        frame = self._odometry.header.frame_id
+        for name, message in (("goal_pose", self._goal), ("people", people)):
+            if message is not None and message.header.frame_id != frame:
+                raise InputError(
+                    f"{name} is in frame {message.header.frame_id!r}; it must be in that of the "
+                    f"odometry, {frame!r}"
+                )
+        own = own_state(self._odometry, self._goal)
+        if arrived(own, self._driver.scenario.robot_radius):
+            return 0.0, 0.0
+        return velocity(self._driver.step(own, detections(people) if people else [], now))
+
+
+def main() -> None:
+    """Drive until interrupted."""
+    rclpy.init(args=sys.argv)
+    rclpy.spin(DriverNode(sys.argv[1]))
+
+
+if __name__ == "__main__":
+    main()

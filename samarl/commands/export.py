@@ -1,0 +1,54 @@
+"""`samarl-export`: a trained policy for robots without torch."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import MISSING, DictConfig, OmegaConf
+
+from mrsan import ConfigurationError, Scenario
+from samarl.agents import build_agent
+from samarl.commands.cli import chosen_agent, run_command, say_caution
+from samarl.files import check_writable
+
+
+@dataclass
+class Export:
+    """Schema of `conf/export.yaml`."""
+
+    output: str = MISSING
+    scenario: Any = MISSING
+    agent: Any = MISSING
+    checkpoint: str | None = None
+    plugins: list[str] = field(default_factory=list)
+
+
+def main() -> None:
+    """Entry point."""
+    run_command(export, "export", export_schema=Export)
+
+
+def export(config: DictConfig) -> None:
+    """Write the file."""
+    scenario = OmegaConf.to_object(config.scenario)
+    assert isinstance(scenario, Scenario)
+    path = Path(config.output)
+    if path.suffix != ".onnx":
+        raise ConfigurationError(f"output is {config.output!r}; it must end in .onnx")
+    if not (find_spec("onnx") and find_spec("onnxruntime")):
+        raise ConfigurationError("onnx is not installed: pip install 'samarl[export]'")
+    from samarl.export import export_agent
+
+    check_writable(path, "output")
+    agent = build_agent(chosen_agent(config), scenario)
+    say_caution(agent)
+    export_agent(path, agent, str(HydraConfig.get().runtime.choices.agent))
+    print(f"written to {path}")
+
+
+if __name__ == "__main__":
+    main()

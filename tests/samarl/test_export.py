@@ -1,0 +1,228 @@
+"""An exported policy drives as the policy does."""
+
+import copy
+import dataclasses
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import onnx
+import pytest
+
+from mrsan import ConfigurationError, Observation, Scenario, World
+from samarl.agents import Agent, build_agent
+from samarl.agents.learned import Learned
+from samarl.agents.shielded import Shielded
+from samarl.configuration import load_agent
+from samarl.encoders import ENCODERS
+from samarl.export import OPSET, export_agent
+from samarl.planning.tracking import motion_after
+from samarl.policies.checkpoint import save_policy
+from samarl.policies.flat import FlatPolicy
+from samarl.policies.policy import POLICIES, Policy
+from samarl.runtime import Command, Driver
+from samarl.runtime.network import Network
+from samarl.runtime.simulation import as_seen
+from tests import learning
+
+SAME = 1e-4
+
+
+def agent_of(policy: Policy, name: str, folder: Path, scenario: Scenario) -> Agent:
+    save_policy(folder / "policy.safetensors", policy, name, {})
+    return Learned(scenario, str(folder / "policy.safetensors"))
+
+
+def team_of(network: Network, robots: int) -> list[Driver]:
+    """A driver for each robot; the network is read once."""
+    return [Driver(copy.copy(network)) for _ in range(robots)]
+
+
+def decide(drivers: list[Driver], observation: Observation, time: float) -> list[Command]:
+    return [driver.step(*as_seen(observation, robot), time) for robot, driver in enumerate(drivers)]
+
+
+def different(
+    commands: list[Command], action: np.ndarray, observation: Observation, scenario: Scenario
+) -> list[int]:
+    """The robots that would move otherwise; at full speed all ways to push on are the same."""
+    found = []
+    for robot, command in enumerate(commands):
+        mine, right = (
+            motion_after(
+                observation.ego[:, robot : robot + 1], one[None, None], scenario.parameters()
+            )
+            for one in (command.action, action[0, robot])
+        )
+        if np.abs(command.action - action[0, robot]).max() > SAME and not np.allclose(
+            mine[:2], right[:2], atol=SAME
+        ):
+            found.append(robot)
+    return found
+
+
+def remembered(agent: Agent) -> list[np.ndarray]:
+    """What an agent does from now on, added to as it acts."""
+    done: list[np.ndarray] = []
+    act = agent.act
+
+    def remember(observation: Observation) -> np.ndarray:
+        done.append(act(observation))
+        return done[-1]
+
+    agent.act = remember  # type: ignore[method-assign]
+    return done
+
+
+@pytest.mark.parametrize("name", ["samarl", "samarl_flat", "cadrl", "samarl_planned"])
+def test_a_thousand_decisions_are_those_of_the_policy(name: str, tmp_path: Path) -> None:
+    """With the shield and without, in the same scenes, from what a robot itself could say."""
+    scenario = Scenario()
+    agent = build_agent({**load_agent(name), "shield": True}, scenario)
+    assert isinstance(agent, Shielded)
+    export_agent(tmp_path / "policy.onnx", agent, name)
+    networks = [Network(tmp_path / "policy.onnx"), Network(tmp_path / "policy.onnx")]
+    networks[1].description = dataclasses.replace(networks[1].description, shield=None)
+    teams = [team_of(network, scenario.robots) for network in networks]
+    unchecked = remembered(agent.agent)
+    world = World(scenario, 1)
+    observation, begins, step, case, replaced, decisions = world.reset([0]), True, 0, 0, 0, 0
+    while decisions < 1000:
+        if begins:
+            agent.reset(np.ones(1, np.bool_))
+            for driver in (*teams[0], *teams[1]):
+                driver.reset()
+        actions = [agent.act(observation), unchecked[-1]]
+        time = 7.0 + step * scenario.time_step
+        driven, free = (decide(team, observation, time) for team in teams)
+        for commands, action in ((driven, actions[0]), (free, actions[1])):
+            assert different(commands, action, observation, scenario) == []
+            if name in ("samarl", "samarl_flat"):
+                given = np.stack([command.action for command in commands])
+                np.testing.assert_allclose(given, action[0], atol=SAME)
+        replaced += sum(command.shielded for command in driven)
+        driving = ~world.state.arrived[0] & ~world.state.terminated[0]
+        after = world.step(actions[0])
+        decisions, step, observation = decisions + scenario.robots, step + 1, after.observation
+        state = world.state
+        for robot in np.flatnonzero(driving & ~state.arrived[0]):
+            speed = np.hypot(*state.robot_velocity[0, robot])
+            turned = driven[robot].heading - state.robot_heading[0, robot]
+            if not (after.terminated | after.truncated)[0]:
+                assert driven[robot].speed == pytest.approx(speed, abs=SAME)
+                # Braked to a stop it may turn on the spot or not: rounding decides, here and there.
+                assert abs(np.sin(turned)) < SAME or speed < SAME
+        begins = bool((after.terminated | after.truncated)[0])
+        if begins:
+            case, step = case + 1, 0
+            observation = world.reset([case])
+    assert 0 < replaced < decisions / 5
+
+
+PAIRS = [("flat", name) for name in ENCODERS] + [
+    ("hierarchical", "gru"), ("hierarchical", "spatio_temporal"), ("lookahead", "pairwise"),
+    ("lookahead", "social_attention"),
+]  # fmt: skip
+
+
+def test_every_policy_is_among_them() -> None:
+    assert {policy for policy, _ in PAIRS} == set(POLICIES)
+
+
+@pytest.mark.parametrize(("policy", "encoder"), PAIRS)
+def test_every_policy_and_every_encoder_is_exported(
+    policy: str, encoder: str, tmp_path: Path
+) -> None:
+    """At a narrow view: people are remembered, and the route leads round the crowd."""
+    scenario = Scenario(humans=4, robots=2, fov_degrees=120.0)
+    if policy == "lookahead":
+        made = learning.make_policy(policy, policy_config(policy, encoder), 3)
+    else:
+        made = learning.policy(policy, encoder, gain=100.0)
+    agent = agent_of(made, policy, tmp_path, scenario)
+    export_agent(tmp_path / "policy.onnx", agent, "mine")
+    team = team_of(Network(tmp_path / "policy.onnx"), 2)
+    world = World(scenario, 1)
+    observation, seen = world.reset([3]), set()
+    for step in range(25):
+        if world.state.done.all():
+            break
+        action = agent.act(observation)
+        commands = decide(team, observation, step * scenario.time_step)
+        assert different(commands, action, observation, scenario) == []
+        seen |= {tuple(command.action.round(4)) for command in commands}
+        observation = world.step(action).observation
+    assert len(seen) > 1  # it does not do the same whatever it sees
+
+
+def policy_config(name: str, encoder: str) -> dict[str, object]:
+    numbers = learning.policy_numbers(name, encoder)
+    return {key: value for key, value in numbers.items() if key != "name"}
+
+
+def test_the_file_says_what_it_is(tmp_path: Path) -> None:
+    scenario = Scenario(humans=6, robots=4, fov_degrees=90.0, robot_speed=0.7)
+    agent = agent_of(learning.policy("flat"), "flat", tmp_path, scenario)
+    path = tmp_path / "policy.onnx"
+    export_agent(path, agent, "mine")
+    assert sorted(p.name for p in tmp_path.iterdir()) == [
+        "policy.json", "policy.onnx", "policy.safetensors"
+    ]  # fmt: skip
+    assert onnx.load(path).opset_import[0].version == OPSET
+    told = Network(path).description
+    assert (told.agent, told.opset, told.shield) == ("mine", OPSET, None)
+    assert told.card["policy"] == "flat"
+    robot = told.make_scenario()
+    for field in ("humans", "robots", "fov_degrees", "robot_speed", "time_step", "kinematics"):
+        assert getattr(robot, field) == getattr(scenario, field)
+    assert told.slots["humans"] == ["humans", 2]
+    assert told.slots["robots_known"] == ["robots", 2]
+    shapes = {put.name: put.shape for put in Network(path)._session.get_inputs()}
+    assert (shapes["humans"], shapes["robots"]) == ([1, 1, 6, 6], [1, 1, 3, 6])
+
+
+@pytest.mark.parametrize(
+    ("agent", "message"),
+    [
+        (load_agent("orca"), "agent is mine; it must be a trained one"),
+        (load_agent("samarl_first_waypoint"), "agent.waypoints is first; it must be learned"),
+        (
+            {**load_agent("samarl_flat"), "shield": {"predictor": "recurrent"}},
+            "agent.shield.predictor is recurrent; it must be constant_velocity",
+        ),
+    ],
+)
+def test_what_cannot_be_exported_is_said(agent: dict, message: str, tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match=message):
+        export_agent(tmp_path / "p.onnx", build_agent(agent, Scenario()), "mine")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_robots_with_weights_of_their_own_are_not_exported(tmp_path: Path) -> None:
+    agent = agent_of(learning.policy("flat", actors=3), "flat", tmp_path, Scenario())
+    with pytest.raises(ConfigurationError, match=r"policy.actors is 3; it must be 1"):
+        export_agent(tmp_path / "p.onnx", agent, "mine")
+
+
+def test_a_wrong_translation_is_not_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What the exporter takes for constant differs among other people."""
+    right = FlatPolicy.drive_alone
+
+    def frozen(self, frames, *rest):
+        return right(self, frames, *rest) + float(frames.ego[0, 0, 0])
+
+    monkeypatch.setattr(FlatPolicy, "drive_alone", frozen)
+    agent = agent_of(learning.policy("flat"), "flat", tmp_path, Scenario())
+    with pytest.raises(ConfigurationError, match="cannot be exported: action differs by"):
+        export_agent(tmp_path / "p.onnx", agent, "mine")
+    assert not (tmp_path / "p.onnx").exists()
+
+
+def test_a_mistake_on_the_command_line_ends_in_one_line(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "samarl.commands.export", "output=policy.pt"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 2
+    assert done.stderr == "error: output is 'policy.pt'; it must end in .onnx\n"
