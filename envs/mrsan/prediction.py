@@ -14,8 +14,6 @@ from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from safetensors import SafetensorError
-from safetensors.numpy import load
 
 from mrsan.kernels.recurrent import swerve
 from mrsan.scenario import ConfigurationError
@@ -201,6 +199,9 @@ def load_recurrent(path: Path, time_step: float, field: str = "predictor") -> Re
 
 def _checked(content: bytes, path: Path, field: str) -> dict[str, NDArray[Any]]:
     """The weights in a file, which must have the names and shapes of a network."""
+    from safetensors import SafetensorError  # not on robots that predict at constant velocity
+    from safetensors.numpy import load
+
     try:
         weights = load(content)
     except (SafetensorError, ValueError, TypeError) as error:

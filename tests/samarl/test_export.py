@@ -122,7 +122,7 @@ def test_a_thousand_decisions_are_those_of_the_policy(name: str, tmp_path: Path)
 
 PAIRS = [("flat", name) for name in ENCODERS] + [
     ("hierarchical", "gru"), ("hierarchical", "spatio_temporal"), ("lookahead", "pairwise"),
-    ("lookahead", "social_attention"),
+    ("lookahead", "social_attention"), ("squashed", "temporal_spatial_graph"),
 ]  # fmt: skip
 
 
