@@ -172,8 +172,10 @@ def _unknown_key(error: BaseException | None) -> str | None:
 
 def _remove_empty_folder() -> None:
     """The folder that was made for this run, if nothing was written into it."""
-    with contextlib.suppress(OSError):
-        os.rmdir(HydraConfig.get().runtime.output_dir)
+    folder = HydraConfig.get().runtime.output_dir
+    if os.path.realpath(folder) != os.getcwd():  # where it runs was there before
+        with contextlib.suppress(OSError):
+            os.rmdir(folder)
 
 
 def _leave_quietly() -> NoReturn:

@@ -165,7 +165,7 @@ class Driver:
         outcomes = look_ahead(tracks, here, aim, self._commands, self.scenario)
         worth = self._network.values(outcomes.tracks) * ~outcomes.ended[:, 0]
         best = (outcomes.reward[:, 0] + np.float32(policy["discount"]) * worth).argmax()
-        return self._commands[best][None, None]
+        return self._commands[best][None, None].copy()
 
     def _command(
         self, ego: NDArray[np.float32], action: NDArray[np.float32], heading: float, replaced: bool

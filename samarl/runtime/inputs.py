@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Hashable, Sequence
 from typing import NamedTuple
+
+LARGEST = 1e10  # squares of more are nothing that single precision has; time counts from 1970
 
 
 class InputError(ValueError):
@@ -40,18 +41,18 @@ class Detection(NamedTuple):
 
 
 def check(own: OwnState, detections: Sequence[Detection], time: float) -> None:
-    """Refuse what is no finite number, and names that are given twice.
+    """Refuse what is no finite number or absurdly large, and names that are given twice.
 
     Raises:
         InputError: names the field and its value.
     """
-    _finite("time", time)
+    _number("time", time)
     for name, value in zip(OwnState._fields, own, strict=True):
-        _finite(f"own.{name}", value)
+        _number(f"own.{name}", value)
     named: dict[tuple[bool, Hashable], int] = {}
     for k, seen in enumerate(detections):
         for name, value in zip(Detection._fields[:5], seen[:5], strict=True):
-            _finite(f"detections[{k}].{name}", value)
+            _number(f"detections[{k}].{name}", value)
         if seen.radius <= 0.0:
             raise InputError(f"detections[{k}].radius is {seen.radius}; it must be above 0")
         if seen.id is not None:
@@ -63,10 +64,10 @@ def check(own: OwnState, detections: Sequence[Detection], time: float) -> None:
                 )
 
 
-def _finite(name: str, value: float) -> None:
+def _number(name: str, value: float) -> None:
     try:
-        finite = math.isfinite(value)
+        good = abs(value) <= LARGEST  # nan is not
     except TypeError:
-        finite = False
-    if not finite:
-        raise InputError(f"{name} is {value!r}; it must be a finite number")
+        good = False
+    if not good:
+        raise InputError(f"{name} is {value!r}; it must be a number within +-{LARGEST:g}")

@@ -226,3 +226,4 @@ def test_a_mistake_on_the_command_line_ends_in_one_line(tmp_path: Path) -> None:
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
     assert done.returncode == 2
     assert done.stderr == "error: output is 'policy.pt'; it must end in .onnx\n"
+    assert list(tmp_path.iterdir()) == []

@@ -106,13 +106,14 @@ NAN = float("nan")
 @pytest.mark.parametrize(
     ("own", "seen", "time", "message"),
     [
-        (OWN._replace(velocity_x=NAN), [], 1.0, "own.velocity_x is nan; it must be a finite"),
-        (OWN._replace(heading=-math.inf), [], 1.0, "own.heading is -inf; it must be a finite"),
-        (OWN._replace(goal_x=None), [], 1.0, "own.goal_x is None; it must be a finite number"),
+        (OWN._replace(velocity_x=NAN), [], 1.0, "own.velocity_x is nan; it must be a number"),
+        (OWN._replace(heading=-math.inf), [], 1.0, "own.heading is -inf; it must be a number"),
+        (OWN._replace(goal_x=None), [], 1.0, "own.goal_x is None; it must be a number"),
+        (OWN._replace(x=1e39), [], 1.0, r"own.x is 1e\+39; it must be a number within"),
         (OWN, [PERSON, PERSON._replace(y=NAN, id=2)], 1.0, r"detections\[1\].y is nan; it must"),
         (OWN, [PERSON._replace(radius=0.0)], 1.0, r"detections\[0\].radius is 0.0; it must be"),
         (OWN, [PERSON, PERSON], 1.0, r"detections\[1\].id is 'anna', as is detections\[0\].id"),
-        (OWN, [], NAN, "time is nan; it must be a finite number"),
+        (OWN, [], NAN, "time is nan; it must be a number"),
         (OWN, [], 0.5, "time is 0.5; it must be later than that of the step before, 0.5"),
     ],
 )

@@ -236,7 +236,7 @@ def test_an_agent_of_ones_own_is_one_class_and_one_yaml(tmp_path: Path) -> None:
 def test_help_is_quick_to_say(command: str, tmp_path: Path) -> None:
     """Every number is shown with its range, and nothing that takes seconds to import is imported.
 
-    But by that of training, which has ranges of what needs torch.
+    But by those of training and of the export, which have settings of what needs torch.
     """
     code = (
         "import sys\nfrom runpy import run_module\n"
@@ -251,9 +251,10 @@ def test_help_is_quick_to_say(command: str, tmp_path: Path) -> None:
     )
     assert done.returncode == 0, done.stderr
     assert f"samarl-{command}" in done.stdout
-    assert "heavy: none" in done.stdout or command == "train"
+    assert "heavy: none" in done.stdout or command in ("train", "export")
     lines = {line.strip().partition("  ")[0]: line for line in done.stdout.splitlines()}
     expected = {
+        "export": ("robot_radius: 0.3", "# m [0.05, 2]"),
         "evaluate": ("fov_degrees: 360.0", "# centred on the heading (0, 360]"),
         "render": ("time_horizon: 5.0", "be safe, s [0.01, 100]"),
         "report": ("agents: null", "# a list of names to record; null: all of conf/agent/"),
