@@ -69,6 +69,7 @@ train: setup ## Train SAMARL with the default recipe, or go on with an interrupt
 results: setup ## Rewrite results/ and the README's table and pictures (RECORDINGS=folder: people, too)
 	@$(BIN)/samarl-bench seeds=true output=results
 	@$(BIN)/samarl-bench table=ablations output=results
+	@$(BIN)/samarl-bench table=robustness output=results
 	@$(BIN)/samarl-bench table=transfer output=results \
 	  $(if $(RECORDINGS),recordings=$(RECORDINGS),merge=true)
 	@$(BIN)/samarl-predictor predictor=recurrent output=results \
