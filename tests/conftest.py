@@ -5,6 +5,7 @@ import subprocess
 import sys
 
 os.environ["NUMBA_NUM_THREADS"] = "2"  # on every machine: some tests compare one with two
+os.environ["OMP_NUM_THREADS"] = "1"  # PyTorch's: tests run side by side
 
 import hypothesis
 import numba
