@@ -50,8 +50,7 @@ def test_every_agent_plays_two_cases(name: str) -> None:
 
 
 @pytest.mark.parametrize("kinematics", Kinematics)
-@pytest.mark.parametrize("robots", [1, 4])
-@pytest.mark.parametrize("humans", [0, 6])
+@pytest.mark.parametrize(("robots", "humans"), [(1, 0), (4, 6)])
 @pytest.mark.parametrize("name", NAMES)
 def test_an_action_is_valid_and_does_not_depend_on_the_batch(
     name: str, robots: int, humans: int, kinematics: Kinematics
