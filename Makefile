@@ -49,8 +49,9 @@ setup: ## Install everything into .venv, unless it is there
 	echo "$$wanted" > $(STAMP); \
 	echo "Set up in $$(($$(date +%s) - start)) s."
 
-bench: setup ## Play everything in every column of Table I and compare with results/ (minutes)
-	@$(BIN)/samarl-bench $(if $(LEARNED_CASES),learned_cases=$(LEARNED_CASES))
+bench: setup ## Play Table I (TABLE=table2: MSA3C's) and compare with results/ (minutes)
+	@$(BIN)/samarl-bench $(if $(TABLE),table=$(TABLE)) $(if $(CASES),evaluation.cases=$(CASES)) \
+	  $(if $(LEARNED_CASES),learned_cases=$(LEARNED_CASES))
 
 test: setup ## Run the tests on all cores
 	@$(BIN)/pytest -n auto --maxprocesses 8 --durations 20
@@ -68,6 +69,7 @@ train: setup ## Train SAMARL with the default recipe, or go on with an interrupt
 
 results: setup ## Rewrite results/ and the README's table and pictures (RECORDINGS=folder: people, too)
 	@$(BIN)/samarl-bench seeds=true output=results
+	@$(BIN)/samarl-bench table=table2 seeds=true output=results
 	@$(BIN)/samarl-bench table=ablations output=results
 	@$(BIN)/samarl-bench table=robustness output=results
 	@$(BIN)/samarl-bench table=transfer output=results \

@@ -20,8 +20,9 @@ from samarl.agents.shielded import Shielded
 from samarl.files import unfinished
 from samarl.observations.features import frames_of
 from samarl.observations.tracker import TRACK_FEATURES, Tracks
+from samarl.planning.foresight import STRAIGHT
 from samarl.planning.lookahead import command_set
-from samarl.planning.shield import STRAIGHT, Shield
+from samarl.planning.shield import Shield
 from samarl.policies.hierarchical import Waypoints
 from samarl.policies.lookahead import LookaheadPolicy
 from samarl.policies.policy import Policy
@@ -91,6 +92,11 @@ def export_agent(path: Path, agent: Agent, name: str) -> None:
             f"agent.shield.predictor is {shield.predictor}; it must be {STRAIGHT} to be exported"
         )
     policy, scenario = agent.policy, agent.scenario
+    if agent.is_foreign:
+        raise ConfigurationError(
+            f"scenario.kinematics is {scenario.kinematics.name}; it must be that of the robots "
+            f"{name} was trained on to be exported"
+        )
     if policy.config.actors != 1:
         raise ConfigurationError(
             f"policy.actors is {policy.config.actors}; it must be 1 to be exported: a robot alone "

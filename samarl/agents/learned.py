@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mrsan import ConfigurationError, Observation, Scenario
+from mrsan import ConfigurationError, Kinematics, Observation, Scenario
 from samarl.agents.agent import Agent
+from samarl.planning.tracking import as_driven
 from samarl.policies.checkpoint import find_policy, load_policy
 from samarl.policies.explanation import Explanation
 from samarl.policies.hierarchical import HierarchicalPolicy, Waypoints
@@ -78,6 +79,7 @@ class Learned(Agent):
 
     checkpoint: str  # a file, or the name of one that is shipped
     waypoints: Waypoints = Waypoints.learned
+    track_velocity: bool = False  # of robots of another kind than it was trained on: its velocities
 
     def __post_init__(self) -> None:
         """Load the checkpoint.
@@ -89,12 +91,21 @@ class Learned(Agent):
         self.policy, self.card = load_policy(find_policy(self.checkpoint))
         made, here = self.card.made.get("configuration"), self.scenario.kinematics
         known = {str(name).rpartition(".")[2] for name in _values(made, "kinematics")}
+        self._own = self.scenario
         if known and here.name not in known:
-            raise ConfigurationError(
-                f"scenario.kinematics is {here.name}; {self.checkpoint} drives "
-                f"{' or '.join(sorted(known))}"
-            )
-        self._deployed = Deployed(self.policy, self.scenario, self.waypoints)
+            if not self.track_velocity:
+                raise ConfigurationError(
+                    f"scenario.kinematics is {here.name}; {self.checkpoint} drives "
+                    f"{' or '.join(sorted(known))} (agent.track_velocity=true: its velocities are "
+                    "tracked)"
+                )
+            self._own = replace(self.scenario, kinematics=Kinematics[min(known)])
+        self._deployed = Deployed(self.policy, self._own, self.waypoints)
+
+    @property
+    def is_foreign(self) -> bool:
+        """It drives robots of another kind than it was trained on."""
+        return self._own is not self.scenario
 
     def version(self) -> str:
         """A digest of the code and of the weights."""
@@ -124,7 +135,11 @@ class Learned(Agent):
 
     def act(self, observation: Observation) -> NDArray[np.float32]:
         """The mean action, [E, N, A]."""
-        return self._deployed.act(observation)
+        action = self._deployed.act(observation)
+        if not self.is_foreign:
+            return action
+        own, here = self._own.parameters(), self.scenario.parameters()
+        return as_driven(observation.ego, action, own, here)
 
     def explain(self) -> Explanation | None:
         """Its waypoints and its attention."""

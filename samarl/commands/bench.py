@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import os
 import shlex
 from collections.abc import Sequence
@@ -48,6 +49,7 @@ from samarl.files import (
     write_atomically,
     write_json,
 )
+from samarl.policies.checkpoint import find_policy
 
 STATUS = """\
 (same: the committed row again; close: within its 95 % intervals, as processors round differently;
@@ -189,7 +191,38 @@ def _row(
     ]
     seed = int(cases[0])
     rows = [summarise(of, scenario, name, command, commit, seed, named) for of in played]
-    return rows[0] | across_seeds(rows) if len(rows) > 1 else rows[0]
+    if "checkpoint" not in variants[0]:
+        return rows[0]
+    row = rows[0] | _from_training([str(agent["checkpoint"]) for agent in variants], command)
+    return row | across_seeds(rows) if len(rows) > 1 else row
+
+
+def _from_training(checkpoints: Sequence[str], command: str) -> Row:
+    """How a row of a policy comes about from nothing.
+
+    Args:
+        checkpoints: the policy of the row, and those of its other training seeds.
+        command: what gives the row of the first.
+
+    Returns:
+        One command that trains and evaluates, the commit at which it was trained, and what trained
+        each of the seeds. Nothing of a policy that took several commands: its card has them.
+    """
+    trained = []
+    for name in checkpoints:
+        path = find_policy(name)
+        made = json.loads(path.with_suffix(".json").read_text("utf-8"))["made"]
+        if "command" not in made or "initial" in made:
+            return {}
+        words = [w for w in shlex.split(made["command"]) if not w.startswith("run_dir=")]
+        folder = f"outputs/{path.stem}"
+        trained.append((shlex.join([*words, f"run_dir={folder}"]), folder, made["commit"]))
+    train, folder, commit = trained[0]
+    return {
+        "from_training": f"{train} && {command} checkpoint={folder}/last.safetensors",
+        "training_commit": commit,
+        "training_commands": [train for train, _, _ in trained],
+    }
 
 
 def _kept(config: DictConfig, path: Path, tasks: Sequence[tuple[str, Scenario, int]]) -> list[Row]:

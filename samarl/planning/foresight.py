@@ -5,9 +5,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from mrsan import Observation, Scenario
 from mrsan.features import HEADING_COS, HEADING_SIN
-from mrsan.prediction import ConstantVelocity, Predictor, turned
-from samarl.observations.tracker import TrackMemory
+from mrsan.kernels import function
+from mrsan.prediction import ConstantVelocity, Predictor, find_predictor, turned
+from samarl.observations.tracker import Tracker, TrackMemory, Tracks
+
+STRAIGHT = "constant_velocity"
 
 
 class Foresight:
@@ -55,3 +59,70 @@ class Foresight:
 def straight_on(known: NDArray[np.bool_]) -> NDArray[np.float32]:
     """What `Foresight.update` says of people [E, N, M] who all go on at constant velocity."""
     return np.zeros((*known.shape, 1, 2), np.float32)
+
+
+class Lookout:
+    """Whom the robots of E worlds know of, and where a predictor sees them going."""
+
+    def __init__(
+        self, scenario: Scenario, track_steps: int, predictor: str, steps: int, field: str
+    ) -> None:
+        """Know of nobody yet.
+
+        Args:
+            scenario: the task.
+            track_steps: for how long those out of view are remembered.
+            predictor: its name or its file.
+            steps: predicted ahead.
+            field: that holds the predictor, for errors.
+
+        Raises:
+            ConfigurationError: there is no such predictor.
+        """
+        self.scenario = scenario
+        self._tracker = Tracker(track_steps, scenario.time_step)
+        self._foresight = None
+        if predictor != STRAIGHT:
+            found = find_predictor(predictor, scenario.time_step, field)
+            self._foresight = Foresight(found, steps)
+        self._begin(0)
+
+    def _begin(self, worlds: int) -> None:
+        s = self.scenario
+        self._tracks = self._tracker.initial(worlds, s.robots, s.humans)
+        if self._foresight:
+            self._foresight.begin(worlds, s.robots, s.humans)
+        self._is_init = np.ones(worlds, np.bool_)
+
+    def reset(self, worlds: NDArray[np.bool_]) -> None:
+        """Forget what was remembered of the worlds [E] in which an episode begins."""
+        if len(worlds) != len(self._is_init):
+            self._begin(len(worlds))
+        self._is_init |= worlds
+
+    def update(self, observation: Observation) -> tuple[Tracks, NDArray[np.float32]]:
+        """Take in what is seen; who is known, and what `Foresight.update` says of the people."""
+        if len(observation.ego) != len(self._is_init):
+            self._begin(len(observation.ego))
+        known = self._tracker.update(observation, self._tracks, self._is_init)
+        aside = straight_on(known.humans_known)
+        if self._foresight:
+            aside = self._foresight.update(known.ego, self._tracks, self._is_init)
+        self._is_init = np.zeros(len(known.ego), np.bool_)
+        return known, aside
+
+
+@function
+def gather_aside(known, aside, bends):
+    """List what `Foresight.update` says of one robot's people [M, K, 2] as rows of `gather` do.
+
+    Row 0 is the robot itself; the rows after the people, of robots, are zero. Returns the first of
+    these.
+    """
+    count = 1
+    for j in range(known.shape[0]):
+        if known[j]:
+            bends[count] = aside[j]
+            count += 1
+    bends[count:] = np.float32(0.0)
+    return count

@@ -1,4 +1,4 @@
-"""A fixed set of plans, simulated against constant-velocity predictions of those who are known."""
+"""A fixed set of plans, simulated against predictions of those who are known."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from mrsan import Scenario
 from mrsan.features import GOAL_X, GOAL_Y
 from mrsan.kernels import function, kernel
 from mrsan.scenario import required
+from samarl.planning.foresight import gather_aside
 from samarl.planning.tracking import gather, move, steer, track_velocity
 
 _ZERO = np.float32(0.0)
@@ -44,7 +45,7 @@ class Plans:
 
 
 def first_action(
-    plans: Plans, known: Sequence[NDArray[Any]], scenario: Scenario
+    plans: Plans, known: Sequence[NDArray[Any]], scenario: Scenario, aside: NDArray[np.float32]
 ) -> NDArray[np.float32]:
     """The first action of every robot's cheapest plan, [E, N, A].
 
@@ -52,12 +53,14 @@ def first_action(
         plans: the set, and what it costs.
         known: `Observation.known` or `Tracks`: all of them go on at constant velocity.
         scenario: the dynamics.
+        aside: by how much people will be elsewhere, as `Foresight.update` says.
     """
     worlds, robots = known[0].shape[:2]
     action = np.empty((worlds, robots, scenario.action_size), np.float32)
     _choose(
         worlds,
         *known,
+        aside,
         scenario.parameters(),
         plans.horizon,
         plans.directions,
@@ -82,6 +85,7 @@ def _choose(
     humans_visible,
     robots,
     robots_visible,
+    aside,
     p,
     horizon,
     directions,
@@ -98,6 +102,7 @@ def _choose(
     total = ego.shape[0]
     for chunk in prange(chunks):
         rows = np.empty((1 + humans.shape[2] + robots.shape[2], 5), np.float32)
+        bends = np.zeros((rows.shape[0], aside.shape[3], 2), np.float32)
         attempt = np.empty(action.shape[2], np.float32)
         for e in range(chunk * total // chunks, (chunk + 1) * total // chunks):
             for i in range(ego.shape[1]):
@@ -111,6 +116,7 @@ def _choose(
                     robot_margin,
                     rows,
                 )
+                gather_aside(humans_visible[e, i], aside[e, i], bends)
                 speed = math.sqrt(rows[0, 2] * rows[0, 2] + rows[0, 3] * rows[0, 3])
                 goal_x, goal_y = ego[e, i, GOAL_X], ego[e, i, GOAL_Y]
                 goal_angle = math.atan2(goal_y, goal_x)
@@ -126,6 +132,7 @@ def _choose(
                     vx, vy = wanted * math.cos(angle), wanted * math.sin(angle)
                     cost = _cost(
                         rows,
+                        bends,
                         count,
                         goal_x,
                         goal_y,
@@ -149,6 +156,7 @@ def _choose(
 @function
 def _cost(
     rows,
+    bends,
     count,
     goal_x,
     goal_y,
@@ -181,11 +189,11 @@ def _cost(
             wanted_x, wanted_y = dx * scale, dy * scale
         steer(vx, vy, heading, wanted_x, wanted_y, action, p)
         x, y, vx, vy, heading = move(x, y, vx, vy, heading, action, p)
-        time = np.float32(k) * p.time_step
+        time, later = np.float32(k) * p.time_step, min(k, bends.shape[1] - 1)
         gap = np.float32(np.inf)
         for j in range(1, count):
-            ax = rows[j, 0] + rows[j, 2] * time - x
-            ay = rows[j, 1] + rows[j, 3] * time - y
+            ax = rows[j, 0] + rows[j, 2] * time + bends[j, later, 0] - x
+            ay = rows[j, 1] + rows[j, 3] * time + bends[j, later, 1] - y
             gap = min(gap, math.sqrt(ax * ax + ay * ay) - rows[j, 4])
         gap -= p.robot_radius
         if gap < _ZERO:

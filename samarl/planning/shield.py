@@ -22,7 +22,7 @@ from mrsan.kernels.contact import closest_approach
 from mrsan.scenario import check_numbers, number
 from samarl.observations.tracker import Tracks
 from samarl.planning.detour import way_left
-from samarl.planning.foresight import straight_on
+from samarl.planning.foresight import STRAIGHT, gather_aside, straight_on
 from samarl.planning.tracking import SHARP, gather, move, steer, track_velocity
 
 DIRECTIONS = 16  # of the ways of going on: at full speed, at half, and turning on the spot first
@@ -31,7 +31,6 @@ ENOUGH = np.float32(0.3)  # no way is better for keeping further away than that,
 HAIR = np.float32(1e-4)  # what is not for rounding, m
 UNSURE = 3  # for so many steps a team-mate may do otherwise; later than that is seen in time
 PROGRESS = np.float32(0.3)  # distance that is given for a metre nearer to the goal, m
-STRAIGHT = "constant_velocity"
 
 _ZERO = np.float32(0.0)
 _HALF = np.float32(0.5)
@@ -116,12 +115,7 @@ def _check(
                     robot_margin,
                     rows,
                 )
-                mates = 1
-                for j in range(humans.shape[2]):
-                    if humans_known[e, i, j]:
-                        bends[mates] = aside[e, i, j]
-                        mates += 1
-                bends[mates:] = _ZERO
+                mates = gather_aside(humans_known[e, i], aside[e, i], bends)
                 _allow_for_nearness(rows, count, p)
                 if not _passes(
                     rows, bends, count, mates, goal_x, goal_y, steps, action[e, i], attempt, p

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numba import prange
 from numpy.typing import NDArray
 
 from mrsan.features import (
@@ -27,6 +28,7 @@ _ZERO = np.float32(0.0)
 _HALF = np.float32(0.5)
 _ONE = np.float32(1.0)
 _TWO = np.float32(2.0)
+CREEP = np.float32(1e-3)  # a holonomic robot that turns on the spot so drives meanwhile, m/s
 SHARP = np.float32(math.pi / 3)  # beyond this turn the robot stops and turns on the spot, rad
 
 
@@ -120,6 +122,45 @@ def _motion_after(chunks, ego, action, p, out):
         out[2], out[3] = ahead * scale, left * scale
     else:
         out[2], out[3] = (speed - math.sqrt(vx * vx + vy * vy)) / p.time_step, _ZERO
+
+
+def as_driven(
+    ego: NDArray[np.float32], action: NDArray[np.float32], own: Parameters, here: Parameters
+) -> NDArray[np.float32]:
+    """Actions for robots of another kind than they are meant for: their velocities are tracked.
+
+    An action means the velocity that it leads to in one step; of it the robots of this kind come
+    as near as they can.
+
+    Args:
+        ego: [E, N, 11] the robots.
+        action: [E, N, A] in [-1, 1], for robots of `own`.
+        own: parameters of the scenario that the actions are meant for.
+        here: parameters of the scenario that the robots are in.
+
+    Returns:
+        [E, N, A] in [-1, 1], for robots of `here`.
+    """
+    size = 3 if here.kinematics == ACCELERATION_HEADING else 2
+    out = np.empty((*action.shape[:2], size), np.float32)
+    _as_driven(len(out), ego, action, own, here, out)
+    return out
+
+
+@kernel
+def _as_driven(chunks, ego, action, own, here, out):
+    total = ego.shape[0]
+    for chunk in prange(chunks):
+        for e in range(chunk * total // chunks, (chunk + 1) * total // chunks):
+            for i in range(ego.shape[1]):
+                vx, vy = ego[e, i, VELOCITY_X], ego[e, i, VELOCITY_Y]
+                wanted_x, wanted_y, turn = next_velocity(vx, vy, _ZERO, action[e, i], own)
+                sharp = SHARP
+                if wanted_x == _ZERO and wanted_y == _ZERO:  # it stands, and may turn on the spot
+                    wanted_x, wanted_y = CREEP * math.cos(turn), CREEP * math.sin(turn)
+                    sharp = _ZERO
+                speed = math.sqrt(vx * vx + vy * vy)
+                track_velocity(wanted_x, wanted_y, speed, out[e, i], here, sharp)
 
 
 @function

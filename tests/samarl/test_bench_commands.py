@@ -85,6 +85,25 @@ def test_a_policy_with_damaged_weights_shows(tmp_path: Path) -> None:
     assert damaged.startswith("DIFFERS ")
 
 
+def test_a_row_of_a_policy_says_how_it_comes_about_from_nothing() -> None:
+    agents = [
+        load_agent("samarl_flat"),
+        load_agent("samarl_flat") | {"checkpoint": "samarl_flat_seed0"},
+    ]
+    scenario = Scenario(humans=0, robots=1)
+    row = _row("samarl_flat", agents, scenario, scenario, Evaluation(cases=1), "", [])
+    train = "samarl-train trainer.threads=1 trainer.seed=2 policy=flat run_dir=outputs/samarl_flat"
+    assert row["from_training"] == (
+        f"{train} && {row['command']} checkpoint=outputs/samarl_flat/last.safetensors"
+    )
+    other = train.replace("seed=2", "seed=0") + "_seed0"
+    assert row["training_commands"] == [train, other]
+    straight = _row(
+        "straight", [load_agent("straight")], scenario, scenario, Evaluation(cases=1), "", []
+    )
+    assert "from_training" not in straight
+
+
 def test_a_planner_that_is_five_points_worse_shows() -> None:
     agent = load_agent("perimeter")
     played = Scenario(), Scenario(), Evaluation(), "", []

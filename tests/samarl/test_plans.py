@@ -68,9 +68,10 @@ def every_plan(known, p, numbers, margins, costs, best):  # type: ignore[no-unty
         if plan == directions * speeds * holds:
             wanted, hold = np.float32(0.0), horizon
         vx, vy = wanted * math.cos(angle), wanted * math.sin(angle)
+        straight = np.zeros((len(rows), 1, 2), np.float32)
         cost = _cost(
-            rows, count, goal_x, goal_y, vx, vy, horizon, hold, costs[0], costs[1], costs[2],
-            costs[3], np.float32(np.inf), attempt, p,
+            rows, straight, count, goal_x, goal_y, vx, vy, horizon, hold, *costs,
+            np.float32(np.inf), attempt, p,
         )  # fmt: skip
         if cost < cheapest:
             cheapest = cost

@@ -2,7 +2,9 @@
 
 import json
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +14,6 @@ from safetensors.numpy import save
 from mrsan import ConfigurationError, Crowd, Scenario, Split, World
 from mrsan.prediction import PREDICTORS, ConstantVelocity, find_predictor, own_frame
 from samarl.agents import build_agent
-from samarl.agents.shielded import Shielded
 from samarl.configuration import load_agent
 from samarl.observations.tracker import Tracker
 from samarl.planning.foresight import Foresight
@@ -132,41 +133,50 @@ def test_the_shipped_predictor_is_better_than_constant_velocity(
 SCENARIO = Scenario(robots=3, humans=16, fov_degrees=200.0)
 
 
-def driven(shield: object, scenario: Scenario = SCENARIO) -> tuple[list[np.ndarray], Shielded]:
-    """What the blind walk straight ahead does under a shield."""
-    agent = build_agent({**load_agent("straight"), "shield": shield}, scenario)
-    assert isinstance(agent, Shielded)
+def foreseeing(who: str, predictor: str) -> dict[str, Any]:
+    """A planner that foresees, or the blind walk straight ahead under a shield that does."""
+    of = {"shield": {"predictor": predictor}} if who == "shield" else {"predictor": predictor}
+    return load_agent("straight" if who == "shield" else who) | of
+
+
+def driven(config: dict[str, Any], scenario: Scenario = SCENARIO) -> list[np.ndarray]:
+    """What an agent does."""
+    agent = build_agent(config, scenario)
     world, actions = World(scenario, 20), []
     observation = world.reset(Split.validation.case(0) + np.arange(20))
     for _ in range(50):
         actions.append(agent.act(observation))
         observation = world.step(actions[-1]).observation
-    return actions, agent
+    return actions
 
 
-def test_the_shield_with_constant_velocity_is_the_shield(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("who", ["shield", "model_predictive"])
+def test_constant_velocity_is_what_one_does_by_default(
+    who: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """To the bit: as by default, through the interface of predictors, with weights of zero."""
-    expected, _ = driven(True)
+    default = load_agent("straight") | {"shield": True} if who == "shield" else load_agent(who)
+    expected = driven(default)
     save_predictor(tmp_path / "zero.safetensors", Network(4).predictor(8, DT), {})
     monkeypatch.setitem(PREDICTORS, "straight", ConstantVelocity)
     names = ("constant_velocity", "straight", str(tmp_path / "zero.safetensors"))
     for name in names:
-        found, agent = driven({"predictor": name})
-        assert (agent._foresight is None) == (name == "constant_velocity")
-        np.testing.assert_array_equal(found, expected)
-    assert any((a != b).any() for a, b in zip(driven({"predictor": "recurrent"})[0], expected,
-                                              strict=True))  # fmt: skip
+        np.testing.assert_array_equal(driven(foreseeing(who, name)), expected)
+    otherwise = driven(foreseeing(who, "recurrent"))
+    assert any((a != b).any() for a, b in zip(otherwise, expected, strict=True))
 
 
 def test_a_predictor_that_does_not_fit_is_named() -> None:
     for scenario, name, message in (
-        (SCENARIO, "crystal_ball", "agent.shield.predictor is 'crystal_ball'; it must be"),
+        (SCENARIO, "crystal_ball", "'crystal_ball'; it must be"),
         (replace(SCENARIO, time_step=0.1), "recurrent", "predicts in steps of 0.25 s"),
     ):
-        with pytest.raises(ConfigurationError, match=message):
-            build_agent({**load_agent("straight"), "shield": {"predictor": name}}, scenario)
+        for who, field in (
+            ("shield", r"agent\.shield\.predictor"),
+            ("model_predictive", r"agent\.predictor"),
+        ):
+            with pytest.raises(ConfigurationError, match=f"{field}.*{message}"):
+                build_agent(foreseeing(who, name), scenario)
 
 
 class Sideways(ConstantVelocity):
@@ -205,12 +215,12 @@ def test_what_is_foreseen_is_in_the_body_frame_and_of_those_in_view() -> None:
     assert 0 < seen.sum() < seen.size
 
 
-def test_a_shield_that_foresees_a_turn_acts_on_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_who_foresees_a_turn_acts_on_it(monkeypatch: pytest.MonkeyPatch) -> None:
     """Somebody walks past beside the robot; foreseen to turn into it, it is avoided."""
     monkeypatch.setitem(PREDICTORS, "sideways", Sideways)
     scenario = Scenario(robots=1, humans=1)
-    acted = {}
-    for name in ("constant_velocity", "sideways"):
+    found = {}
+    for who, name in product(("shield", "model_predictive"), ("constant_velocity", "sideways")):
         world = World(scenario)
         world.reset([0])
         state = world.state
@@ -218,13 +228,13 @@ def test_a_shield_that_foresees_a_turn_acts_on_it(monkeypatch: pytest.MonkeyPatc
         state.robot_heading[0, 0], state.robot_velocity[0, 0] = 0, (1, 0)
         state.human_position[0, 0], state.human_velocity[0, 0] = (0.0, -0.7), (1, 0)
         state.human_radius[0, 0] = 0.3
-        agent = build_agent({**load_agent("straight"), "shield": {"predictor": name}}, scenario)
-        action = agent.act(world.observe())
-        explanation = agent.explain()
-        assert explanation is not None
-        acted[name] = bool(explanation.shielded[0, 0])
+        action = build_agent(foreseeing(who, name), scenario).act(world.observe())
         assert np.isfinite(action).all()
-    assert acted == {"constant_velocity": False, "sideways": True}
+        found[who, name] = action[0, 0]
+    straight = build_agent(load_agent("straight"), scenario).act(world.observe())[0, 0]
+    np.testing.assert_array_equal(found["shield", "constant_velocity"], straight)
+    for who in ("shield", "model_predictive"):
+        assert (found[who, "sideways"] != found[who, "constant_velocity"]).any()
 
 
 def test_the_command_trains_measures_and_says_what_is_wrong(

@@ -1,0 +1,84 @@
+"""Velocities that robots of another kind are meant to have."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mrsan import ConfigurationError, Kinematics, Scenario, World
+from mrsan.features import HEADING_COS, HEADING_SIN, VELOCITY
+from samarl.agents import build_agent
+from samarl.agents.learned import Learned
+from samarl.configuration import load_agent
+from samarl.planning.tracking import as_driven
+
+ALONE = Scenario(robots=1, humans=0)
+
+
+def moved(world: World, action: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Velocities [E, N, 2] in the body frame of before and turns [E, N] of one step."""
+    before = world.observe().ego
+    after = world.step(action).observation.ego
+    cos = before[..., HEADING_COS] * after[..., HEADING_COS]
+    cos += before[..., HEADING_SIN] * after[..., HEADING_SIN]
+    sin = before[..., HEADING_COS] * after[..., HEADING_SIN]
+    sin -= before[..., HEADING_SIN] * after[..., HEADING_COS]
+    x, y = after[..., VELOCITY][..., 0], after[..., VELOCITY][..., 1]
+    return np.stack([cos * x - sin * y, sin * x + cos * y], -1), np.arctan2(sin, cos)
+
+
+@pytest.mark.parametrize("own", Kinematics)
+def test_a_holonomic_robot_moves_as_any_other_would(own: Kinematics) -> None:
+    """It can have every velocity: the two worlds go on alike, turns on the spot included."""
+    theirs, ours = replace(ALONE, kinematics=own), replace(ALONE, kinematics=Kinematics.holonomic)
+    rng = np.random.default_rng(0)
+    one, other = World(theirs, 50), World(ours, 50)
+    one.reset(range(50))
+    other.reset(range(50))
+    for _ in range(8):
+        action = rng.uniform(-1, 1, (50, 1, theirs.action_size)).astype(np.float32)
+        ego = other.observe().ego
+        tracked = as_driven(ego, action, theirs.parameters(), ours.parameters())
+        assert np.abs(tracked).max() <= 1.0
+        expected, turn = moved(one, action)
+        velocity, turned = moved(other, tracked)
+        np.testing.assert_allclose(velocity, expected, atol=2e-3)  # it creeps where it turns
+        drives = np.linalg.norm(expected, axis=-1) > 1e-3
+        standing = ~drives & (np.linalg.norm(velocity, axis=-1) > 0)
+        for who in (drives, standing):
+            np.testing.assert_allclose(turned[who], turn[who], atol=1e-3)
+
+
+def test_a_robot_with_limits_comes_as_near_as_it_can() -> None:
+    """By hand: from standing, ahead; and from full speed by a quarter turn to the left."""
+    own = replace(ALONE, kinematics=Kinematics.holonomic).parameters()
+    here = ALONE.parameters()
+    ego = np.zeros((1, 3, 11), np.float32)
+    ego[..., HEADING_COS] = 1.0
+    ego[0, 1, VELOCITY.start] = 1.0
+    ego[0, 2, VELOCITY.start] = 1.0
+    action = np.array([[[1.0, 0.0], [0.0, 1.0], [0.5, 0.0]]], np.float32)
+    tracked = as_driven(ego, action, own, here)
+    # 1 m/s in 0.25 s is 4 of 5 m/s^2; a sharp turn is made standing; half a metre per second less.
+    np.testing.assert_allclose(tracked[0], [[0.8, 0, 0], [-0.8, 0, 1], [-0.4, 0, 0]], atol=1e-6)
+    gentle = np.array([[math.cos(0.1), math.sin(0.1)]] * 3, np.float32)[None]
+    turn = 0.1 / math.radians(15.0)
+    np.testing.assert_allclose(as_driven(ego, gentle, own, here)[0, 1], [0, 0, turn], atol=1e-5)
+
+
+def test_a_policy_drives_other_robots_only_where_that_is_asked_for() -> None:
+    config = load_agent("msa3cpred")
+    with pytest.raises(ConfigurationError, match=r"agent\.track_velocity=true"):
+        build_agent(config, ALONE)
+    agent = build_agent({**config, "track_velocity": True}, ALONE)
+    assert isinstance(agent, Learned)
+    assert agent.is_foreign
+    agent.reset(np.ones(4, np.bool_))
+    action = agent.act(World(ALONE, 4).reset(range(4)))
+    assert action.shape == (4, 1, 3)
+    assert action[..., 0].max() > 0.5  # it sets out
+    own = replace(ALONE, kinematics=Kinematics.holonomic)
+    at_home = build_agent({**config, "track_velocity": True}, own)
+    assert isinstance(at_home, Learned)
+    assert not at_home.is_foreign
