@@ -64,6 +64,7 @@ class Bench:
     about: str = MISSING
     agents: list[str] | None = None
     leave_out: list[str] = field(default_factory=list)
+    headline: list[str] = field(default_factory=list)
     improvement_of: list[str] = field(default_factory=list)
     columns: list[dict[str, Any]] = field(default_factory=list)
     recordings: str | None = None
@@ -146,7 +147,7 @@ def bench(config: DictConfig) -> None:
             print(f"  {name}: {why}")
     rows = merged(rows, earlier)
     write_json(output / f"{config.name}.json", rows)
-    text = page(config.name, config.about, rows, config.improvement_of)
+    text = page(config.name, config.about, rows, config.improvement_of, config.headline)
     write_atomically(output / f"{config.name}.md", text)
     print(f"\nwritten to {output}/{config.name}.json and {config.name}.md")
 

@@ -15,7 +15,10 @@ _OVER_SEEDS = """ Over training seeds: the interquartile mean (of fewer than fou
 seeds the mean) with the 95 % interval of 10,000 bootstrap draws of seeds."""
 
 
-def page(name: str, about: str, rows: Sequence[Row], improvement_of: Sequence[str] = ()) -> str:
+def page(
+    name: str, about: str, rows: Sequence[Row], improvement_of: Sequence[str] = (),
+    headline: Sequence[str] = (),
+) -> str:  # fmt: skip
     """The page of a table.
 
     Args:
@@ -23,10 +26,13 @@ def page(name: str, about: str, rows: Sequence[Row], improvement_of: Sequence[st
         about: its title and what it says first.
         rows: all of them.
         improvement_of: methods whose training seeds are compared with those of the others.
+        headline: methods that have a short table of their own before all others, in this order.
     """
     commits = ", ".join(sorted({row["commit"] for row in rows}))
+    first = [row for method in headline for row in rows if row["method"] == method]
+    short = f"{grids_as_markdown(first)}\n\n## Every method\n\n" if first else ""
     return f"""# {about}
-{grids_as_markdown(rows)}
+{short}{grids_as_markdown(rows)}
 {_nobody_passed(rows)}{_improvement(rows, improvement_of)}
 ## Every row
 

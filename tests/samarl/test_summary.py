@@ -306,6 +306,16 @@ def test_the_page_compares_training_seeds() -> None:
     assert "improvement" not in page("table1", "Title", rows)
 
 
+def test_the_page_begins_with_a_short_table() -> None:
+    rows = [row(method=name) for name in ("one", "two", "three")]
+    text = page("table1", "Title", rows, headline=["three", "one", "absent"])
+    short, every = text.split("## Every method\n")
+    names = [line.split("|")[1].strip() for line in short.splitlines() if line.startswith("|")]
+    assert names[2:] == ["three", "one"]
+    assert "| two" in every
+    assert "Every method" not in page("table1", "Title", rows)
+
+
 COMMITTED = find_folder("results") / "table1.json"
 
 
