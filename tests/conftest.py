@@ -48,6 +48,8 @@ def pytest_sessionstart(session: pytest.Session) -> None:
 def one_thread() -> None:
     """Tests run side by side: more threads than cores would wait for each other."""
     numba.set_num_threads(1)
+    if "torch" in sys.modules:  # after Numba's, which sets torch's as well
+        sys.modules["torch"].set_num_threads(1)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import os
+import sys
+from functools import cache
 from pathlib import Path
 
+import numba
 from numba import config
 
 _DECIDED_BY = ("GOMP_SPINCOUNT", "OMP_WAIT_POLICY")
@@ -25,6 +28,25 @@ def let_threads_sleep() -> None:
         os.environ["GOMP_SPINCOUNT"] = "1000"
     elif config.THREADING_LAYER == "default":
         config.THREADING_LAYER = "workqueue"
+
+
+def kernel_threads() -> int:
+    """On how many threads kernels run; torch keeps the number that it had.
+
+    When Numba starts its threads it sets OpenMP's number, which is torch's as well: a torch that
+    was told to use one thread would use all, and have them spin for each other.
+    """
+    _start_threads()
+    return int(numba.get_num_threads())
+
+
+@cache
+def _start_threads() -> None:
+    torch = sys.modules.get("torch")
+    wanted = torch.get_num_threads() if torch else 0
+    numba.get_num_threads()  # starts them, the first time
+    if torch:
+        torch.set_num_threads(wanted)
 
 
 def _openmp_is_loaded() -> bool:

@@ -88,8 +88,8 @@ class Trainer:
         self.config, self.stages = config, stages
         self.name = str(policy["name"])
         _keep_freed_memory()
-        torch.set_num_threads(config.threads)
         numba.set_num_threads(min(config.threads, numba.config.NUMBA_NUM_THREADS))
+        torch.set_num_threads(config.threads)  # after Numba's, which sets torch's as well
         torch.manual_seed(config.seed)
         sizes = {key: value for key, value in policy.items() if key != "name"}
         self.policy = make_policy(self.name, sizes, stages[0].scenario.action_size)

@@ -18,6 +18,8 @@ from typing import Any
 
 import numba
 
+from mrsan.threads import kernel_threads
+
 # IEEE arithmetic (no fastmath): a case gives the same bits on any number of worlds or threads.
 function = numba.njit(error_model="numpy", forceinline=True)
 
@@ -46,7 +48,7 @@ class kernel:
         """Run over `worlds` worlds, the other arguments as the kernel's source declares them."""
         if worlds == 1:
             return self.serial(1, *arguments)
-        return self.parallel(min(worlds, 8 * numba.get_num_threads()), *arguments)
+        return self.parallel(min(worlds, 8 * kernel_threads()), *arguments)
 
 
 def _compile(source: Callable[..., Any], variant: str, parallel: bool) -> Any:
