@@ -11,7 +11,9 @@ import io
 import os
 import re
 import shlex
+import signal
 import sys
+import time
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NoReturn
 
@@ -29,6 +31,9 @@ from samarl.agents import Agent
 from samarl.commands.help import help_text
 from samarl.configuration import first, import_plugins, register_schemas
 from samarl.files import find_folder
+from samarl.launch import launcher, rank
+
+_WAIT_FOR_FIRST = 5.0  # s, for the first process to say what is wrong
 
 
 def chosen_agent(config: DictConfig) -> DictConfig:
@@ -111,7 +116,8 @@ def run_command(task: Callable[[DictConfig], Any], config_name: str, **schemas: 
             raise
         _fail(error)
     except KeyboardInterrupt as interruption:
-        print("; ".join(["interrupted", *map(str, interruption.args)]), file=sys.stderr)
+        if rank() == 0:
+            print("; ".join(["interrupted", *map(str, interruption.args)]), file=sys.stderr)
         sys.exit(130)
 
 
@@ -127,7 +133,7 @@ def _sweep_name(words: Sequence[str]) -> str:
 def command_line(program: str) -> str:
     """The command that is running, as one would type it."""
     hydra_config = HydraConfig.get()
-    words = [program]
+    words = [*launcher(), program]
     for source in hydra_config.runtime.config_sources:
         if source.provider == "command-line":
             words += ["--config-dir", source.path]
@@ -185,7 +191,13 @@ def _leave_quietly() -> NoReturn:
 
 
 def _fail(error: Exception) -> NoReturn:
-    """Say in one line what is wrong and leave with exit code 2."""
+    """Say in one line what is wrong and leave with exit code 2.
+
+    Of several processes only one should say it. The others wait first: their launcher ends them.
+    """
+    if rank() > 0:
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        time.sleep(_WAIT_FOR_FIRST)
     if unknown := _unknown_key(error):
         print(f"error: {unknown}", file=sys.stderr)
         sys.exit(2)
