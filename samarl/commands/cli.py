@@ -18,9 +18,11 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NoReturn
 
 import hydra
+import numba
 from hydra.core.config_store import ConfigStore
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import HydraException
+from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
 from yaml import YAMLError
@@ -91,6 +93,7 @@ def run_command(task: Callable[[DictConfig], Any], config_name: str, **schemas: 
     def checked(config: DictConfig) -> Any:
         # Reported here, not outside: Hydra would print a second line about the failed job.
         try:
+            _take_threads()
             _refuse_unknown_keys(config, "")
             import_plugins(config.plugins)
             result = task(config)
@@ -111,6 +114,10 @@ def run_command(task: Callable[[DictConfig], Any], config_name: str, **schemas: 
         _leave_quietly()
     except (HydraException, OmegaConfBaseException, YAMLError, OSError) as error:
         _fail(error)
+    except RuntimeError as error:
+        if not type(error).__module__.startswith("submitit"):
+            raise
+        _fail(error)
     except ValueError as error:
         if not str(error).startswith("Config group override"):
             raise
@@ -119,6 +126,15 @@ def run_command(task: Callable[[DictConfig], Any], config_name: str, **schemas: 
         if rank() == 0:
             print("; ".join(["interrupted", *map(str, interruption.args)]), file=sys.stderr)
         sys.exit(130)
+
+
+def _take_threads() -> None:
+    """A cell that a cluster's launcher runs beside others takes the cores that it was given."""
+    hydra_config = HydraConfig.get()
+    if hydra_config.mode == RunMode.MULTIRUN and "cpus_per_task" in hydra_config.launcher:
+        threads = hydra_config.launcher.cpus_per_task or 1
+        os.environ["OMP_NUM_THREADS"] = str(threads)  # of torch, which is not loaded yet
+        numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))
 
 
 def _sweep_name(words: Sequence[str]) -> str:
