@@ -79,6 +79,8 @@ results: setup ## Rewrite results/ and the README's table and pictures (RECORDIN
 	@$(BIN)/python -m benchmarks.throughput --compile --output results/throughput.json
 	@$(BIN)/python -m benchmarks.latency --output results/latency.json
 	@$(BIN)/python -m benchmarks.training --output results/training_throughput.json
+	@OMP_NUM_THREADS=1 $(BIN)/torchrun --nproc-per-node 2 --no-python $(BIN)/python \
+	  -m benchmarks.training trainer.threads=1 --output results/training_throughput_2_processes.json
 	$(call INTO_README,table1,# Table I)
 	$(call INTO_README,transfer,### Recorded people)
 	@$(MAKE) --no-print-directory pictures

@@ -2,7 +2,9 @@
 
 Rounds of the default recipe (collect, update) are timed; as many more then run under Python's
 profiler, which says what share of them each part takes. Arguments are those of `samarl-train`:
-`python -m benchmarks.training trainer.threads=1`.
+`python -m benchmarks.training trainer.threads=1`. Several processes that train together:
+`torchrun --nproc-per-node 2 --no-python python -m benchmarks.training trainer.threads=1`; a speed
+is then that of all of them, the parts are those of the first.
 """
 
 from __future__ import annotations
@@ -27,6 +29,7 @@ from samarl.commands.train import Train, build_trainer
 from samarl.configuration import register_schemas
 from samarl.evaluation.table import as_text
 from samarl.files import code_version, find_folder, machine, write_json
+from samarl.launch import launcher, processes, rank
 from samarl.training.trainer import Trainer
 
 # Parts of a round and the functions that make them up (end of the file's path, name).
@@ -38,6 +41,7 @@ _PARTS = {
     "networks, forward": [("ppo.py", "_loss")],
     "networks, backward": [("_tensor.py", "backward")],
     "optimiser": [("adam.py", "step"), ("clip_grad.py", "clip_grad_norm_")],
+    "mean of gradients": [("distributed.py", "average_gradients")],  # waits for the slowest process
 }
 
 
@@ -47,9 +51,10 @@ def main() -> None:
     with interruptible(), tempfile.TemporaryDirectory() as folder:
         trainer = default_trainer([*arguments.settings, f"run_dir={folder}"])
         seconds, steps = [], 0
+        silent = None if rank() == 0 else True
         profiler = cProfile.Profile()
         rounds = arguments.rounds
-        for number in trange(1 + 2 * rounds, desc="training", unit="round", disable=None):
+        for number in trange(1 + 2 * rounds, desc="training", unit="round", disable=silent):
             if number == 1 + rounds:
                 profiler.enable()
             begun = time.perf_counter()
@@ -59,20 +64,26 @@ def main() -> None:
                 seconds.append(time.perf_counter() - begun)
             steps = trainer.steps_done - before
         profiler.disable()
+    if rank() > 0:
+        return
     rates = [steps / second for second in seconds]
     result: dict[str, Any] = {
         "world_steps_per_second": round(statistics.median(rates), 1),
         "smallest": round(min(rates), 1),
         "largest": round(max(rates), 1),
         "share_percent": shares(pstats.Stats(profiler)),
+        "processes": processes(),
         "threads": trainer.config.threads,
         "machine": machine(),
         "commit": code_version(),
-        "command": shlex.join(["python", "-m", "benchmarks.training", *sys.argv[1:]]),
+        "command": shlex.join([*launcher(), "python", "-m", "benchmarks.training", *sys.argv[1:]]),
     }
     write_json(arguments.output, result)
     rate, low, high = (f"{value:,.0f}" for value in list(result.values())[:3])
-    print(f"{rate} [{low}, {high}] world-steps a second, {result['threads']} threads, {machine()}")
+    print(
+        f"{rate} [{low}, {high}] world-steps a second, {processes()} processes with "
+        f"{result['threads']} threads each, {machine()}"
+    )
     lines = [[part, f"{share:.1f}"] for part, share in result["share_percent"].items()]
     print(as_text(("part of a round", "share %"), lines))
     print(f"\nwritten to {arguments.output}")

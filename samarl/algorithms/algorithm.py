@@ -20,6 +20,7 @@ class Algorithm(nn.Module, ABC):
     policy: Policy
     central = False  # it needs the true state in the rollouts
     taught = False  # it needs what the safety shield would do
+    averages = False  # its gradients, over processes: it can train in several
 
     def __init__(self, policy: Policy, config: Any) -> None:
         """Make critics and optimisers.

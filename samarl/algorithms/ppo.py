@@ -23,6 +23,7 @@ from samarl.algorithms.action_limits import excess
 from samarl.algorithms.advantages import macro_advantages, step_advantages, streams
 from samarl.algorithms.algorithm import Algorithm
 from samarl.algorithms.critics import PopArtHead, SetEncoder
+from samarl.distributed import average_gradients, exchanged, joined
 from samarl.observations.frames import Frames
 from samarl.policies.policy import LOCAL, MACRO, TOLD, Policy, Taken
 from samarl.rollout import Rollout, level_key
@@ -74,6 +75,7 @@ class PPO(Algorithm):
     """Clipped PPO with TorchRL's loss, of all levels at once."""
 
     heads: Mapping[str, PopArtHead]
+    averages = True
 
     def __init__(self, policy: Policy, config: Any) -> None:
         """See `Algorithm`."""
@@ -152,6 +154,7 @@ class PPO(Algorithm):
                         loss = self._loss(rollout, data, keep, of_piece, statistics, divergence)
                         if loss.requires_grad:  # else nothing in it counts
                             (loss / len(rollouts)).backward()
+                average_gradients([*self.policy.parameters(), *self.parameters()])
                 for name, module in (("actor", self.policy), ("critic", self)):
                     norm = nn.utils.clip_grad_norm_(
                         module.parameters(), self.config.max_gradient_norm
@@ -160,6 +163,7 @@ class PPO(Algorithm):
                         raise FloatingPointError(f"the gradient of the {name} is not finite")
                     statistics[f"losses/{name}_gradient_norm"].append(float(norm))
                 self.optimiser.step()
+            divergence = [value for values in exchanged(divergence) for value in values]
             mean_kl = sum(divergence) / max(len(divergence), 1)
             if self.config.target_kl is not None and mean_kl > self.config.target_kl:
                 break
@@ -182,9 +186,9 @@ class PPO(Algorithm):
                 told = rollout.steps["agents", "target"]
                 value = head.denormalise(head(_told(name, feature, told)))
                 found.append((*self._advantages(name, rollout, value), value[:, :-1]))
-            chosen = torch.cat([advantage[where] for advantage, _, where, _, _ in found])
-            targets = torch.cat([target[valued] for _, target, _, valued, _ in found])
-            values = torch.cat([value[valued] for _, _, _, valued, value in found])
+            chosen = joined(torch.cat([advantage[where] for advantage, _, where, _, _ in found]))
+            targets = joined(torch.cat([target[valued] for _, target, _, valued, _ in found]))
+            values = joined(torch.cat([value[valued] for _, _, _, valued, value in found]))
             mean, std = chosen.new_zeros(()), chosen.new_ones(())
             if len(chosen) > 1:  # in a short rollout the macro level may decide nothing
                 mean, std = chosen.mean(), chosen.std().clamp_min(1e-4)
@@ -228,7 +232,7 @@ class PPO(Algorithm):
         acts = [data[LOCAL].where for data in prepared]
         if self.config.kept_share >= 1.0:
             return acts
-        every = torch.cat([size[where] for size, where in zip(sizes, acts, strict=True)])
+        every = joined(torch.cat([size[where] for size, where in zip(sizes, acts, strict=True)]))
         least = every.kthvalue(max(int((1.0 - self.config.kept_share) * len(every)), 1)).values
         # Not `>=`: what is not a number must be kept, and stop the run.
         return [where & ~(size < least) for size, where in zip(sizes, acts, strict=True)]

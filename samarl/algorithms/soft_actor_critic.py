@@ -26,6 +26,8 @@ from samarl.algorithms.action_values import (
 )
 from samarl.algorithms.advantages import streams
 from samarl.algorithms.algorithm import ALGORITHMS, Algorithm
+from samarl.distributed import average_gradients, exchanged
+from samarl.launch import share
 from samarl.observations.frames import Frames
 from samarl.policies.policy import Policy, Sequences
 from samarl.policies.squashed import SquashedPolicy
@@ -64,6 +66,7 @@ class SoftActorCritic(Algorithm):
     """
 
     policy: SquashedPolicy
+    averages = True
     updates: Tensor  # until now
 
     def __init__(self, policy: Policy, config: Any) -> None:
@@ -73,7 +76,7 @@ class SoftActorCritic(Algorithm):
             ConfigurationError: the policy's actions cannot be drawn with a gradient, `replay` is
                 too small to begin, or the attention cannot be split into heads.
         """
-        super().__init__(policy, config)
+        super().__init__(policy, share(config, "algorithm", "replay", "learning_starts", "batch"))
         if not isinstance(policy, SquashedPolicy):
             raise ConfigurationError(
                 "algorithm.name is soft_actor_critic; policy.name must be squashed"
@@ -153,7 +156,8 @@ class SoftActorCritic(Algorithm):
         found["losses/mean_value"].append(value.detach())
         found["losses/mean_target"].append(target[batch["valued"]].mean())
         self.updates += 1
-        if self.updates % self.config.policy_delay == 0 and batch["acts"].any():
+        due = self.updates % self.config.policy_delay == 0
+        if due and all(exchanged(bool(batch["acts"].any()))):
             loss, log_prob = self.actor_loss(batch, now.detach())
             self._descend("actor", loss, self.acting, found)
             found["losses/actor"].append(loss.detach())
@@ -209,6 +213,7 @@ class SoftActorCritic(Algorithm):
         optimiser = self.adams[name]
         optimiser.zero_grad(set_to_none=True)
         loss.backward()
+        average_gradients(p for group in optimiser.param_groups for p in group["params"])
         if clipped:
             norm = nn.utils.clip_grad_norm_(clipped, self.config.max_gradient_norm)
             if not torch.isfinite(norm):

@@ -20,6 +20,8 @@ from mrsan import ConfigurationError
 from mrsan.scenario import required
 from samarl.algorithms.advantages import streams
 from samarl.algorithms.algorithm import ALGORITHMS, Algorithm
+from samarl.distributed import average_gradients, exchanged
+from samarl.launch import share
 from samarl.observations.frames import Frames
 from samarl.policies.lookahead import LookaheadPolicy
 from samarl.policies.policy import Policy
@@ -54,6 +56,7 @@ class ValueLearning(Algorithm):
     """
 
     policy: LookaheadPolicy
+    averages = True
     rounds: Tensor  # of updates until now
 
     def __init__(self, policy: Policy, config: Any) -> None:
@@ -62,7 +65,7 @@ class ValueLearning(Algorithm):
         Raises:
             ConfigurationError: the policy has no values, or `replay` is too small to begin.
         """
-        super().__init__(policy, config)
+        super().__init__(policy, share(config, "algorithm", "replay", "learning_starts", "batch"))
         if not isinstance(policy, LookaheadPolicy):
             raise ConfigurationError(
                 "algorithm.name is value_learning; policy.name must be one with values: lookahead"
@@ -99,7 +102,7 @@ class ValueLearning(Algorithm):
         c = self.config
         self._keep([samples_of(rollout) for rollout in rollouts])
         statistics = {"charts/epsilon": 0.0 if self.policy.imitating else self.policy.epsilon}
-        if len(self.replay) < c.learning_starts:
+        if not all(exchanged(len(self.replay) >= c.learning_starts)):
             return statistics
         total = torch.zeros(4, device=self.policy.device)
         for _ in range(c.updates):
@@ -109,6 +112,7 @@ class ValueLearning(Algorithm):
             loss = functional.mse_loss(value, target)
             self.optimiser.zero_grad(set_to_none=True)
             loss.backward()
+            average_gradients(self.policy.parameters())
             norm = nn.utils.clip_grad_norm_(self.policy.parameters(), c.max_gradient_norm)
             if not torch.isfinite(norm):
                 raise FloatingPointError("the gradient of the value is not finite")

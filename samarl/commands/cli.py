@@ -11,14 +11,18 @@ import io
 import os
 import re
 import shlex
+import signal
 import sys
+import time
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NoReturn
 
 import hydra
+import numba
 from hydra.core.config_store import ConfigStore
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import HydraException
+from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
 from yaml import YAMLError
@@ -29,6 +33,9 @@ from samarl.agents import Agent
 from samarl.commands.help import help_text
 from samarl.configuration import first, import_plugins, register_schemas
 from samarl.files import find_folder
+from samarl.launch import launcher, rank
+
+_WAIT_FOR_FIRST = 5.0  # s, for the first process to say what is wrong
 
 
 def chosen_agent(config: DictConfig) -> DictConfig:
@@ -86,6 +93,7 @@ def run_command(task: Callable[[DictConfig], Any], config_name: str, **schemas: 
     def checked(config: DictConfig) -> Any:
         # Reported here, not outside: Hydra would print a second line about the failed job.
         try:
+            _take_threads()
             _refuse_unknown_keys(config, "")
             import_plugins(config.plugins)
             result = task(config)
@@ -106,13 +114,27 @@ def run_command(task: Callable[[DictConfig], Any], config_name: str, **schemas: 
         _leave_quietly()
     except (HydraException, OmegaConfBaseException, YAMLError, OSError) as error:
         _fail(error)
+    except RuntimeError as error:
+        if not type(error).__module__.startswith("submitit"):
+            raise
+        _fail(error)
     except ValueError as error:
         if not str(error).startswith("Config group override"):
             raise
         _fail(error)
     except KeyboardInterrupt as interruption:
-        print("; ".join(["interrupted", *map(str, interruption.args)]), file=sys.stderr)
+        if rank() == 0:
+            print("; ".join(["interrupted", *map(str, interruption.args)]), file=sys.stderr)
         sys.exit(130)
+
+
+def _take_threads() -> None:
+    """A cell that a cluster's launcher runs beside others takes the cores that it was given."""
+    hydra_config = HydraConfig.get()
+    if hydra_config.mode == RunMode.MULTIRUN and "cpus_per_task" in hydra_config.launcher:
+        threads = hydra_config.launcher.cpus_per_task or 1
+        os.environ["OMP_NUM_THREADS"] = str(threads)  # of torch, which is not loaded yet
+        numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))
 
 
 def _sweep_name(words: Sequence[str]) -> str:
@@ -127,7 +149,7 @@ def _sweep_name(words: Sequence[str]) -> str:
 def command_line(program: str) -> str:
     """The command that is running, as one would type it."""
     hydra_config = HydraConfig.get()
-    words = [program]
+    words = [*launcher(), program]
     for source in hydra_config.runtime.config_sources:
         if source.provider == "command-line":
             words += ["--config-dir", source.path]
@@ -185,7 +207,13 @@ def _leave_quietly() -> NoReturn:
 
 
 def _fail(error: Exception) -> NoReturn:
-    """Say in one line what is wrong and leave with exit code 2."""
+    """Say in one line what is wrong and leave with exit code 2.
+
+    Of several processes only one should say it. The others wait first: their launcher ends them.
+    """
+    if rank() > 0:
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        time.sleep(_WAIT_FOR_FIRST)
     if unknown := _unknown_key(error):
         print(f"error: {unknown}", file=sys.stderr)
         sys.exit(2)

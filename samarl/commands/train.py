@@ -14,6 +14,7 @@ from omegaconf import MISSING, DictConfig, OmegaConf
 
 from mrsan import ConfigurationError
 from samarl.commands.cli import command_line, run_command
+from samarl.launch import launcher, rank
 from samarl.training.curriculum import CurriculumStage, check_stages
 
 if TYPE_CHECKING:
@@ -54,21 +55,22 @@ def train(config: DictConfig) -> None:
         config = begun_as(config)
     trainer = build_trainer(config, command_line("samarl-train"))
     logging.getLogger("torchrl").setLevel(logging.WARNING)  # it tells of every replay
-    if trainer.steps_done >= trainer.config.steps:
-        print(
-            f"this run is finished; for more: samarl-train resume={trainer.run_dir.folder} "
-            f"trainer.steps={2 * trainer.config.steps}"
-        )
+    again = shlex.join([*launcher(), "samarl-train", f"resume={trainer.run_dir.folder}"])
+    if rank() > 0:
+        pass  # the first process says it
+    elif trainer.steps_done >= trainer.config.steps:
+        print(f"this run is finished; for more: {again} trainer.steps={2 * trainer.config.steps}")
     elif trainer.steps_done:
         print(f"going on at step {trainer.steps_done} of {trainer.config.steps}")
     try:
         trainer.run()
     except KeyboardInterrupt:
-        again = shlex.join(["samarl-train", f"resume={trainer.run_dir.folder}"])
         raise KeyboardInterrupt(f"go on with: {again}") from None
-    print(
-        f"written to {trainer.run_dir.folder}: best validation success {100 * trainer.best:.1f} %"
-    )
+    if rank() == 0:
+        print(
+            f"written to {trainer.run_dir.folder}: "
+            f"best validation success {100 * trainer.best:.1f} %"
+        )
 
 
 def begun_as(config: DictConfig) -> DictConfig:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import platform
 from pathlib import Path
 from typing import Any
 
@@ -20,15 +22,18 @@ class GatherTable(Callback):
     """Writes `table.json` and `table.md` of the cells of a sweep in its folder.
 
     A launcher that runs cells in other processes does not report them here; then all finished
-    cells of the folder are gathered.
+    cells of the folder are gathered at the end.
     """
 
     def __init__(self) -> None:
         """Nothing gathered yet."""
         self.cells: list[Path] = []
+        self.process = platform.node(), os.getpid()  # copies elsewhere know one cell, do not write
 
     def on_job_end(self, config: DictConfig, job_return: JobReturn, **kwargs: Any) -> None:
         """One cell is done."""
+        if (platform.node(), os.getpid()) != self.process:
+            return
         assert job_return.hydra_cfg is not None
         self.cells.append(Path(job_return.hydra_cfg.hydra.runtime.output_dir) / "row.json")
         if job_return.hydra_cfg.hydra.mode == RunMode.MULTIRUN:

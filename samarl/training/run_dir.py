@@ -1,4 +1,4 @@
-"""The folder of a training run: one process at a time, and everything that is needed to go on."""
+"""The folder of a training run: one training at a time, and everything that is needed to go on."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from torch import Tensor
 
 from mrsan import ConfigurationError
 from samarl.files import write_atomically
+from samarl.launch import rank
 from samarl.policies.checkpoint import write_tensors
 
 STATE = "state.safetensors"
@@ -29,13 +30,14 @@ class RunDir:
         """Take the folder.
 
         Raises:
-            ConfigurationError: another process trains into it.
+            ConfigurationError: another training writes into it.
         """
         self.folder = folder
         folder.mkdir(parents=True, exist_ok=True)
         self._lock = (folder / ".lock").open("w")
         try:
-            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            if rank() == 0:  # of several processes of a training
+                fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
             raise ConfigurationError(
                 f"run_dir is {str(folder)!r}, into which another process trains; choose another"

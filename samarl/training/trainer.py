@@ -8,7 +8,7 @@ import ctypes
 import json
 import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -22,10 +22,12 @@ from tqdm import tqdm
 
 from mrsan import ConfigurationError, Split, social_score
 from mrsan.scenario import check_numbers, required
+from samarl import distributed
 from samarl.agents.learned import Deployed
 from samarl.algorithms import ALGORITHMS
 from samarl.evaluation.runner import run_cases
 from samarl.files import code_version, machine
+from samarl.launch import local_device, processes, rank, share
 from samarl.policies.checkpoint import load_policy, make_policy, pack, save_policy, unpack
 from samarl.policies.policy import Policy
 from samarl.rollout import Rollout
@@ -45,7 +47,7 @@ class TrainerConfig:
     steps: int = required(1, 10**12)  # environment steps in all worlds together
     rollout: int = required(1, 100000)  # steps per world between updates
     seed: int = required(0, MOST_SEEDS - 1)
-    threads: int = required(1, 1024)  # of torch and the simulator
+    threads: int = required(1, 1024)  # of torch and the simulator, in each process
     validate_every: int = required(1, 10**12)  # environment steps
     validation_cases: int = required(1, 10**6)
     save_every: int = required(1, 10**12)  # environment steps
@@ -57,7 +59,7 @@ class TrainerConfig:
 
 
 class Trainer:
-    """One training run in a folder."""
+    """One training run in a folder, of one process or of several that train together."""
 
     def __init__(
         self,
@@ -82,7 +84,8 @@ class Trainer:
                 and what that policy does not have begin anew.
 
         Raises:
-            ConfigurationError: a number is wrong, or the saved state is of another configuration.
+            ConfigurationError: a number is wrong, the saved state is of another configuration, or
+                the algorithm cannot train in several processes and there are several.
         """
         check_numbers(config, "trainer")
         self.config, self.stages = config, stages
@@ -98,7 +101,8 @@ class Trainer:
         }  # fmt: skip
         if init_from is not None:
             self._begin_with(init_from)
-        self.policy.to(_device(config.device))
+        distributed.begin(config.device)
+        self.policy.to(_device(local_device(config.device)))
         self.policy.low_precision = config.bfloat16
         self.averaged = AveragedModel(
             self.policy, multi_avg_fn=get_ema_multi_avg_fn(config.ema_decay)
@@ -110,7 +114,11 @@ class Trainer:
                 for part in ("observe", "read"):
                     setattr(encoder, part, torch.compile(getattr(encoder, part), dynamic=True))
         entry = ALGORITHMS[str(algorithm["name"])]
+        if processes() > 1:
+            _check_averages(str(algorithm["name"]))
         self.algorithm = entry.made(self.policy, ALGORITHMS.config(algorithm))
+        if processes() > 1:  # the weights are the same so far, from here on chance is another
+            torch.manual_seed(config.seed + MOST_SEEDS * rank())
         self.configuration = json.loads(
             json.dumps(
                 {
@@ -131,6 +139,8 @@ class Trainer:
         self.run_dir = RunDir(run_dir)
         if self.run_dir.begun:
             self._restore()
+        for module in (self.policy, self.averaged, self.algorithm):
+            distributed.copy_from_first(module.state_dict().values())
 
     def _collectors(self) -> list[RolloutCollector]:
         """One for each stage, with training cases of its own."""
@@ -140,13 +150,14 @@ class Trainer:
             raise ConfigurationError(
                 f"curriculum.stages has {cases // 2} worlds; it must have {MOST_SEEDS // 2} at most"
             )
-        for stage in self.stages:
+        for index, stage in enumerate(self.stages):
+            part = share(stage, f"curriculum.stages[{index}]", "worlds")
             collectors.append(
                 RolloutCollector(
-                    stage,
+                    part,
                     self.policy,
                     self.config.rollout,
-                    first,
+                    first + 2 * part.worlds * rank(),
                     self.algorithm.central,
                     self.algorithm.taught,
                 )
@@ -156,37 +167,45 @@ class Trainer:
 
     def run(self) -> None:
         """Train to the end; an interruption loses at most `save_every` steps."""
-        c = self.config
+        c, first = self.config, rank() == 0
         self.algorithm.set_progress(self.steps_done / c.steps)
-        logger = Logger(self.run_dir.folder, c.wandb, self.configuration, self.steps_done)
+        logger = None
+        if first:
+            logger = Logger(self.run_dir.folder, c.wandb, self.configuration, self.steps_done)
         bar = tqdm(
-            total=c.steps, initial=self.steps_done, unit="step", unit_scale=True, disable=None
-        )
+            total=c.steps, initial=self.steps_done, unit="step", unit_scale=True,
+            disable=None if first else True,
+        )  # fmt: skip
         try:
             while self.steps_done < c.steps:
                 before = self.steps_done
                 row = self.round()
                 due = self.steps_done // c.validate_every > before // c.validate_every
-                if due or self.steps_done >= c.steps:
+                if first and (due or self.steps_done >= c.steps):
                     row |= self._validate()
                 self.rows.append(row)
-                logger.log(row, self.steps_done)
+                if logger is not None:
+                    logger.log(row, self.steps_done)
                 bar.set_postfix_str(f"success {100 * row['charts/success']:.1f} %")
                 bar.update(self.steps_done - before)
                 if self.steps_done // c.save_every > before // c.save_every:
                     self.save()
-        except FloatingPointError as error:
+                if distributed.asked_to_stop():
+                    raise KeyboardInterrupt
+        except (FloatingPointError, distributed.LostProcessError) as error:
             good = "the last good state is kept" if self.run_dir.begun else "nothing was saved"
+            lost = self.run_dir.begun and isinstance(error, distributed.LostProcessError)
             raise ConfigurationError(
                 f"training stopped at step {self.steps_done}: {error}; {good} in "
-                f"{self.run_dir.folder}"
+                f"{self.run_dir.folder}{', from which the same command goes on' if lost else ''}"
             ) from error
         except KeyboardInterrupt:
             self.save()
             raise
         finally:
             bar.close()
-            logger.close()
+            if logger is not None:
+                logger.close()
         self.save()
 
     def round(self) -> dict[str, float]:
@@ -196,21 +215,23 @@ class Trainer:
         collected = time.perf_counter()
         statistics = self.algorithm.update(rollouts)
         self.averaged.update_parameters(self.policy)
-        steps = sum(rollout.environment_steps for rollout in rollouts)
+        ended = [episodes for rollout in rollouts for episodes in rollout.episodes]
+        successes = [float(success) for episodes in ended for success in episodes.success]
+        told = distributed.exchanged((successes, statistics))
+        steps = processes() * sum(rollout.environment_steps for rollout in rollouts)
         self.steps_done += steps
         self.algorithm.set_progress(min(self.steps_done / self.config.steps, 1.0))
         took = time.perf_counter() - begun
         self.seconds += took
-        for rollout in rollouts:
-            for episodes in rollout.episodes:
-                self.recent.extend(episodes.success.astype(float))
+        for successes, _ in told:
+            self.recent.extend(successes)
         return {
             "steps": float(self.steps_done),
             "seconds": round(self.seconds, 1),
             "charts/steps_per_second": round(steps / took, 1),
             "charts/collect_share": round((collected - begun) / took, 3),
             "charts/success": round(float(np.mean(self.recent or [0.0])), 4),
-            **{key: round(value, 6) for key, value in statistics.items()},
+            **{key: round(value, 6) for key, value in _means(found for _, found in told).items()},
         }
 
     def collect(self) -> list[Rollout]:
@@ -281,20 +302,29 @@ class Trainer:
         }
         save_policy(self.run_dir.folder / name, self.mean, self.name, made)
 
-    def _state(self) -> dict[str, Any]:
+    def _shared_state(self) -> dict[str, Any]:
         return {
             "policy": dict(self.policy.state_dict()),
             "averaged": dict(self.averaged.state_dict()),
             "algorithm": dict(self.algorithm.state_dict()),
-            "random": torch.get_rng_state(),
-            "collectors": [collector.saved() for collector in self.collectors],
+        }
+
+    def _own_state(self, number: int) -> dict[str, Any]:
+        """What each process has of its own, by names that tell the processes apart."""
+        prefix = f"process {number}/" if number else ""
+        return {
+            f"{prefix}random": torch.get_rng_state(),
+            f"{prefix}collectors": [collector.saved() for collector in self.collectors],
         }
 
     def save(self) -> None:
-        """Write the state, the last policy and the curve."""
+        """Write the state of all processes, the last policy and the curve."""
         tensors: dict[str, Tensor] = {}
-        for key, value in self._state().items():
-            tensors |= pack(key, value)
+        for own in distributed.given_to_first(_packed(self._own_state(rank()))):
+            tensors |= own
+        if rank() > 0:
+            return
+        tensors |= _packed(self._shared_state())
         for name, optimiser in self.algorithm.optimisers().items():
             for index, values in optimiser.state_dict()["state"].items():
                 for key, value in values.items():
@@ -306,6 +336,7 @@ class Trainer:
             "recent": list(self.recent),
             "rows": self.rows,
             "made": self.made,
+            "processes": processes(),
             "configuration": self.configuration,
         }
         self.run_dir.save(tensors, progress)
@@ -313,6 +344,12 @@ class Trainer:
 
     def _restore(self) -> None:
         tensors, progress = self.run_dir.load()
+        begun_by = progress.get("processes", 1)
+        if begun_by != processes():
+            raise ConfigurationError(
+                f"{self.run_dir.folder} holds a run of {begun_by} "
+                f"process{'es' if begun_by > 1 else ''}; it cannot go on with {processes()}"
+            )
         begun_with = self.made.get("init_from", progress["made"].get("init_from"))
         same = begun_with == progress["made"].get("init_from")
         known = progress["configuration"]
@@ -323,7 +360,11 @@ class Trainer:
                 f"{self.run_dir.folder} holds a run with another configuration; choose another "
                 f"run_dir, or go on with its own: resume={self.run_dir.folder}"
             )
-        state = {key: unpack(example, key, tensors) for key, example in self._state().items()}
+        own = self._own_state(rank())
+        state = {
+            key.rpartition("/")[2]: unpack(example, key, tensors)
+            for key, example in (self._shared_state() | own).items()
+        }
         self.policy.load_state_dict(state["policy"])
         self.averaged.load_state_dict(state["averaged"])
         self.algorithm.load_state_dict(state["algorithm"])
@@ -342,6 +383,31 @@ class Trainer:
         self.best, self.rows = progress["best"], progress["rows"]
         self.recent.extend(progress["recent"])
         self.made = progress["made"]
+
+
+def _check_averages(algorithm: str) -> None:
+    good = [name for name in ALGORITHMS if ALGORITHMS[name].made.averages]
+    if algorithm not in good:
+        raise ConfigurationError(
+            f"algorithm.name is {algorithm!r}; with several processes it must be one that averages "
+            f"its gradients: {', '.join(good)}"
+        )
+
+
+def _packed(state: Mapping[str, Any]) -> dict[str, Tensor]:
+    tensors: dict[str, Tensor] = {}
+    for key, value in state.items():
+        tensors |= pack(key, value)
+    return tensors
+
+
+def _means(statistics: Iterable[Mapping[str, float]]) -> dict[str, float]:
+    """Of each statistic, the mean over the processes that have it."""
+    found: dict[str, list[float]] = {}
+    for of_process in statistics:
+        for key, value in of_process.items():
+            found.setdefault(key, []).append(value)
+    return {key: sum(values) / len(values) for key, values in found.items()}
 
 
 def _keep_freed_memory() -> None:

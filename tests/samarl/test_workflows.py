@@ -92,6 +92,23 @@ def test_a_sweep_gathers_a_table_and_goes_on_where_it_stopped(tmp_path: Path) ->
     assert (folder / "table.md").read_text() == table
 
 
+def test_a_sweep_of_a_clusters_launcher_goes_on_on_one_machine(tmp_path: Path) -> None:
+    sweep = ["-m", "agent=straight", "scenario.fov_degrees=90,360", "scenario.robots=2,3",
+             "evaluation.cases=4"]  # fmt: skip
+    run("evaluate", *sweep, "hydra/launcher=submitit_local", cwd=tmp_path)
+    (folder,) = (tmp_path / "outputs/sweep").iterdir()
+    assert len(list(folder.glob("*/row.json"))) == 4
+    assert len(list(folder.glob(".submitit/*/*_result.pkl"))) == 4  # a job each
+    table = (folder / "table.md").read_text()
+    rows = json.loads((folder / "table.json").read_text())
+    columns = [(row["fov_degrees"], row["robots"]) for row in rows]
+    assert columns == [(90.0, 2), (90.0, 3), (360.0, 2), (360.0, 3)]
+
+    again = run("evaluate", *sweep, cwd=tmp_path)
+    assert again.stdout.count("finished before") == 4
+    assert (folder / "table.md").read_text() == table
+
+
 def test_the_bench_writes_table_1_in_the_documented_form(tmp_path: Path) -> None:
     done = run("bench", "evaluation.cases=2", "agents=[orca,perimeter]", "output=mine",
                cwd=tmp_path)  # fmt: skip

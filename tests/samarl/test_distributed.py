@@ -1,0 +1,253 @@
+"""One training in several processes: the same as in one, stopped, killed and resumed."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import socket
+import sys
+import time
+from collections.abc import Callable
+from multiprocessing.process import BaseProcess
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from torch.nn import Parameter
+from torch.utils._pytree import tree_map
+
+from mrsan import ConfigurationError, Scenario
+from samarl.commands.train import main
+from samarl.distributed import average_gradients, begin, exchanged, joined
+from samarl.launch import launcher, rank, share
+from samarl.rollout import Rollout
+from samarl.training.curriculum import CurriculumStage
+from samarl.training.run_dir import LAST, STATE
+from samarl.training.trainer import Trainer, TrainerConfig
+from tests.learning import (
+    PPO_NUMBERS,
+    SOFT_NUMBERS,
+    VALUE_NUMBERS,
+    algorithm,
+    collector,
+    policy,
+    policy_numbers,
+)
+
+# Children are forked from a process that has imported everything and done nothing.
+CONTEXT = multiprocessing.get_context("forkserver")
+CONTEXT.set_forkserver_preload(["samarl.commands.train", "samarl.training.trainer", __name__])
+
+
+def start(folder: Path, work: Callable[..., None], *arguments: Any) -> list[BaseProcess]:
+    """Two processes that train together in `folder`; what they say is in `RANK.out`, `RANK.err`."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    started = []
+    for number in range(2):
+        told = {"RANK": number, "WORLD_SIZE": 2, "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": port}
+        process = CONTEXT.Process(target=child, args=(folder, told, work, *arguments))
+        process.start()
+        started.append(process)
+    return started
+
+
+def child(folder: Path, told: dict[str, Any], work: Callable[..., None], *arguments: Any) -> None:
+    os.environ |= {name: str(value) for name, value in told.items()}
+    os.chdir(folder)
+    torch.set_num_threads(1)
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    for stream, name in ((sys.stdout, "out"), (sys.stderr, "err")):
+        file = os.open(f"{told['RANK']}.{name}", os.O_CREAT | os.O_TRUNC | os.O_WRONLY)
+        os.dup2(file, stream.fileno())
+    work(*arguments)
+
+
+def together(folder: Path, work: Callable[..., None], *arguments: Any) -> None:
+    for number, process in enumerate(start(folder, work, *arguments)):
+        process.join(240)
+        assert process.exitcode == 0, (folder / f"{number}.err").read_text()
+
+
+def exchange() -> None:
+    begin("cpu")
+    first = rank() == 0
+    shared, one_sided, unused = (Parameter(torch.zeros(2)) for _ in range(3))
+    shared.grad = torch.tensor([1.0, 2.0] if first else [3.0, -6.0])
+    one_sided.grad = torch.tensor([4.0, 8.0]) if first else None
+    average_gradients([shared, one_sided, unused])
+    assert shared.grad.tolist() == [2.0, -2.0]
+    assert one_sided.grad is not None
+    assert one_sided.grad.tolist() == [2.0, 4.0]
+    assert unused.grad is None  # an optimiser leaves it alone, as with one process
+    assert joined(torch.arange(3.0) if first else torch.tensor([7.0])).tolist() == [0, 1, 2, 7]
+    assert exchanged("ab"[rank()]) == ["a", "b"]
+
+
+def test_gradients_are_averaged_and_numbers_joined(tmp_path: Path) -> None:
+    together(tmp_path, exchange)
+
+
+def half(rollout: Rollout, number: int) -> Rollout:
+    """The sequences of one of two processes."""
+    s = len(rollout.steps) // 2
+    which = torch.arange(number * s, (number + 1) * s)
+    rows = rollout.rows(which)
+    assert rollout.state is not None
+    return Rollout(
+        rollout.scenario, rollout.correlation, rollout.steps[which], rollout.frames.of(rows),
+        rollout.is_init[rows], tree_map(lambda tensor: tensor[rows], rollout.encoder),
+        rollout.state.of(rows), [], rollout.environment_steps // 2,
+    )  # fmt: skip
+
+
+def update(which: Callable[[Rollout], Rollout], path: str) -> None:
+    """Two epochs of a policy, each one step over all that it is given."""
+    made = policy("flat")
+    learner = algorithm(made, minibatches=1, epochs=2, kept_share=1.0)
+    long = Scenario(humans=2, robots=2, time_limit=50.0)  # nothing ends: halves are equally long
+    rollout = collector(made, worlds=6, steps=5, scenario=long).collect()
+    assert not rollout.episodes
+    learner.update([which(rollout)])
+    torch.save({**made.state_dict(), **learner.state_dict()}, path)
+
+
+def update_with_half() -> None:
+    begin("cpu")
+    update(lambda rollout: half(rollout, rank()), f"{rank()}.pt")
+
+
+def test_two_processes_with_half_of_the_worlds_learn_what_one_with_all_does(tmp_path: Path) -> None:
+    together(tmp_path, update_with_half)
+    update(lambda rollout: rollout, str(tmp_path / "one.pt"))
+    before = {**policy("flat").state_dict()}
+    one, first, second = (torch.load(tmp_path / f"{name}.pt") for name in ("one", "0", "1"))
+    for name, value in one.items():
+        assert torch.equal(first[name], second[name]), name
+        torch.testing.assert_close(first[name], value, rtol=1e-4, atol=1e-6, msg=name)
+    moved = [(one[name] - value).abs().max() for name, value in before.items()]
+    assert max(moved) > 1e-3  # two steps at a rate of 1e-3
+
+
+LEARNERS: dict[str, tuple[str, str, dict[str, Any]]] = {
+    "mappo": ("flat", "gru", PPO_NUMBERS | {"target_kl": 0.01, "epochs": 3, "kept_share": 0.5}),
+    "value_learning": ("lookahead", "pairwise", VALUE_NUMBERS),
+    "soft_actor_critic": ("squashed", "gru", SOFT_NUMBERS),
+}
+
+
+def trainer(folder: str, learner: str) -> Trainer:
+    name, encoder, numbers = LEARNERS[learner]
+    config = TrainerConfig(
+        steps=10**4, rollout=10, seed=0, threads=1, validate_every=10**6, validation_cases=1,
+        save_every=10**6, ema_decay=0.9,
+    )  # fmt: skip
+    stage = CurriculumStage(6, scenario=Scenario(humans=2, robots=3, time_limit=4.0))
+    return Trainer(Path(folder), config, policy_numbers(name, encoder),
+                   {"name": learner, **numbers}, [stage], "test")  # fmt: skip
+
+
+def rounds(of: Trainer, number: int) -> None:
+    of.algorithm.set_progress(of.steps_done / of.config.steps)
+    for _ in range(number):
+        of.round()
+    of.save()
+    of.run_dir.release()
+
+
+def learn() -> None:
+    begin("cpu")
+    for learner in LEARNERS:
+        made = trainer(learner, learner)
+        before = [value.clone() for value in made.policy.state_dict().values()]
+        (collector,) = made.collectors
+        rounds(made, 3)
+        assert made.steps_done == 3 * 10 * 6
+        weights = [*made.policy.state_dict().values(), *made.algorithm.state_dict().values()]
+        first, second = exchanged((weights, set(collector.world.state.case.tolist())))
+        assert all(torch.equal(a, b) for a, b in zip(first[0], second[0], strict=True))
+        assert any(not torch.equal(a, b) for a, b in zip(weights, before, strict=False))
+        assert len(first[1] | second[1]) == 6  # no world plays the case of another
+    rounds(trainer("again", "mappo"), 1)
+    rounds(trainer("again", "mappo"), 2)
+
+
+def test_every_algorithm_learns_in_two_processes_and_goes_on_bit_for_bit(tmp_path: Path) -> None:
+    together(tmp_path, learn)
+    files = [(tmp_path / folder / LAST).read_bytes() for folder in ("mappo", "again")]
+    assert files[0] == files[1]
+
+
+COMMAND = [
+    "samarl-train", "policy=flat", "encoder=gru", "encoder.width=8", "encoder.features=8",
+    "policy.hidden=8", "trainer.steps=1000000", "trainer.rollout=4", "trainer.save_every=16",
+    "trainer.validate_every=1000000", "trainer.threads=1", "run_dir=run",
+    "curriculum.stages=[{worlds: 4, scenario: {humans: 2, robots: 2}}]",
+]  # fmt: skip
+
+
+def command() -> None:
+    sys.argv = COMMAND
+    main()
+
+
+def wait_for(done: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + 120
+    while not done():
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+
+
+def test_a_killed_process_ends_the_run_in_one_line_and_the_same_command_goes_on(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    state = tmp_path / "run" / STATE
+    first, second = start(tmp_path, command)
+    wait_for(state.exists)
+    second.kill()
+    first.join(60)
+    assert first.exitcode == 2
+    said = (tmp_path / "0.err").read_text()
+    assert said.count("\n") == 1
+    assert said.startswith("error: training stopped at step ")
+    assert ": another process of the training has ended (" in said
+    assert said.endswith("is kept in run, from which the same command goes on\n")
+
+    saved = state.stat().st_mtime_ns
+    first, second = start(tmp_path, command)
+    wait_for(lambda: state.stat().st_mtime_ns > saved)
+    os.kill(second.pid or 0, signal.SIGTERM)  # all of them stop, after the same round
+    for process in (first, second):
+        process.join(60)
+        assert process.exitcode == 130
+    assert (tmp_path / "0.out").read_text().startswith("going on at step ")
+    again = "torchrun --nproc-per-node 2 --no-python samarl-train resume=run"
+    assert (tmp_path / "0.err").read_text() == f"interrupted; go on with: {again}\n"
+    assert (tmp_path / "1.out").read_text() + (tmp_path / "1.err").read_text() == ""
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", COMMAND)
+    with pytest.raises(SystemExit):
+        main()
+    assert capsys.readouterr().err == (
+        "error: run holds a run of 2 processes; it cannot go on with 1\n"
+    )
+
+
+def test_what_cannot_be_shared_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert launcher() == []
+    monkeypatch.setenv("RANK", "1")
+    monkeypatch.setenv("WORLD_SIZE", "3")
+    stage = CurriculumStage(6)
+    assert share(stage, "curriculum.stages[0]", "worlds").worlds == 2
+    stage.worlds = 8
+    with pytest.raises(ConfigurationError) as error:
+        share(stage, "curriculum.stages[0]", "worlds")
+    assert str(error.value) == (
+        "curriculum.stages[0].worlds is 8; it must be a multiple of 3, the number of processes"
+    )
+    with pytest.raises(ConfigurationError, match=r"^trainer.device is 'mps'; with several proc"):
+        begin("mps")
