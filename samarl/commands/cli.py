@@ -133,8 +133,9 @@ def _take_threads() -> None:
     hydra_config = HydraConfig.get()
     if hydra_config.mode == RunMode.MULTIRUN and "cpus_per_task" in hydra_config.launcher:
         threads = hydra_config.launcher.cpus_per_task or 1
+        threads = min(threads, numba.config.NUMBA_NUM_THREADS)
+        numba.config.NUMBA_NUM_THREADS = threads  # before they start, as that sets torch's as well
         os.environ["OMP_NUM_THREADS"] = str(threads)  # of torch, which is not loaded yet
-        numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))
 
 
 def _sweep_name(words: Sequence[str]) -> str:
