@@ -27,6 +27,7 @@ from tqdm import trange
 from benchmarks.workload import interruptible, positive_whole_number
 from samarl.commands.train import Train, build_trainer
 from samarl.configuration import register_schemas
+from samarl.distributed import asked_to_stop
 from samarl.evaluation.table import as_text
 from samarl.files import code_version, find_folder, machine, write_json
 from samarl.launch import launcher, processes, rank
@@ -63,6 +64,8 @@ def main() -> None:
             if 1 <= number <= rounds:  # the first one compiles and warms up
                 seconds.append(time.perf_counter() - begun)
             steps = trainer.steps_done - before
+            if asked_to_stop():
+                raise KeyboardInterrupt
         profiler.disable()
     if rank() > 0:
         return
