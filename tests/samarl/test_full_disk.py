@@ -83,7 +83,7 @@ def said(
                    "jobs=1", "output=mine"], "mine/table1.json"),
         ("render", ["agent=straight", "scenario.time_limit=1", "output=a.png"], "a.png"),
         ("report", ["results=results", "cases=[]", "agents=[straight]", "output=site"], "site"),
-        ("predictor", [*PREDICTOR, "crowds={orca: {}}", "output=there"],
+        ("predictor", [*PREDICTOR, "output=there"],
          "there/prediction.json"),
     ],
 )  # fmt: skip
