@@ -21,7 +21,7 @@ INTO_README = @awk -v mark='$(1)' -v heading='$(2)' ' \
   !inside' results/$(1).md README.md > README.md.part && mv README.md.part README.md
 
 .DEFAULT_GOAL := help
-.PHONY: help setup bench test test-browser lint train results sweeps pictures report docs latency throughput soak wheel check-wheel clean
+.PHONY: help setup bench test test-browser lint train results sweeps pictures report docs latency throughput soak malformed kills wheel check-wheel clean
 
 help: ## List what can be made
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -115,8 +115,14 @@ latency: setup ## Measure how long one decision takes
 throughput: setup ## Measure world-steps per second (a minute)
 	@$(BIN)/python -m benchmarks.throughput --compile
 
-soak: setup ## Drive 4096 worlds at random for ten minutes: no NaN, no growing memory
+soak: setup ## Drive worlds at random for 1e9 steps (an hour; the same again goes on)
 	@$(BIN)/python -m benchmarks.soak
+
+malformed: setup ## Load 10,000 malformed files and configurations: no traceback, no hang (minutes)
+	@$(BIN)/python -m benchmarks.malformed
+
+kills: setup ## Kill a training and a sweep a hundred times: nothing may be lost (half an hour)
+	@$(BIN)/python -m benchmarks.kills
 
 wheel: setup ## Build the wheel into dist/
 	@$(BIN)/python -m build --quiet --wheel --outdir dist .

@@ -1,12 +1,14 @@
-"""Does it hold out? `python -m benchmarks.soak --minutes 10 --worlds 4096`.
+"""Does it hold out? `python -m benchmarks.soak --world-steps 1000000000 --worlds 4096`.
 
-Random actions for minutes on end: after every step no number may be NaN, and once warm the
-process may not need more memory.
+Random actions for an hour on end: after every step the invariants must hold, and once warm the
+process may not need more memory. The worlds are saved every minute; the same command goes on.
 """
 
 from __future__ import annotations
 
 import argparse
+import hashlib
+import json
 import resource
 import shlex
 import statistics
@@ -16,91 +18,185 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from safetensors import SafetensorError, safe_open
+from safetensors.numpy import save
 from tqdm import tqdm
 
-from benchmarks.workload import (
-    RandomDrive,
-    interruptible,
-    positive_number,
-    positive_whole_number,
-)
-from mrsan import Step, World
-from samarl.files import code_version, machine, write_json
+from benchmarks.workload import RandomDrive, interruptible, positive_whole_number
+from mrsan import ConfigurationError, Step, World
+from mrsan.state import State
+from samarl.files import check_writable, code_version, machine, unfinished, write_json
 
-LARGEST_GROWTH = 20.0  # MB
+LARGEST_GROWTH = 20.0  # MB, of one process
+SAVE_SECONDS = 60.0
 
-_WARM_SHARE = 0.2  # of the time passes before memory is compared
+_WARM_SECONDS = 10.0  # pass in every process before its memory is compared
 _ENDS_SHARE = 0.1  # of the samples make the figure at the start, and as many that at the end
-_SAMPLES_PER_SECOND = 10.0
+_SAMPLE_SECONDS = 1.0
+_ROUNDING = 1e-4  # of float32
+
+
+class Soak:
+    """Worlds that are driven at random, what has happened to them, and the file they are kept in.
+
+    Their state after so many steps is the same to the last bit, interrupted or not.
+    """
+
+    def __init__(self, worlds: int, path: Path) -> None:
+        """Begin, or go on from the file `path`.
+
+        Raises:
+            ConfigurationError: it is no such file, or one of another number of worlds.
+        """
+        self.path = path
+        self.drive = RandomDrive(worlds)
+        self.episodes = 0
+        self.seconds = 0.0
+        self.processes: list[dict[str, float]] = []  # how long each ran, and its memory
+        self.commits = [code_version()]
+        self.failure: str | None = None
+        self._memory: list[float] = []
+        if path.is_file():
+            self._restore(worlds)
+        self._earlier = self.processes, self.seconds
+        self._begin = time.perf_counter()
+
+    @property
+    def world_steps(self) -> int:
+        """Steps of all worlds together."""
+        return self.drive.steps * self.drive.world.worlds
+
+    def run(self, world_steps: int) -> None:
+        """Go on until there are so many, or until something is wrong; save now and then."""
+        self.save()
+        layout = "{l_bar}{bar}| {n_fmt}/{total_fmt} [{elapsed}<{remaining}{postfix}]"
+        with tqdm(
+            total=world_steps, initial=self.world_steps, desc="soak", unit_scale=True,
+            bar_format=layout, disable=None,
+        ) as bar:  # fmt: skip
+            while self.world_steps < world_steps and self.failure is None:
+                step = self.drive.step()
+                self.episodes += 0 if step.finished is None else len(step.finished.case)
+                if broken := violated(self.drive.world, step):
+                    self.failure = f"{broken}, after step {self.drive.steps}"
+                bar.update(self.world_steps - bar.n)
+                self._look_at_the_clock(bar)
+        self._count()
+
+    def save(self) -> None:
+        """Write the file, whole or not at all."""
+        self._count()
+        names = ("episodes", "seconds", "processes", "commits")
+        progress = {name: getattr(self, name) for name in names}
+        progress["steps"] = self.drive.steps
+        state = self.drive.world.state._asdict()
+        with unfinished(self.path) as part:
+            part.write_bytes(save(state, {"progress": json.dumps(progress)}))
+        self._saved = time.perf_counter()
+
+    def digest(self) -> str:
+        """Of the state of all worlds."""
+        found = hashlib.sha256()
+        for array in self.drive.world.state:
+            found.update(array.tobytes())
+        return found.hexdigest()
+
+    def _look_at_the_clock(self, bar: tqdm) -> None:
+        now = time.perf_counter()
+        if now - self._begin > _WARM_SECONDS + _SAMPLE_SECONDS * len(self._memory):
+            self._memory.append(memory_in_use())
+            bar.set_postfix_str(f"{self._memory[-1]:.0f} MB")
+        if now - self._saved > SAVE_SECONDS:
+            self.save()
+
+    def _count(self) -> None:
+        """Bring the time and the memory of this process up to date."""
+        before, seconds = self._earlier
+        took = time.perf_counter() - self._begin
+        self.seconds = round(seconds + took, 1)
+        mine = {"seconds": round(took, 1), **_ends(self._memory or [memory_in_use()])}
+        self.processes = [*before, mine]
+        if mine["growth_mb"] > LARGEST_GROWTH and self.failure is None:
+            self.failure = (
+                f"memory grew by {mine['growth_mb']} MB; at most {LARGEST_GROWTH:g} is right"
+            )
+
+    def _restore(self, worlds: int) -> None:
+        try:
+            with safe_open(self.path, "np") as file:
+                progress = json.loads(file.metadata()["progress"])
+                state = State(*(file.get_tensor(name) for name in State._fields))
+            self.drive.world.restore(state)
+            self.drive.steps = progress.pop("steps")
+        except (SafetensorError, TypeError, KeyError, ValueError) as error:
+            raise ConfigurationError(
+                f"{self.path} is no soak of {worlds} worlds to go on with; remove it to begin "
+                f"again ({error})"
+            ) from error
+        self.commits = sorted({*self.commits, *progress.pop("commits")})
+        vars(self).update(progress)
 
 
 def main() -> None:
     """Run, print and write what came of it; exit code 1 if it did not hold out."""
     arguments = _parse()
-    with interruptible():
-        result = soak(60.0 * arguments.minutes, arguments.worlds)
+    try:
+        check_writable(arguments.output, "--output")
+        with interruptible():
+            result = _soaked(arguments)
+            write_json(arguments.output, result)
+    except (ConfigurationError, OSError) as error:
+        sys.exit(f"error: {error}")
     print(
-        f"{result['steps']:,} steps of {result['worlds']:,} worlds "
-        f"({result['world_steps_per_second']:,} world-steps/s), "
-        f"{result['episodes']:,} episodes\n"
-        f"memory: {result['start_mb']} MB once warm, {result['end_mb']} MB at the end, "
-        f"{result['growth_mb']:+} MB (at most {LARGEST_GROWTH:+g} is allowed)"
+        f"{result['world_steps']:,} steps of {result['worlds']:,} worlds together "
+        f"({result['world_steps_per_second']:,} per second), {result['episodes']:,} episodes, "
+        f"{len(result['processes'])} processes\n"
+        f"memory: at most {result['growth_mb']:+} MB in one process "
+        f"({LARGEST_GROWTH:+g} is allowed)\n"
+        f"written to {arguments.output}"
     )
-    output: Path = arguments.output
-    write_json(output, result)
-    print(f"written to {output}")
     if result["failure"] is not None:
-        print(f"error: {result['failure']}", file=sys.stderr)
-        sys.exit(1)
+        sys.exit(f"error: {result['failure']}")
 
 
-def soak(seconds: float, worlds: int) -> dict[str, Any]:
-    """Step `worlds` worlds for so long; `failure` says what went wrong, if anything did."""
-    drive = RandomDrive(worlds)
-    memory: list[float] = []
-    steps = episodes = 0
-    failure = None
-    begin = time.perf_counter()
-    passed = 0.0
-    layout = "{l_bar}{bar}| {n:.0f}/{total:.0f} s{postfix}"
-    with tqdm(total=seconds, desc="soak", bar_format=layout, disable=None) as bar:
-        while passed < seconds and failure is None:
-            step = drive.step()
-            steps += 1
-            episodes += 0 if step.finished is None else len(step.finished.case)
-            if name := find_nan(drive.world, step):
-                failure = f"{name} holds NaN after step {steps}"
-            passed = min(time.perf_counter() - begin, seconds)
-            warm = passed - _WARM_SHARE * seconds
-            if warm * _SAMPLES_PER_SECOND >= len(memory):
-                memory.append(memory_in_use())
-                bar.set_postfix_str(f"{memory[-1]:.0f} MB")
-            bar.update(passed - bar.n)
-    ends = max(1, round(_ENDS_SHARE * len(memory)))
-    start_mb, end_mb = (
-        statistics.median(part) if part else memory_in_use()
-        for part in (memory[:ends], memory[-ends:])
-    )
-    if failure is None and end_mb - start_mb > LARGEST_GROWTH:
-        failure = f"memory grew by {end_mb - start_mb:.1f} MB; at most {LARGEST_GROWTH:g} is right"
+def _soaked(arguments: argparse.Namespace) -> dict[str, Any]:
+    soak = Soak(arguments.worlds, arguments.state)
+    if soak.world_steps:
+        print(f"going on at {soak.world_steps:,} world-steps")
+    try:
+        soak.run(arguments.world_steps)
+    except KeyboardInterrupt:
+        # Not saved here: it may be in the middle of a step.
+        raise KeyboardInterrupt("the same command goes on") from None
+    arguments.state.unlink()
     return {
-        "failure": failure,
-        "worlds": worlds,
-        "seconds": round(time.perf_counter() - begin, 1),
-        "steps": steps,
-        "episodes": episodes,
-        "world_steps_per_second": round(steps * worlds / max(passed, 1e-9)),
-        "start_mb": round(start_mb, 1),
-        "end_mb": round(end_mb, 1),
-        "growth_mb": round(end_mb - start_mb, 1),
+        "failure": soak.failure,
+        "world_steps": soak.world_steps,
+        "worlds": arguments.worlds,
+        "episodes": soak.episodes,
+        "seconds": soak.seconds,
+        "world_steps_per_second": round(soak.world_steps / max(soak.seconds, 1e-9)),
+        "invariants": list(INVARIANTS),
+        "violations": 0 if soak.failure is None else 1,
+        "growth_mb": max(process["growth_mb"] for process in soak.processes),
+        "processes": soak.processes,
+        "state_sha256": soak.digest(),
         "machine": machine(),
-        "commit": code_version(),
+        "commit": ", ".join(soak.commits),
         "command": shlex.join(["python", "-m", "benchmarks.soak", *sys.argv[1:]]),
     }
 
 
-def find_nan(world: World, step: Step) -> str | None:
-    """The first array of state, observation or reward that holds NaN."""
+def violated(world: World, step: Step) -> str | None:
+    """The first of `INVARIANTS` that does not hold after a step, and where."""
+    for name, broken in INVARIANTS.items():
+        if where := broken(world, step):
+            return f"not true: {name} ({where})"
+    return None
+
+
+def _nan(world: World, step: Step) -> str | None:
+    """The first array that holds NaN."""
     arrays = {
         **{f"state.{name}": array for name, array in world.state._asdict().items()},
         **{f"observation.{name}": array for name, array in step.observation._asdict().items()},
@@ -111,6 +207,43 @@ def find_nan(world: World, step: Step) -> str | None:
         if array.dtype.kind == "f" and np.isnan(array.sum()) and np.isnan(array).any():
             return name
     return None
+
+
+def _late(world: World, step: Step) -> str | None:
+    clock = int(world.state.clock.max())
+    return f"step {clock} of an episode" if clock > world.scenario.time_limit_steps else None
+
+
+def _ended(world: World, step: Step) -> str | None:
+    return f"world {np.flatnonzero(world.state.done)[0]}" if world.state.done.any() else None
+
+
+def _fast(world: World, step: Step) -> str | None:
+    x, y = np.moveaxis(world.state.robot_velocity, -1, 0)
+    fastest = float(np.sqrt((x * x + y * y).max()))
+    return f"{fastest} m/s" if fastest > world.scenario.robot_speed + _ROUNDING else None
+
+
+def _unexplained(world: World, step: Step) -> str | None:
+    most = float(np.abs(sum(step.reward_parts) - step.reward).max())
+    return f"it differs by {most}" if most > _ROUNDING else None
+
+
+INVARIANTS = {
+    "no number is NaN": _nan,
+    "no episode is longer than the time limit": _late,
+    "a world that has ended begins anew": _ended,
+    "no robot is faster than it can be": _fast,
+    "the reward is the sum of its parts": _unexplained,
+}
+
+
+def _ends(memory: list[float]) -> dict[str, float]:
+    """Memory once warm, now, and by how much it grew, MB."""
+    ends = max(1, round(_ENDS_SHARE * len(memory)))
+    start, end = statistics.median(memory[:ends]), statistics.median(memory[-ends:])
+    found = {"start_mb": start, "end_mb": end, "growth_mb": end - start}
+    return {name: round(value, 1) for name, value in found.items()}
 
 
 def memory_in_use() -> float:
@@ -127,20 +260,24 @@ def memory_in_use() -> float:
 def _parse() -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks.soak",
-        description="Drive many worlds at random for minutes; fail on NaN or growing memory.",
+        description="Drive many worlds at random for an hour; fail on what may not be, and on "
+        "growing memory. The same command goes on where it was interrupted.",
     )
     parser.add_argument(
-        "--minutes", type=positive_number, default=10.0, help="how long (default: 10)"
-    )
+        "--world-steps", type=positive_whole_number, default=10**9,
+        help="how many, of all worlds together (default: 1000000000)",
+    )  # fmt: skip
     parser.add_argument(
         "--worlds", type=positive_whole_number, default=4096, help="side by side (default: 4096)"
     )
     parser.add_argument(
-        "--output",
-        type=Path,
-        default=Path("outputs/soak.json"),
+        "--state", type=Path, default=Path("outputs/soak.safetensors"),
+        help="where the worlds are kept until it is done (default: outputs/soak.safetensors)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--output", type=Path, default=Path("outputs/soak.json"),
         help="the JSON file to write (default: outputs/soak.json)",
-    )
+    )  # fmt: skip
     return parser.parse_args()
 
 

@@ -28,14 +28,14 @@ class RandomDrive:
         generator = np.random.default_rng(0)
         shape = (_BATCHES, worlds, robots, scenario.action_size)
         self._actions: NDArray[np.float32] = generator.uniform(-1.0, 1.0, shape).astype(np.float32)
-        self._turn = 0
+        self.steps = -_WARM_UP  # of every world, since it has warmed up
         for _ in range(_WARM_UP):
             self.step()
 
     def step(self) -> Step:
         """One full step: move, begin episodes anew, observe."""
-        self._turn = (self._turn + 1) % _BATCHES
-        return self.world.step(self._actions[self._turn])
+        self.steps += 1
+        return self.world.step(self._actions[self.steps % _BATCHES])
 
 
 def positive_number(text: str) -> float:
@@ -63,6 +63,6 @@ def interruptible() -> Iterator[None]:
     """Ctrl-C ends in one line, not in a traceback."""
     try:
         yield
-    except KeyboardInterrupt:
-        print("interrupted", file=sys.stderr)
+    except KeyboardInterrupt as interruption:
+        print("; ".join(["interrupted", *map(str, interruption.args)]), file=sys.stderr)
         sys.exit(130)

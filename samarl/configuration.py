@@ -13,7 +13,7 @@ from hydra import compose, initialize_config_dir
 from hydra.core.config_loader import ConfigLoader
 from hydra.core.config_store import ConfigStore
 from hydra.core.global_hydra import GlobalHydra
-from omegaconf import MISSING, OmegaConf
+from omegaconf import MISSING, DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from mrsan import ConfigurationError, Scenario
@@ -43,6 +43,33 @@ def register_schemas() -> None:
     store.store(name="config_schema", node=Config)
     store.store(group="scenario", name="schema", node=Scenario)
     store.store(group="evaluation", name="schema", node=Evaluation)
+
+
+def scenario_in(config: DictConfig) -> Scenario:
+    """The checked scenario of a composed configuration.
+
+    Raises:
+        ConfigurationError: names what is wrong with it.
+    """
+    scenario = OmegaConf.to_object(config.scenario) if config.scenario is not None else None
+    if not isinstance(scenario, Scenario):
+        raise ConfigurationError(
+            f"scenario is {config.scenario!r:.60}; a file of it must begin with another one: "
+            "defaults: [samarl]"
+        )
+    return scenario
+
+
+def evaluation_in(config: DictConfig) -> Evaluation:
+    """The checked choice of cases in a composed configuration.
+
+    Raises:
+        ConfigurationError: names what is wrong with it.
+    """
+    values = OmegaConf.merge(OmegaConf.structured(Evaluation), config.evaluation)
+    evaluation = OmegaConf.to_object(values)
+    assert isinstance(evaluation, Evaluation)
+    return evaluation
 
 
 def import_plugins(modules: Sequence[str]) -> None:

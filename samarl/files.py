@@ -19,14 +19,21 @@ from mrsan import ConfigurationError
 
 @contextlib.contextmanager
 def unfinished(path: Path) -> Iterator[Path]:
-    """Where to write a file that becomes `path` at the end, whole, or is removed on an error."""
-    path.parent.mkdir(parents=True, exist_ok=True)
+    """Where to write a file that becomes `path` at the end, whole, or is removed on an error.
+
+    Raises:
+        ConfigurationError: it cannot be written, for example because the disk is full.
+    """
     part = path.with_name(path.name + ".part")
     try:
-        yield part
-        os.replace(part, path)
-    finally:
-        part.unlink(missing_ok=True)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            yield part
+            os.replace(part, path)
+        finally:
+            part.unlink(missing_ok=True)
+    except OSError as error:
+        raise ConfigurationError(f"{path} cannot be written ({error.strerror or error})") from None
 
 
 def check_writable(path: Path, field: str) -> None:
@@ -64,6 +71,18 @@ def write_json(path: Path, content: Any) -> None:
     else:
         text = json.dumps(content, indent=1) + "\n"
     write_atomically(path, text)
+
+
+def read_json(path: Path) -> Any:
+    """What a JSON file holds.
+
+    Raises:
+        ConfigurationError: it cannot be read, or is something else.
+    """
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
+        raise ConfigurationError(f"{path} is not JSON ({error})") from error
 
 
 def find_folder(name: str) -> Path:

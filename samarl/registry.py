@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Generic, TypeVar
 
-from omegaconf import OmegaConf
+from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from mrsan import ConfigurationError
@@ -31,6 +31,8 @@ def needed() -> Any:
 
 def checked_fields(schema: Any, values: Any, path: str) -> dict[str, Any]:
     """The fields of a dataclass from `values`, which must fit their names and types."""
+    if not isinstance(values, Mapping | DictConfig):
+        raise ConfigurationError(f"{path} is {values!r:.60}; it must be names with their values")
     try:
         merged = OmegaConf.merge(OmegaConf.structured(schema), values)
         fields = OmegaConf.to_container(merged, throw_on_missing=True)

@@ -21,6 +21,7 @@ from mrsan.state import Bools, Floats
 
 SHIPPED = Path(__file__).parent / "predictors"
 FORMAT = 1  # of a file of weights with its card
+MOST_HISTORY = 200  # positions that a network may read
 MOVING = 0.05  # who is slower has no direction of its own, m/s
 
 
@@ -171,13 +172,13 @@ def load_recurrent(path: Path, time_step: float, field: str = "predictor") -> Re
         content = path.read_bytes()
         card = json.loads(card_path.read_text(encoding="utf-8"))
         version, digest = card["format"], card["sha256"]
-        history, trained_for = int(card["history"]), float(card["time_step"])
+        history, trained_for = card["history"], float(card["time_step"])
     except OSError as error:
         raise ConfigurationError(
             f"{field}: {error.filename} cannot be read ({error.strerror}); a predictor is a "
             ".safetensors file and, beside it, a .json file of the same name"
         ) from None
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
         raise ConfigurationError(
             f"{field}: {card_path} is not the card of a predictor ({error!r})"
         ) from None
@@ -189,7 +190,12 @@ def load_recurrent(path: Path, time_step: float, field: str = "predictor") -> Re
         raise ConfigurationError(
             f"{field}: {path} is damaged: it is not the file that {card_path} describes"
         )
-    if abs(trained_for - time_step) > 1e-6:
+    if not (type(history) is int and 1 <= history <= MOST_HISTORY):
+        raise ConfigurationError(
+            f"{field}: {card_path} has history {history!r:.60}; it must be a whole number in "
+            f"[1, {MOST_HISTORY}]"
+        )
+    if not abs(trained_for - time_step) <= 1e-6:
         raise ConfigurationError(
             f"{field}: {path.name} predicts in steps of {trained_for:g} s; scenario.time_step is "
             f"{time_step:g}"
@@ -204,7 +210,7 @@ def _checked(content: bytes, path: Path, field: str) -> dict[str, NDArray[Any]]:
 
     try:
         weights = load(content)
-    except (SafetensorError, ValueError, TypeError) as error:
+    except (SafetensorError, ValueError, TypeError, KeyError) as error:
         raise ConfigurationError(
             f"{field}: {path} is no file of weights ({str(error).splitlines()[0]})"
         ) from None
@@ -212,6 +218,13 @@ def _checked(content: bytes, path: Path, field: str) -> dict[str, NDArray[Any]]:
     expected = shapes(found["w_hidden"][0] if found.get("w_hidden") else 1)
     if found != expected:
         raise ConfigurationError(f"{field}: {path} has weights {found}; they must be {expected}")
-    if not all(np.isfinite(weight).all() for weight in weights.values()):
-        raise ConfigurationError(f"{field}: {path} has weights that are no finite numbers")
+    for name, weight in weights.items():
+        if weight.dtype != np.float32:
+            raise ConfigurationError(
+                f"{field}: {path} has {name} of {weight.dtype}; it must be of float32"
+            )
+        if not np.isfinite(weight).all():
+            raise ConfigurationError(
+                f"{field}: {path} has {name} with NaN or infinity in it; weights must be finite"
+            )
     return weights

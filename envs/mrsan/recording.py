@@ -14,6 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 SAMPLE = Path(__file__).parent / "recordings" / "synthetic.txt"
+FARTHEST = 1e9  # from zero may numbers of frames and positions be
+LEAST_STEP = 1e-6  # apart must the frames of a person be, in steps of the simulator
+MOST_ROWS = 10**7  # steps that all people are there, together
 COAST = 3.0  # people go on at constant velocity before and after they were seen, at most so long, s
 
 
@@ -73,9 +76,18 @@ def _load(path: Path, changed: int, frame_seconds: float, time_step: float) -> R
     steps = (rows[:, 0] - rows[:, 0].min()) * (frame_seconds / time_step)
     end = int(steps.max())
     found = []
+    left = MOST_ROWS
     for person in np.unique(rows[:, 1]):
-        of_person = rows[:, 1] == person
-        way = _resampled(steps[of_person], places[of_person], end, round(COAST / time_step))
+        mine = np.flatnonzero(rows[:, 1] == person)
+        mine = mine[np.argsort(steps[mine])]
+        apart = np.diff(steps[mine])
+        left -= int(apart.sum()) + 1
+        if left < 0 or (apart < LEAST_STEP).any():
+            raise RecordingError(
+                f"recording {path}: person {person:g} is there in frames that are too far apart or "
+                "too near to each other"
+            )
+        way = _resampled(steps[mine], places[mine], end, round(COAST / time_step))
         if way is not None:
             found.append(way)
     found.sort(key=lambda way: way[0])
@@ -94,9 +106,10 @@ def _load(path: Path, changed: int, frame_seconds: float, time_step: float) -> R
 def _resampled(
     steps: NDArray[np.float64], places: NDArray[np.float64], end: int, coast: int
 ) -> tuple[int, NDArray[np.float64]] | None:
-    """The first whole step at which a person is there, and its place at each; None: at none."""
-    order = np.argsort(steps)
-    steps, places = steps[order], places[order]
+    """The first whole step at which a person is there, and its place at each; None: at none.
+
+    Its `steps` rise.
+    """
     if len(steps) > 1:  # it goes on as it came and as it left
         begin = (places[1] - places[0]) / (steps[1] - steps[0])
         leave = (places[-1] - places[-2]) / (steps[-1] - steps[-2])
@@ -146,6 +159,6 @@ def _parsed(line: str) -> tuple[float, ...]:
     else:
         cells = line.replace(",", " ").split()
     row = tuple(float(cell) for cell in cells)
-    if len(row) != 4 or not np.isfinite(row).all():
+    if len(row) != 4 or not np.isfinite(row).all() or np.abs([row[0], *row[2:]]).max() > FARTHEST:
         raise ValueError
     return row

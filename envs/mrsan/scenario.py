@@ -111,8 +111,8 @@ def _check_number(name: str, value: Any, hint: Any, metadata: Any) -> None:
         return
     whole = hint is int or int in getattr(hint, "__args__", ())
     kind = (int, np.integer) if whole else (int, float, np.integer, np.floating)
-    good = isinstance(value, kind) and not isinstance(value, bool) and math.isfinite(value)
-    if not good or not low <= value <= high or (above and value == low):
+    good = isinstance(value, kind) and not isinstance(value, bool) and low <= value <= high
+    if not good or (above and value == low):
         what = "be a whole number" if whole else "lie"
         none = " or be null" if optional else ""
         bracket = "(" if above else "["

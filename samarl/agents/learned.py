@@ -109,7 +109,8 @@ class Learned(Agent):
         recording = Path(here.recording or "").name
         if recording and recording in {Path(str(file)).name for file in _values(made, "recording")}:
             return f"{self.checkpoint} was trained among the people of {recording}"
-        views = sorted(float(view) for view in _values(made, "fov_degrees"))
+        known = _values(made, "fov_degrees")
+        views = sorted(v for v in known if isinstance(v, int | float) and 0 < v <= 360)
         if not views or views[0] <= here.fov_degrees <= views[-1]:
             return None
         trained = " to ".join(f"{view:g}" for view in sorted({views[0], views[-1]}))

@@ -19,6 +19,7 @@ from samarl.agents import build_agent
 from samarl.commands.cli import run_command
 from samarl.configuration import (
     available_agents,
+    evaluation_in,
     import_plugins,
     load_agent,
     load_scenario,
@@ -83,8 +84,7 @@ def main() -> None:
 
 def bench(config: DictConfig) -> None:
     """Play, print and write the table; say how each row compares with the committed one."""
-    evaluation = OmegaConf.to_object(config.evaluation)
-    assert isinstance(evaluation, Evaluation)
+    evaluation = evaluation_in(config)
     fewer = evaluation.cases if config.learned_cases is None else config.learned_cases
     learned = dataclasses.replace(evaluation, cases=min(fewer, evaluation.cases))
     everybody = [name for name in available_agents() if name not in config.leave_out]

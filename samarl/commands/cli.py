@@ -78,6 +78,7 @@ def run_command(task: Callable[[DictConfig], Any], config_name: str, **schemas: 
         except (HydraException, OmegaConfBaseException, ConfigurationError) as error:
             _fail(error)
         return
+    begun = False
     decorate = hydra.main(
         version_base="1.3", config_path=str(find_folder("conf")), config_name=config_name
     )
@@ -85,6 +86,8 @@ def run_command(task: Callable[[DictConfig], Any], config_name: str, **schemas: 
     @functools.wraps(task)
     def checked(config: DictConfig) -> Any:
         # Reported here, not outside: Hydra would print a second line about the failed job.
+        nonlocal begun
+        begun = True
         try:
             _refuse_unknown_keys(config, "")
             import_plugins(config.plugins)
@@ -93,7 +96,9 @@ def run_command(task: Callable[[DictConfig], Any], config_name: str, **schemas: 
             return result
         except BrokenPipeError:
             _leave_quietly()
-        except (ConfigurationError, ActionError, OmegaConfBaseException, OSError) as error:
+        except (
+            ConfigurationError, ActionError, OmegaConfBaseException, OSError, MemoryError
+        ) as error:  # fmt: skip
             _remove_empty_folder()
             _fail(error)
         except KeyboardInterrupt:
@@ -106,13 +111,14 @@ def run_command(task: Callable[[DictConfig], Any], config_name: str, **schemas: 
         _leave_quietly()
     except (HydraException, OmegaConfBaseException, YAMLError, OSError) as error:
         _fail(error)
-    except ValueError as error:
-        if not str(error).startswith("Config group override"):
-            raise
-        _fail(error)
     except KeyboardInterrupt as interruption:
         print("; ".join(["interrupted", *map(str, interruption.args)]), file=sys.stderr)
         sys.exit(130)
+    except Exception as error:
+        if begun:
+            raise
+        # Hydra, OmegaConf and PyYAML raise whatever they come across while they compose.
+        _fail(ConfigurationError(f"the configuration cannot be read ({error})"))
 
 
 def _sweep_name(words: Sequence[str]) -> str:
@@ -189,7 +195,9 @@ def _fail(error: Exception) -> NoReturn:
     if unknown := _unknown_key(error):
         print(f"error: {unknown}", file=sys.stderr)
         sys.exit(2)
-    message = str(error).split("Config search path:")[0]
+    message = str(error).split("Config search path:")[0] or type(error).__name__
+    if isinstance(error, OSError) and error.filename is None:  # Hydra's own files, for example
+        message = f"a file below {os.getcwd()} cannot be written ({error.strerror or error})"
     if error.__cause__ and str(error.__cause__) not in message:
         message += f"\n{error.__cause__}"
     key = getattr(error, "full_key", None)

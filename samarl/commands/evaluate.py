@@ -14,9 +14,10 @@ from omegaconf import DictConfig, OmegaConf
 from mrsan import Episodes, Outcome, Scenario, social_score
 from samarl.agents import build_agent
 from samarl.commands.cli import chosen_agent, command_line, run_command, say_caution
-from samarl.configuration import load_scenario
+from samarl.configuration import evaluation_in, load_scenario, scenario_in
 from samarl.evaluation.runner import Evaluation, run_cases
 from samarl.evaluation.summary import Row, summarise
+from samarl.evaluation.sweep import read_cell
 from samarl.evaluation.table import rows_as_markdown
 from samarl.files import code_version, write_atomically, write_json
 
@@ -44,12 +45,11 @@ def evaluate(config: DictConfig) -> Row:
     finished = folder / "row.json"
     agent = build_agent(chosen_agent(config), scenario)
     marker = {"config": _plain(config), "commit": code_version(), "agent": agent.version()}
-    if hydra.mode == RunMode.MULTIRUN and finished.exists():
-        known = json.loads(finished.read_text())
-        if {key: known.get(key) for key in marker} == marker:
-            print(f"finished before: {folder}")
-            row: Row = known["row"]
-            return row
+    known = read_cell(finished) if hydra.mode == RunMode.MULTIRUN else None
+    if known and {key: known.get(key) for key in marker} == marker:
+        print(f"finished before: {folder}")
+        before: Row = known["row"]
+        return before
     say_caution(agent)
     name = str(hydra.runtime.choices.agent)
     episodes = run_cases(agent, scenario, evaluation.numbers(), evaluation.batch, name)
@@ -66,11 +66,7 @@ def evaluate(config: DictConfig) -> Row:
 
 def objects(config: DictConfig) -> tuple[Scenario, Evaluation]:
     """The checked scenario and evaluation of a composed configuration."""
-    scenario = OmegaConf.to_object(config.scenario)
-    evaluation = OmegaConf.to_object(config.evaluation)
-    assert isinstance(scenario, Scenario)
-    assert isinstance(evaluation, Evaluation)
-    return scenario, evaluation
+    return scenario_in(config), evaluation_in(config)
 
 
 def episodes_as_jsonl(episodes: Episodes) -> str:

@@ -8,11 +8,12 @@ from pathlib import Path
 from typing import Any
 
 from hydra.core.hydra_config import HydraConfig
-from omegaconf import MISSING, DictConfig, OmegaConf
+from omegaconf import MISSING, DictConfig
 
-from mrsan import ConfigurationError, Scenario
+from mrsan import ConfigurationError
 from samarl.agents import build_agent
 from samarl.commands.cli import chosen_agent, run_command, say_caution
+from samarl.configuration import scenario_in
 from samarl.files import check_writable
 
 
@@ -34,8 +35,7 @@ def main() -> None:
 
 def export(config: DictConfig) -> None:
     """Write the file."""
-    scenario = OmegaConf.to_object(config.scenario)
-    assert isinstance(scenario, Scenario)
+    scenario = scenario_in(config)
     path = Path(config.output)
     if path.suffix != ".onnx":
         raise ConfigurationError(f"output is {config.output!r}; it must end in .onnx")

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from omegaconf import MISSING, DictConfig, OmegaConf
-from omegaconf.errors import OmegaConfBaseException
 
 from mrsan import ConfigurationError, Scenario, Split
 from mrsan.prediction import find_predictor
@@ -17,6 +16,7 @@ from samarl.commands.cli import command_line, run_command
 from samarl.configuration import scenario_of
 from samarl.files import check_writable, code_version, write_atomically, write_json
 from samarl.prediction.training import Training
+from samarl.registry import checked_fields
 
 if TYPE_CHECKING:
     from samarl.prediction.windows import Windows
@@ -50,7 +50,7 @@ def predictor(config: DictConfig) -> None:
     from samarl.prediction.table import errors, page
     from samarl.prediction.windows import watch, watch_recording
 
-    training = _training(config.training)
+    training = Training(**checked_fields(Training, config.training, "training"))
     numbers = Predictor(validation_cases=config.validation_cases, shown_steps=config.shown_steps)
     check_numbers(numbers, "predictor")
     if config.shown_steps > training.steps:
@@ -93,15 +93,6 @@ def predictor(config: DictConfig) -> None:
     write_atomically(output / "prediction.md", text)
     print(text)
     print(f"written to {output}")
-
-
-def _training(config: DictConfig) -> Training:
-    try:
-        training = OmegaConf.to_object(OmegaConf.merge(OmegaConf.structured(Training), config))
-    except OmegaConfBaseException as error:
-        raise ConfigurationError(f"training: {str(error).splitlines()[0]}") from error
-    assert isinstance(training, Training)
-    return training
 
 
 def _recordings(config: DictConfig) -> dict[Path, float]:

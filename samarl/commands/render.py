@@ -8,14 +8,14 @@ from pathlib import Path
 from typing import Any
 
 from hydra.core.hydra_config import HydraConfig
-from omegaconf import MISSING, DictConfig, OmegaConf
+from omegaconf import MISSING, DictConfig
 
-from mrsan import ConfigurationError, Scenario, Split
+from mrsan import ConfigurationError, Split
 from mrsan.cases import CASES_PER_SPLIT
 from mrsan.scenario import check_numbers, number
 from samarl.agents import build_agent
 from samarl.commands.cli import chosen_agent, run_command, say_caution
-from samarl.configuration import load_agent
+from samarl.configuration import load_agent, scenario_in
 from samarl.evaluation.recording import Recording, record_episode
 from samarl.files import check_writable
 
@@ -41,8 +41,7 @@ def main() -> None:
 
 def render(config: DictConfig) -> None:
     """Play one case and draw it."""
-    scenario = OmegaConf.to_object(config.scenario)
-    assert isinstance(scenario, Scenario)
+    scenario = scenario_in(config)
     check_numbers(Render(case=config.case, split=config.split), "render")
     split, index = config.split, config.case
     if index >= CASES_PER_SPLIT:  # a number as episodes.jsonl has it

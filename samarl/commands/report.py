@@ -45,8 +45,8 @@ def report(config: DictConfig) -> None:
     if not results.is_dir():
         raise ConfigurationError(f"results is {str(results)!r}; it must be a folder")
     for case in config.cases:
-        if not 0 <= case < 10**9:
-            raise ConfigurationError(f"cases has {case}; each must lie in [0, 1e+09]")
+        if not (isinstance(case, int) and 0 <= case < 10**9):
+            raise ConfigurationError(f"cases has {case}; each must be a whole number in [0, 1e+09)")
     output = Path(config.output)
     check_writable(output / "index.html", "output")
     scenarios = [scenario_of(OmegaConf.to_container(column)) for column in config.columns]

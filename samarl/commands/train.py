@@ -14,6 +14,7 @@ from omegaconf import MISSING, DictConfig, OmegaConf
 
 from mrsan import ConfigurationError
 from samarl.commands.cli import command_line, run_command
+from samarl.registry import checked_fields
 from samarl.training.curriculum import CurriculumStage, check_stages
 
 if TYPE_CHECKING:
@@ -113,9 +114,7 @@ def build_trainer(config: DictConfig, command: str) -> Trainer:
         OmegaConf.merge(OmegaConf.structured(Curriculum), config.curriculum)
     ).stages  # type: ignore[union-attr]
     check_stages(stages)
-    trainer = OmegaConf.to_object(
-        OmegaConf.merge(OmegaConf.structured(TrainerConfig), config.trainer)
-    )
+    trainer = TrainerConfig(**checked_fields(TrainerConfig, config.trainer, "trainer"))
     policy, algorithm = (
         OmegaConf.to_container(config[name], resolve=True) for name in ("policy", "algorithm")
     )

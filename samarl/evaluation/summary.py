@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-import json
+import re
 from collections.abc import Iterator
 from enum import Enum
 from pathlib import Path
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from mrsan import ConfigurationError, Crowd, Episodes, Scenario, social_score
 from samarl.evaluation.metrics import METRICS, mean_interval, metric_fields, wilson_interval
+from samarl.files import read_json
 
 # One method in one column of the table: who and where, the metrics, and where it comes from.
 Row = dict[str, Any]
@@ -58,6 +59,13 @@ BY_CASE = ("case_success", "case_social_score")
 HEADLINE = (
     "success_rate", "success_low", "success_high", "social_score", "social_low", "social_high",
 )  # fmt: skip
+_TEXTS = ("method", "layout", "team_perception", "changes", "scenario", "command", "commit")
+_WHOLE = ("humans", "robots", "episodes", "seed", "training_seeds")
+_OVER_SEEDS = [
+    f"{name}_{key}" for name in ("success", "social") for key in ("iqm", "iqm_low", "iqm_high")
+]
+_NUMBERS = ("fov_degrees", "goal_turn_degrees", *_OVER_SEEDS)
+_OF_SEEDS = ("success_of_seeds", "social_of_seeds")
 NEEDED = [f for f in (*IDENTITY, *HEADLINE, *PROVENANCE) if f not in Column._field_defaults]
 
 
@@ -171,21 +179,75 @@ def read_rows(path: Path) -> list[Row] | None:
     Metrics that a row has and this version does not know are kept and not shown.
 
     Raises:
-        ConfigurationError: it is not JSON, or rows lack a field they need.
+        ConfigurationError: it is not JSON, or rows lack a field they need or have a wrong one.
     """
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
-        raise ConfigurationError(f"{path} is not JSON ({error})") from error
+    content = read_json(path)
     if not isinstance(content, list) or not any(map(_is_meant_as_row, content)):
         return None
     for number, row in enumerate(content):
-        for name in NEEDED:
-            if not isinstance(row, dict) or name not in row:
-                raise ConfigurationError(
-                    f"{path} has no {name} in row {number}; every row must have {', '.join(NEEDED)}"
-                )
+        check_row(row, path, number)
     return content
+
+
+def check_row(row: Any, path: Path, number: int = 0) -> None:
+    """Refuse what is no row.
+
+    Args:
+        row: what stands in its place.
+        path: of the file, for the error.
+        number: which row of it.
+
+    Raises:
+        ConfigurationError: it lacks a field it needs, or has a wrong one.
+    """
+    seeds = isinstance(row, dict) and "training_seeds" in row
+    needed = [*NEEDED, *_OVER_SEEDS, *_OF_SEEDS] if seeds else NEEDED
+    for name in needed:
+        if not isinstance(row, dict) or name not in row:
+            raise ConfigurationError(
+                f"{path} has no {name} in row {number}; every row must have {', '.join(needed)}"
+            )
+    for name, what in _wrong_fields(row):
+        raise ConfigurationError(
+            f"{path} has {name} {row[name]!r:.60} in row {number}; it must be {what}"
+        )
+
+
+def _wrong_fields(row: Row) -> Iterator[tuple[str, str]]:
+    """The known fields of a row that hold what they may not, and what they must be."""
+    for what, names, right in (
+        ("a text", _TEXTS, lambda value: isinstance(value, str)),
+        ("a whole number", _WHOLE, lambda value: isinstance(value, int) and 0 <= value < 2**63),
+        ("a number", (*_NUMBERS, *HEADLINE), _is_number),
+        ("a number or null", metric_fields(), lambda value: value is None or _is_number(value)),
+        ("a text or null", ["recording"], lambda value: isinstance(value, str | None)),
+        ("true or false", ["collisions_end"], lambda value: isinstance(value, bool)),
+        ("hexadecimal digits", BY_CASE, _is_hexadecimal),
+        ("a number of each training seed", _OF_SEEDS, lambda values: _are_numbers(values, row)),
+    ):
+        yield from ((name, what) for name in names if name in row and not right(row[name]))
+    bits, scores = (len(row.get(name, "")) for name in BY_CASE)
+    for name, length, digits in (
+        (BY_CASE[0], bits, 2 * -(-row["episodes"] // 8)), (BY_CASE[1], scores, 2 * row["episodes"])
+    ):  # fmt: skip
+        if name in row and length != digits:
+            yield name, f"{digits} digits"
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and abs(value) < 1e12
+
+
+def _are_numbers(values: Any, row: Row) -> bool:
+    return (
+        isinstance(values, list)
+        and len(values) == row.get("training_seeds")
+        and all(map(_is_number, values))
+    )
+
+
+def _is_hexadecimal(value: Any) -> bool:
+    return isinstance(value, str) and bool(re.fullmatch("([0-9a-f]{2})*", value))
 
 
 def _is_meant_as_row(item: Any) -> bool:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +10,10 @@ from hydra.experimental.callback import Callback
 from hydra.types import RunMode
 from omegaconf import DictConfig
 
-from samarl.evaluation.summary import Row
+from mrsan import ConfigurationError
+from samarl.evaluation.summary import Row, check_row
 from samarl.evaluation.table import rows_as_markdown
-from samarl.files import write_atomically, write_json
+from samarl.files import read_json, write_atomically, write_json
 
 
 class GatherTable(Callback):
@@ -44,7 +44,7 @@ class GatherTable(Callback):
     def _write(self, folder: Path) -> str:
         """The table of the cells that are done so far."""
         cells = self.cells or sorted(folder.glob("**/row.json"))
-        rows: list[Row] = [json.loads(cell.read_text())["row"] for cell in cells if cell.exists()]
+        rows: list[Row] = [cell["row"] for cell in map(read_cell, cells) if cell is not None]
         if not rows:
             return ""
         rows.sort(key=lambda r: (r["method"], r["fov_degrees"], r["humans"], r["robots"]))
@@ -52,3 +52,13 @@ class GatherTable(Callback):
         write_json(folder / "table.json", rows)
         write_atomically(folder / "table.md", text + "\n")
         return text
+
+
+def read_cell(path: Path) -> dict[str, Any] | None:
+    """What a finished cell wrote into its `row.json`; None: it must be played (again)."""
+    try:
+        cell: dict[str, Any] = read_json(path)
+        check_row(cell["row"], path)
+    except (ConfigurationError, TypeError, KeyError):
+        return None
+    return cell

@@ -7,10 +7,10 @@ belong to, its sizes, how it was made, and the digest of the weights. Class name
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
-import json
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -18,11 +18,13 @@ from typing import Any
 import torch
 from safetensors import SafetensorError
 from safetensors.torch import load_file, save
-from torch import Tensor
+from torch import Tensor, nn
+from torch.nn.modules.module import register_module_parameter_registration_hook
 from torch.utils._pytree import tree_flatten, tree_leaves, tree_unflatten
 
 from mrsan import ConfigurationError
-from samarl.files import find_folder, unfinished, write_json
+from mrsan.scenario import ACTION_SIZE
+from samarl.files import find_folder, read_json, unfinished, write_json
 from samarl.policies import (  # noqa: F401 (makes them known)
     flat,
     hierarchical,
@@ -43,6 +45,9 @@ class PolicyCard:
     config: dict[str, Any]  # of the policy, with its encoder
     made: dict[str, Any]  # the command, commit, scenario, steps ... that made it
     sha256: str  # digest of the file of the weights
+
+
+_CARD_TYPES = {"policy": str, "action_size": int, "config": dict, "made": dict, "sha256": str}
 
 
 def write_tensors(path: Path, tensors: dict[str, Tensor], metadata: dict[str, str]) -> str:
@@ -68,6 +73,10 @@ def make_policy(name: str, config: Mapping[str, Any], action_size: int) -> Polic
     Raises:
         ConfigurationError: a name is not known or a number is wrong.
     """
+    if action_size not in ACTION_SIZE.values():
+        raise ConfigurationError(
+            f"action_size is {action_size}; it must be among {sorted({*ACTION_SIZE.values()})}"
+        )
     values = POLICIES.config({**config, "name": name})
     policy = POLICIES[name].made(values, action_size)
     return policy
@@ -97,7 +106,8 @@ def load_policy(path: Path) -> tuple[Policy, PolicyCard]:
     """Read a policy and its card.
 
     Raises:
-        ConfigurationError: a file is missing, damaged, foreign or of another format.
+        ConfigurationError: a file is missing, damaged, foreign or of another format; or a weight
+            is no finite number.
     """
     card_path = path.with_suffix(".json")
     for needed in (path, card_path):
@@ -106,25 +116,87 @@ def load_policy(path: Path) -> tuple[Policy, PolicyCard]:
                 f"there is no file {needed}; a policy is a .safetensors file and, beside it, a "
                 ".json file of the same name"
             )
-    try:
-        content = json.loads(card_path.read_text(encoding="utf-8"))
-        version = content.pop("format")
-        card = PolicyCard(**content)
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise ConfigurationError(f"{card_path} is not the card of a policy ({error})") from error
-    if version != FORMAT:
-        raise ConfigurationError(f"{card_path} has format {version!r}; it must be {FORMAT}")
+    card = _read_card(card_path)
     if hashlib.sha256(path.read_bytes()).hexdigest() != card.sha256:
         raise ConfigurationError(
             f"{path} is damaged: it is not the file that {card_path} describes"
         )
-    policy = make_policy(card.policy, card.config, card.action_size)
     try:
+        with _no_larger_than(path):
+            policy = make_policy(card.policy, card.config, card.action_size)
+    except ConfigurationError as error:
+        raise ConfigurationError(f"{card_path}: {error}") from error
+    with blaming(path, "does not fit its card"):
         policy.load_state_dict(load_file(path))
-    except (TypeError, RuntimeError, SafetensorError, ValueError) as error:
-        reason = str(error).splitlines()[0]
-        raise ConfigurationError(f"{path} does not fit its card ({reason})") from error
+    check_finite(path, policy.state_dict())
     return policy.eval(), card
+
+
+@contextlib.contextmanager
+def blaming(path: Path, reason: str = "is damaged") -> Iterator[None]:
+    """Whatever goes wrong with the content of a file is said to be its fault.
+
+    Raises:
+        ConfigurationError: names the file.
+    """
+    try:
+        yield
+    except ConfigurationError:
+        raise
+    except (
+        SafetensorError, LookupError, TypeError, ValueError, AttributeError, ArithmeticError,
+        RuntimeError,
+    ) as error:  # fmt: skip
+        what = (str(error).splitlines() or [type(error).__name__])[0]
+        raise ConfigurationError(f"{path} {reason} ({what})") from error
+
+
+def check_finite(path: Path, tensors: Mapping[str, Tensor]) -> None:
+    """Refuse weights of a file with which a network gives no numbers.
+
+    Raises:
+        ConfigurationError: names the tensor that holds NaN or infinity.
+    """
+    for name, tensor in tensors.items():
+        if not tensor.isfinite().all():
+            raise ConfigurationError(
+                f"{path} has {name} with NaN or infinity in it; weights must be finite"
+            )
+
+
+def _read_card(path: Path) -> PolicyCard:
+    try:
+        content = read_json(path)
+        version = content.pop("format")
+        card = PolicyCard(**content)
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise ConfigurationError(f"{path} is not the card of a policy ({error})") from error
+    if version != FORMAT:
+        raise ConfigurationError(f"{path} has format {version!r}; it must be {FORMAT}")
+    for name, kind in _CARD_TYPES.items():
+        if not isinstance(getattr(card, name), kind):
+            raise ConfigurationError(
+                f"{path} has {name} {getattr(card, name)!r:.60}; it must be a {kind.__name__}"
+            )
+    return card
+
+
+@contextlib.contextmanager
+def _no_larger_than(path: Path) -> Iterator[None]:
+    """Refuse to make networks that are larger than a file of weights by far, before it is done."""
+    left = 2 * path.stat().st_size + 2**20
+
+    def count(module: nn.Module, name: str, parameter: nn.Parameter | None) -> None:
+        nonlocal left
+        left -= 0 if parameter is None else parameter.nbytes
+        if left < 0:
+            raise ConfigurationError(f"its sizes are those of a policy that {path} cannot hold")
+
+    hook = register_module_parameter_registration_hook(count)
+    try:
+        yield
+    finally:
+        hook.remove()
 
 
 def pack(prefix: str, tree: Any) -> dict[str, Tensor]:
@@ -136,11 +208,18 @@ def pack(prefix: str, tree: Any) -> dict[str, Tensor]:
 
 
 def unpack(example: Any, prefix: str, tensors: Mapping[str, Tensor]) -> Any:
-    """The inverse of `pack`, in the structure of `example`."""
+    """The inverse of `pack`, in the structure of `example`.
+
+    Raises:
+        ValueError: a tensor is missing, or of another shape or type than in `example`.
+    """
     leaves, structure = tree_flatten(example)
     found: list[Any] = []
     for i, leaf in enumerate(leaves):
-        value = tensors[f"{prefix}/{i}"]
+        name, expected = f"{prefix}/{i}", torch.as_tensor(leaf)
+        value = tensors.get(name)
+        if value is None or (value.shape, value.dtype) != (expected.shape, expected.dtype):
+            raise ValueError(f"{name} must be a tensor {list(expected.shape)} of {expected.dtype}")
         # A copy: what lies in a file's buffer is aligned otherwise, and sums round otherwise.
         found.append(
             value.to(leaf.device).clone() if isinstance(leaf, Tensor) else value.numpy().copy()

@@ -27,7 +27,7 @@ from mrsan.prediction import (
     turned,
 )
 from samarl.files import write_json
-from samarl.policies.checkpoint import write_tensors
+from samarl.policies.checkpoint import blaming, check_finite, write_tensors
 from samarl.prediction.training import Training
 from samarl.prediction.windows import Windows, watch
 
@@ -102,7 +102,7 @@ class Learner:
         plain = {name: asdict(scenario) for name, scenario in crowds.items()}
         self._run = hashlib.sha256(repr((asdict(training), plain)).encode()).hexdigest()
         if state.is_file():
-            self._restore()
+            self.restore()
 
     def learn(self) -> None:
         """The rounds that are left; the state is written after every tenth."""
@@ -111,7 +111,7 @@ class Learner:
         for self.round in bar:
             bar.set_postfix_str(f"mean error {self._one_round():.3f} m")
             if (self.round + 1) % 10 == 0 or self.round + 1 == self.training.rounds:
-                self._save()
+                self.save()
         self.round = self.training.rounds
 
     def predictor(self) -> RecurrentPredictor:
@@ -158,18 +158,28 @@ class Learner:
             found |= {f"optimiser/{number}/{name}": value for name, value in moments.items()}
         return found
 
-    def _save(self) -> None:
+    def save(self) -> None:
+        """Write the file, whole or not at all."""
         progress = {"run": self._run, "rounds": str(self.round + 1)}
         write_tensors(self.path, self._tensors(), progress)
 
-    def _restore(self) -> None:
-        with safe_open(self.path, "pt") as file:
-            progress = file.metadata()
+    def restore(self) -> None:
+        """Go on from the file.
+
+        Raises:
+            ConfigurationError: it is damaged, or of another training.
+        """
+        with blaming(self.path), safe_open(self.path, "pt") as file:
+            progress = {"run": "", **(file.metadata() or {})}
             found = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
         if progress["run"] != self._run:
             raise ConfigurationError(
                 f"{self.path} is of another training; choose another output, or remove it"
             )
+        with blaming(self.path):
+            self._take_over(found, int(progress["rounds"]))
+
+    def _take_over(self, found: Mapping[str, Tensor], rounds: int) -> None:
         network: dict[str, Tensor] = {}
         moments: dict[int, dict[str, Tensor]] = {}
         for name, value in found.items():
@@ -178,10 +188,11 @@ class Learner:
                 network[rest[0]] = value
             else:
                 moments.setdefault(int(rest[0]), {})[rest[1]] = value
+        check_finite(self.path, network)
         self.network.load_state_dict(network)
         groups = self.optimiser.state_dict()["param_groups"]
         self.optimiser.load_state_dict({"state": moments, "param_groups": groups})
-        self.round = int(progress["rounds"])
+        self.round = rounds
 
 
 def save_predictor(path: Path, predictor: RecurrentPredictor, made: dict[str, Any]) -> None:

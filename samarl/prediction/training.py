@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from mrsan import ConfigurationError
+from mrsan.prediction import MOST_HISTORY
 from mrsan.scenario import check_numbers, required
 
 
@@ -13,7 +14,7 @@ class Training:
     """How the network is trained, and on what."""
 
     hidden: int = required(1, 1024)  # units of the network
-    history: int = required(2, 200)  # positions that it reads, H
+    history: int = required(2, MOST_HISTORY)  # positions that it reads, H
     steps: int = required(1, 200)  # that it learns to foresee, K
     rounds: int = required(1, 10**6)  # each plays cases that were not played before
     worlds: int = required(1, 10**5)  # of each crowd in a round

@@ -30,7 +30,7 @@ from samarl.evaluation.table import (
     rows_as_cells,
     tells_of_driving,
 )
-from samarl.files import code_version, write_atomically
+from samarl.files import code_version, unfinished, write_atomically
 from samarl.report.figures import (
     Curve,
     baselines,
@@ -118,6 +118,24 @@ def build_site(
         )
     site = output.with_name(output.name + ".part")
     shutil.rmtree(site, ignore_errors=True)
+    try:
+        _build_pages(site, results, recordings, split, command)
+        if output.exists():
+            shutil.rmtree(output)
+        site.replace(output)
+    finally:
+        shutil.rmtree(site, ignore_errors=True)
+    return sorted(file for file in output.rglob("*") if file.is_file())
+
+
+def _build_pages(
+    site: Path,
+    results: Path,
+    recordings: Sequence[tuple[str, int, Recording]],
+    split: str,
+    command: str,
+) -> None:
+    """See `build_site`."""
     tables, sweeps = read_tables(results), read_tables(results / "sweeps")
     elsewhere = [part for table in tables for part in table.parts()]
     tables = [table for table in tables if not table.parts()]
@@ -174,10 +192,6 @@ def build_site(
         write("replays.html", replays=_write_replays(recordings, split, site))
     for script in _TEMPLATES.glob("*.js"):
         write_atomically(site / script.name, script.read_text(encoding="utf-8"))
-    if output.exists():
-        shutil.rmtree(output)
-    site.replace(output)
-    return sorted(file for file in output.rglob("*") if file.is_file())
 
 
 def read_tables(folder: Path) -> list[Table]:
@@ -221,7 +235,8 @@ def _copy_cards(checkpoints: Path, site: Path) -> set[str]:
     """The cards of the policies, for those who want to know how one was made; their names."""
     cards = sorted(checkpoints.glob("*.json"))
     for card in cards:
-        write_atomically(site / "cards" / card.name, card.read_text(encoding="utf-8"))
+        with unfinished(site / "cards" / card.name) as part:
+            shutil.copyfile(card, part)
     return {card.stem for card in cards}
 
 

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter
 from numpy.typing import NDArray
 
-from mrsan import Scenario
+from mrsan import ConfigurationError, Scenario
 from samarl.evaluation.summary import Column, Row, column_of
 from samarl.evaluation.table import column_name, grid_of, settings_of
 from samarl.report.leaderboard import ranked
@@ -29,22 +29,30 @@ _LIGHT_TEXT, _DARK_TEXT = "#FDFDFD", "#111111"  # on the colours of a heat map, 
 
 
 def read_curve(path: Path) -> Curve:
-    """The columns of a training's curve over its steps, without the gaps."""
+    """The columns of a training's curve over its steps, without the gaps.
+
+    Raises:
+        ConfigurationError: it is no table of comma-separated values.
+    """
     points: dict[str, list[tuple[float, float]]] = {}
-    with path.open(newline="", encoding="utf-8") as file:
-        for line in csv.DictReader(file):
-            steps = _number(line.get("steps"))
-            for column, text in line.items():
-                value = _number(text)
-                if column not in ("steps", "seconds") and math.isfinite(steps + value):
-                    points.setdefault(column, []).append((steps, value))
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            lines = list(csv.DictReader(file))
+    except (csv.Error, UnicodeDecodeError) as error:
+        raise ConfigurationError(f"{path} is no curve ({error})") from error
+    for line in lines:
+        steps = _number(line.get("steps"))
+        for column, text in line.items():
+            value = _number(text)
+            if column not in ("steps", "seconds") and math.isfinite(steps + value):
+                points.setdefault(column, []).append((steps, value))
     return {column: (np.array(p).T[0], np.array(p).T[1]) for column, p in points.items()}
 
 
 def _number(text: str | None) -> float:
     try:
         return float(text or "nan")
-    except ValueError:
+    except (ValueError, TypeError):  # a list of what a line has beyond the header
         return math.nan
 
 

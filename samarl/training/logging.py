@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import contextlib
+import threading
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -29,14 +31,37 @@ class Logger:
                 project=wandb, name=folder.name, dir=folder, config=configuration,
                 sync_tensorboard=True,
             )  # fmt: skip
-        purge = steps_done + 1 if steps_done else None
-        self._writer = SummaryWriter(str(folder / "tensorboard"), purge_step=purge)
+        self._folder = folder / "tensorboard"
+        threading.excepthook = _except_hook
+        with self._writing():
+            self._writer = SummaryWriter(str(self._folder), purge_step=steps_done + 1)
 
     def log(self, row: Mapping[str, float], step: int) -> None:
-        """Write one row of the curve."""
-        for key, value in row.items():
-            self._writer.add_scalar(key, value, step)
+        """Write one row of the curve.
+
+        Raises:
+            ConfigurationError: it cannot be written.
+        """
+        with self._writing():
+            for key, value in row.items():
+                self._writer.add_scalar(key, value, step)
 
     def close(self) -> None:
-        """Write what is left."""
-        self._writer.close()
+        """Write what is left; see `log`."""
+        with self._writing():
+            self._writer.close()
+
+    @contextlib.contextmanager
+    def _writing(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            raise ConfigurationError(
+                f"{self._folder} cannot be written ({error.strerror or error})"
+            ) from None
+
+
+def _except_hook(arguments: threading.ExceptHookArgs) -> None:
+    """Say nothing of what TensorBoard's thread could not write: it is raised again in ours."""
+    if not isinstance(arguments.exc_value, OSError):
+        threading.__excepthook__(arguments)

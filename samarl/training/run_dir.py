@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import csv
 import fcntl
+import hashlib
 import io
 import json
 from pathlib import Path
 from typing import Any
 
-from safetensors import SafetensorError, safe_open
-from safetensors.torch import load_file
+import torch
+from safetensors import safe_open
 from torch import Tensor
 
 from mrsan import ConfigurationError
 from samarl.files import write_atomically
-from samarl.policies.checkpoint import write_tensors
+from samarl.policies.checkpoint import blaming, write_tensors
 
 STATE = "state.safetensors"
 LAST, BEST = "last.safetensors", "best.safetensors"  # policies
@@ -52,19 +53,30 @@ class RunDir:
 
     def save(self, tensors: dict[str, Tensor], progress: dict[str, Any]) -> None:
         """Write the state and the curve."""
-        metadata = {"format": str(FORMAT), "progress": json.dumps(progress)}
+        text = json.dumps(progress)
+        metadata = {"format": str(FORMAT), "progress": text, "sha256": _digest(tensors, text)}
         write_tensors(self.folder / STATE, tensors, metadata)
         rows = progress["rows"]
         keys = list(dict.fromkeys(key for row in rows for key in row))
-        text = io.StringIO()
-        writer = csv.DictWriter(text, keys, lineterminator="\n")
+        table = io.StringIO()
+        writer = csv.DictWriter(table, keys, lineterminator="\n")
         writer.writeheader()
         writer.writerows(rows)
-        write_atomically(self.folder / "progress.csv", text.getvalue())
+        write_atomically(self.folder / "progress.csv", table.getvalue())
 
     def load(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
-        """The state and the progress."""
-        return load_file(self.folder / STATE), read_progress(self.folder)
+        """The state and the progress.
+
+        Raises:
+            ConfigurationError: see `read_progress`.
+        """
+        path, progress = self.folder / STATE, read_progress(self.folder)
+        with blaming(path), safe_open(path, "pt") as file:
+            metadata = file.metadata()
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+            if metadata.get("sha256") not in (None, _digest(tensors, metadata["progress"])):
+                raise ValueError("it is not what was saved")  # what is older has no digest
+        return tensors, progress
 
 
 def read_progress(folder: Path) -> dict[str, Any]:
@@ -78,14 +90,23 @@ def read_progress(folder: Path) -> dict[str, Any]:
         raise ConfigurationError(
             f"resume is {str(folder)!r}; it must be the folder of a run, which holds {STATE}"
         )
-    try:
-        with safe_open(path, "pt") as file:
-            metadata = file.metadata()
-            progress: dict[str, Any] = json.loads(metadata["progress"])
-    except (SafetensorError, KeyError, ValueError, TypeError) as error:
-        raise ConfigurationError(f"{path} is damaged ({error})") from error
+    with blaming(path), safe_open(path, "pt") as file:
+        metadata = file.metadata()
+        progress: dict[str, Any] = json.loads(metadata["progress"])
+        for part in ("trainer", "policy", "algorithm", "curriculum"):
+            if not isinstance(progress["configuration"][part], dict):
+                raise ValueError(f"it has no configuration of the {part}")
     if metadata.get("format") != str(FORMAT):
         raise ConfigurationError(
             f"{path} was begun by another version of the trainer; begin again in another run_dir"
         )
     return progress
+
+
+def _digest(tensors: dict[str, Tensor], progress: str) -> str:
+    """Of everything in a state."""
+    found = hashlib.sha256(progress.encode())
+    for name, tensor in sorted(tensors.items()):
+        found.update(f"{name} {tensor.dtype} {list(tensor.shape)}".encode())
+        found.update(tensor.detach().cpu().contiguous().flatten().view(torch.uint8).numpy().data)
+    return found.hexdigest()

@@ -26,13 +26,21 @@ from samarl.agents.learned import Deployed
 from samarl.algorithms import ALGORITHMS
 from samarl.evaluation.runner import run_cases
 from samarl.files import code_version, machine
-from samarl.policies.checkpoint import load_policy, make_policy, pack, save_policy, unpack
+from samarl.policies.checkpoint import (
+    blaming,
+    check_finite,
+    load_policy,
+    make_policy,
+    pack,
+    save_policy,
+    unpack,
+)
 from samarl.policies.policy import Policy
 from samarl.rollout import Rollout
 from samarl.training.collector import RolloutCollector
 from samarl.training.curriculum import CurriculumStage
 from samarl.training.logging import Logger
-from samarl.training.run_dir import BEST, LAST, RunDir
+from samarl.training.run_dir import BEST, LAST, STATE, RunDir
 
 FREE = ("threads", "wandb")  # of `TrainerConfig`: a run may go on with others
 MOST_SEEDS = 2**20  # each has 2^20 training cases
@@ -86,7 +94,7 @@ class Trainer:
         """
         check_numbers(config, "trainer")
         self.config, self.stages = config, stages
-        self.name = str(policy["name"])
+        self.name = str(policy.get("name"))
         _keep_freed_memory()
         torch.set_num_threads(config.threads)
         numba.set_num_threads(min(config.threads, numba.config.NUMBA_NUM_THREADS))
@@ -109,7 +117,7 @@ class Trainer:
                 encoder: Any = networks.encoder
                 for part in ("observe", "read"):
                     setattr(encoder, part, torch.compile(getattr(encoder, part), dynamic=True))
-        entry = ALGORITHMS[str(algorithm["name"])]
+        entry = ALGORITHMS[str(algorithm.get("name"))]
         self.algorithm = entry.made(self.policy, ALGORITHMS.config(algorithm))
         self.configuration = json.loads(
             json.dumps(
@@ -130,7 +138,7 @@ class Trainer:
         self.rows: list[dict[str, float]] = []
         self.run_dir = RunDir(run_dir)
         if self.run_dir.begun:
-            self._restore()
+            self.restore()
 
     def _collectors(self) -> list[RolloutCollector]:
         """One for each stage, with training cases of its own."""
@@ -311,19 +319,34 @@ class Trainer:
         self.run_dir.save(tensors, progress)
         self._save_policy(LAST, {})
 
-    def _restore(self) -> None:
+    def restore(self) -> None:
+        """Go on from the state in the folder.
+
+        Raises:
+            ConfigurationError: it is damaged, or of another configuration.
+        """
+        path = self.run_dir.folder / STATE
         tensors, progress = self.run_dir.load()
-        begun_with = self.made.get("init_from", progress["made"].get("init_from"))
-        same = begun_with == progress["made"].get("init_from")
-        known = progress["configuration"]
-        steps = max(known["trainer"]["steps"], self.config.steps)  # more of them may be asked for
-        known = {**known, "trainer": {**known["trainer"], "steps": steps}}
+        with blaming(path):
+            begun_with = self.made.get("init_from", progress["made"].get("init_from"))
+            same = begun_with == progress["made"].get("init_from")
+            known = progress["configuration"]
+            steps = max(known["trainer"]["steps"], self.config.steps)  # more may be asked for
+            known = {**known, "trainer": {**known["trainer"], "steps": steps}}
         if known != self.configuration or not same:
             raise ConfigurationError(
                 f"{self.run_dir.folder} holds a run with another configuration; choose another "
                 f"run_dir, or go on with its own: resume={self.run_dir.folder}"
             )
+        with blaming(path):
+            self._take_over(path, tensors, progress)
+
+    def _take_over(
+        self, path: Path, tensors: Mapping[str, Tensor], progress: Mapping[str, Any]
+    ) -> None:
         state = {key: unpack(example, key, tensors) for key, example in self._state().items()}
+        for key in ("policy", "averaged"):
+            check_finite(path, state[key])
         self.policy.load_state_dict(state["policy"])
         self.averaged.load_state_dict(state["averaged"])
         self.algorithm.load_state_dict(state["algorithm"])
@@ -333,15 +356,27 @@ class Trainer:
                 if key.startswith(f"optimiser/{name}/"):
                     _, _, index, of = key.split("/")
                     found.setdefault(int(index), {})[of] = value.clone()
+            _check_moments(found, optimiser)
             groups = optimiser.state_dict()["param_groups"]
             optimiser.load_state_dict({"state": found, "param_groups": groups})
         for collector, saved in zip(self.collectors, state["collectors"], strict=True):
             collector.restore(saved)
         torch.set_rng_state(state["random"])
-        self.steps_done, self.seconds = progress["steps_done"], progress["seconds"]
-        self.best, self.rows = progress["best"], progress["rows"]
-        self.recent.extend(progress["recent"])
+        self.steps_done, self.seconds = int(progress["steps_done"]), float(progress["seconds"])
+        self.best, self.rows = float(progress["best"]), [dict(row) for row in progress["rows"]]
+        self.recent.extend(map(float, progress["recent"]))
         self.made = progress["made"]
+
+
+def _check_moments(
+    found: Mapping[int, Mapping[str, Tensor]], optimiser: torch.optim.Optimizer
+) -> None:
+    """Refuse an optimiser's state that is not of its parameters; it does not look itself."""
+    parameters = [p for group in optimiser.param_groups for p in group["params"]]
+    for index, moments in found.items():
+        for name, value in moments.items():
+            if value.dim() and value.shape != parameters[index].shape:
+                raise ValueError(f"{name} of parameter {index} has shape {list(value.shape)}")
 
 
 def _keep_freed_memory() -> None:

@@ -190,10 +190,11 @@ def test_what_is_wrong_with_a_file_is_said_in_one_line(tmp_path: Path) -> None:
         (good, {"time_step": 0.1}, "predicts in steps of 0.1 s; scenario.time_step is 0.25"),
         (good, {"format": 7}, "has format 7; it must be 1"),
         (good, {"sha256": "0"}, "is damaged"),
-        (good, {"history": "many"}, "is not the card of a predictor"),
+        (good, {"history": "many"}, "has history 'many'; it must be a whole number in .1, 200."),
         (b"nonsense", {}, "is no file of weights"),
         (unlike, {}, "has weights .*; they must be"),
-        (endless, {}, "no finite numbers"),
+        (endless, {}, "has bias with NaN or infinity in it"),
+        (save({**weights(), "bias": np.zeros(3 * HIDDEN)}), {}, "has bias of float64; it must be"),
     ):
         name = written(tmp_path, content, **card)
         with pytest.raises(ConfigurationError, match=f"my.field: .*{message}") as caught:

@@ -90,7 +90,7 @@ def test_it_learns_and_goes_on_where_it_was_interrupted(tmp_path: Path) -> None:
     half = Learner(SMALL, crowds, tmp_path / "half.safetensors")
     for half.round in range(10):
         half._one_round()
-    half._save()
+    half.save()
     again = Learner(SMALL, crowds, tmp_path / "half.safetensors")
     assert again.round == 10
     again.learn()

@@ -1,0 +1,51 @@
+"""A share of `benchmarks.malformed`: what is wrong ends in one line, or is taken for good."""
+
+import json
+from pathlib import Path
+
+import pytest
+import torch
+
+from benchmarks.malformed import ACCEPTED, REFUSED, make_item, outcome
+from benchmarks.malformed_kinds import KINDS, POLICY, THROUGH_COMMANDS, Good
+from mrsan import ConfigurationError
+from samarl.policies.checkpoint import load_policy, make_policy, save_policy
+
+SLOW = 22  # of the first numbers, those that go through commands are tried as well
+
+
+def test_what_is_malformed_is_refused_in_words(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    good, kinds, wrong = Good(tmp_path), list(KINDS), []
+    for number in range(330):
+        if number >= SLOW and kinds[number % len(kinds)] in THROUGH_COMMANDS:
+            continue
+        item = make_item(number, good, seed=1)
+        found = outcome(item)
+        if found not in (REFUSED, ACCEPTED):
+            wrong.append(f"{number} {item.kind}: {found}")
+    assert not wrong, "\n".join(wrong)
+
+
+def test_a_policy_that_gives_no_numbers_or_claims_gigabytes_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "policy.safetensors"
+    policy = make_policy("flat", POLICY, 3)
+    with torch.no_grad():
+        policy.networks[0].heads["local"].log_std[1] = float("nan")
+    save_policy(path, policy, "flat", {})
+    with pytest.raises(
+        ConfigurationError, match=r"has networks\.0\.heads\.local\.log_std with NaN"
+    ):
+        load_policy(path)
+    card = json.loads(path.with_suffix(".json").read_text())
+    for sizes, message in (
+        ({"hidden": 4096, "actors": 16}, "its sizes are those of a policy that .* cannot hold"),
+        ({"hidden": 10**9}, "policy.hidden is 1000000000; it must be a whole number in"),
+        ({"hidden": 10**400}, "policy.hidden is 1000"),
+    ):
+        spoiled = {**card, "config": {**card["config"], **sizes}}
+        path.with_suffix(".json").write_text(json.dumps(spoiled))
+        with pytest.raises(ConfigurationError, match=message):
+            load_policy(path)
