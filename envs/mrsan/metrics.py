@@ -81,22 +81,23 @@ class Episodes(NamedTuple):
 
 def episodes_of(state: State, scenario: Scenario, worlds: NDArray[np.bool_]) -> Episodes:
     """The records of the worlds whose mask `worlds` [E] is set; all of them must have ended."""
-    collision = state.collision[worlds]
-    ended_by_time = state.truncated[worlds][:, None]
+    rows = np.flatnonzero(worlds)  # faster to index with than a mask
+    collision = state.collision[rows]
+    ended_by_time = state.truncated[rows][:, None]
     on_its_way = np.where(ended_by_time, Outcome.timeout, Outcome.interrupted)
-    outcome = np.where(state.arrived[worlds], Outcome.arrived, on_its_way)
+    outcome = np.where(state.arrived[rows], Outcome.arrived, on_its_way)
     outcome = np.where(collision != 0, collision, outcome).astype(np.int8)
-    columns = np.moveaxis(state.tally[worlds].astype(np.float64), -1, 0)
+    columns = np.moveaxis(state.tally[rows].astype(np.float64), -1, 0)
     tally = dict(zip(TALLY, columns, strict=True))
     steps = np.maximum(tally["driven_steps"], 1)
-    to_goal = state.robot_goal[worlds] - state.robot_start[worlds]
+    to_goal = state.robot_goal[rows] - state.robot_start[rows]
     return Episodes(
-        case=state.case[worlds].copy(),
-        episode=state.episode[worlds].copy(),
-        duration=state.clock[worlds].astype(np.float64) * scenario.time_step,
+        case=state.case[rows],
+        episode=state.episode[rows],
+        duration=state.clock[rows].astype(np.float64) * scenario.time_step,
         outcome=outcome,
         path_length=tally["path_length"],
-        straight_line=np.linalg.norm(to_goal.astype(np.float64), axis=-1),
+        straight_line=np.sqrt(np.square(to_goal.astype(np.float64)).sum(-1)),
         time=tally["driven_steps"] * scenario.time_step,
         closest_human=tally["closest_human"],
         close_share=tally["close_steps"] / steps,
@@ -107,8 +108,8 @@ def episodes_of(state: State, scenario: Scenario, worlds: NDArray[np.bool_]) -> 
         heading_change=tally["heading_change"],
         soonest_collision=tally["soonest_collision"],
         ran_into_human=tally["ran_into"] > 0,
-        steps=state.clock[worlds].astype(np.int64),
-        arrived=state.arrived[worlds].copy(),
+        steps=state.clock[rows].astype(np.int64),
+        arrived=state.arrived[rows],
         contacts=tally["contacts"],
         comfort_share=tally["comfort_steps"] / steps,
     )

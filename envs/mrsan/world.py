@@ -232,7 +232,8 @@ class World:
         done = terminated | truncated
         if not (self.auto_reset and done.any()):
             return Step(observation, reward, parts, terminated, truncated, None, None)
-        final, finished = observation.of_worlds(done), episodes_of(state, self.scenario, done)
+        final = observation.of_worlds(np.flatnonzero(done))
+        finished = episodes_of(state, self.scenario, done)
         state.episode[done] += 1
         self._begin(done)
         self._look(observation, done)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from mrsan import Observation, Scenario
 from mrsan.kernels import kernel
-from mrsan.kernels.orca import orca_velocity
+from mrsan.kernels.orca import orca_scratch, orca_velocity
 from mrsan.scenario import required
 from samarl.planning.tracking import gather, preferred_velocity, track_velocity
 
@@ -61,9 +61,7 @@ def _orca(
     total = ego.shape[0]
     for chunk in prange(chunks):
         rows = np.empty((1 + humans.shape[2] + robots.shape[2], 5), np.float32)
-        neighbors = np.empty((max_neighbors, 2), np.float32)
-        lines = np.empty((max_neighbors, 4), np.float32)
-        projected = np.empty((max_neighbors, 4), np.float32)
+        scratch = orca_scratch(rows)
         for e in range(chunk * total // chunks, (chunk + 1) * total // chunks):
             for i in range(ego.shape[1]):
                 count = gather(
@@ -88,9 +86,7 @@ def _orca(
                     max_neighbors,
                     time_horizon,
                     p.time_step,
-                    neighbors,
-                    lines,
-                    projected,
+                    scratch,
                 )
                 speed = math.sqrt(rows[0, 2] * rows[0, 2] + rows[0, 3] * rows[0, 3])
                 track_velocity(vx, vy, speed, action[e, i], p)

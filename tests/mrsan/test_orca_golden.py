@@ -7,7 +7,7 @@ import pytest
 from numba import njit
 from oracle import orca
 
-from mrsan.kernels.orca import orca_velocity
+from mrsan.kernels.orca import orca_scratch, orca_velocity
 
 GOLDEN = Path(__file__).parents[1] / "data" / "orca_one_step.npz"
 BUILD_NOISE = 1e-4  # where two builds of RVO2 differ by more, there is no right answer
@@ -22,13 +22,11 @@ def golden() -> dict[str, np.ndarray]:
 @njit
 def one_step(agents, counts, preferred, max_speed, reach, most, horizon, dt, out):
     for e in range(len(counts)):
-        neighbors = np.empty((most[e], 2), np.float32)
-        lines = np.empty((most[e], 4), np.float32)
-        projected = np.empty((most[e], 4), np.float32)
+        scratch = orca_scratch(agents[e])
         for i in range(counts[e]):
             out[e, i, 0], out[e, i, 1] = orca_velocity(
                 agents[e], counts[e], i, preferred[e, i, 0], preferred[e, i, 1], max_speed[e, i],
-                reach[e], most[e], horizon[e], dt[e], neighbors, lines, projected,
+                reach[e], most[e], horizon[e], dt[e], scratch,
             )  # fmt: skip
 
 

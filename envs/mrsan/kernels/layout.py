@@ -15,6 +15,7 @@ MIXED = 4  # one of these, drawn per episode
 _ZERO = np.float32(0.0)
 _HALF = np.float32(0.5)
 _ONE = np.float32(1.0)
+_FAR = np.float32(np.inf)
 _TWO_PI = np.float32(2.0 * math.pi)
 _SQRT_2 = np.float32(math.sqrt(2.0))
 _GROWTH = np.float32(0.05)
@@ -36,7 +37,9 @@ def draw_robot_way(start, goal, key, i, attempt, layout, p):
     """Where robot `i` starts and where it is to get to; whether that is a way of fair length."""
     if layout == CIRCLE:
         room = p.arena_radius - p.robot_radius - _SQRT_2 * p.spawn_jitter * p.robot_speed
-        _draw_crossing(start, goal, key, i, attempt, p.robot_speed, room, p)
+        x, y = _on_circle(key, i, attempt, room, p)
+        _jitter(start, x, y, key, i, attempt, 1, p.spawn_jitter * p.robot_speed)
+        _jitter(goal, -x, -y, key, i, attempt, 3, p.spawn_jitter * p.robot_speed)
         if p.goal_turn != _ZERO or p.goal_turn_spread != _ZERO:
             angle = p.goal_turn + rng.uniform_between(
                 -p.goal_turn_spread, p.goal_turn_spread, key, rng.START, i, attempt, 6
@@ -66,23 +69,35 @@ def draw_way_on_floor(start, goal, key, i, attempt, half_x, half_y, p):
 
 
 @function
-def draw_human_way(start, goal, key, j, agent, attempt, speed, layout, p):
-    """Where human `j`, agent `agent` of the world, starts and where it goes first."""
+def draw_human_start(start, key, j, agent, attempt, speed, layout, p):
+    """Where human `j`, agent `agent` of the world, starts."""
     if layout == CIRCLE:
-        _draw_crossing(start, goal, key, agent, attempt, speed, np.float32(np.inf), p)
+        x, y = _on_circle(key, agent, attempt, _FAR, p)
+        _jitter(start, x, y, key, agent, attempt, 1, p.spawn_jitter * speed)
         return
     half = _floor(attempt, p)
     first = rng.uniform_between(-half, half, key, rng.START, agent, attempt, 0)
     second = rng.uniform_between(-_ONE, _ONE, key, rng.START, agent, attempt, 1)
     if layout == SQUARE:
         start[0], start[1] = first, second * half
-        goal[0] = goal[1] = _ZERO
     else:  # `first` along the stream, `second` across
         across = second * _HALF * (p.crossing_width if layout == CROSSING else p.opposite_width)
         upward = _walks_upward(key, j, layout)
         start[0], start[1] = (across, first) if upward else (first, across)
+
+
+@function
+def draw_human_goal(start, goal, key, j, agent, attempt, speed, layout, p):
+    """Where human `j` goes first, which starts at `start`, drawn in the same attempt."""
+    if layout == CIRCLE:
+        x, y = _on_circle(key, agent, attempt, _FAR, p)
+        _jitter(goal, -x, -y, key, agent, attempt, 3, p.spawn_jitter * speed)
+        return
+    goal[0] = goal[1] = _ZERO
+    if layout != SQUARE:
+        half = _floor(attempt, p)
         end = half if rng.uniform(key, rng.LAYOUT, j, 0, 2) < _HALF else -half
-        goal[0], goal[1] = (_ZERO, end) if upward else (end, _ZERO)
+        goal[0], goal[1] = (_ZERO, end) if _walks_upward(key, j, layout) else (end, _ZERO)
     goal[0], goal[1] = draw_goal(start[0], start[1], goal[0], goal[1], key, j, 0, speed, layout, p)
 
 
@@ -136,15 +151,17 @@ def _floor(attempt, p):
 
 
 @function
-def _draw_crossing(start, goal, key, agent, attempt, speed, room, p):
-    """A start on the circle and the opposite goal, each coordinate of both jittered."""
+def _on_circle(key, agent, attempt, room, p):
+    """The point of the circle about which an agent starts; opposite to it is its goal."""
     circle = p.circle_radius * (_ONE + _GROWTH * np.float32(attempt // _TRIES))
     if circle > room * _ROUNDING:  # a wall, and no room on the circle: anywhere inside
         circle = room * math.sqrt(rng.uniform(key, rng.START, agent, attempt, 5))
     angle = _TWO_PI * rng.uniform(key, rng.START, agent, attempt, 0)
-    cos, sin = circle * math.cos(angle), circle * math.sin(angle)
-    jitter = p.spawn_jitter * speed
-    start[0] = cos + rng.uniform_between(-jitter, jitter, key, rng.START, agent, attempt, 1)
-    start[1] = sin + rng.uniform_between(-jitter, jitter, key, rng.START, agent, attempt, 2)
-    goal[0] = -cos + rng.uniform_between(-jitter, jitter, key, rng.START, agent, attempt, 3)
-    goal[1] = -sin + rng.uniform_between(-jitter, jitter, key, rng.START, agent, attempt, 4)
+    return circle * math.cos(angle), circle * math.sin(angle)
+
+
+@function
+def _jitter(point, x, y, key, agent, attempt, draw, jitter):
+    """Write a point near (x, y), moved by up to `jitter` along either axis."""
+    point[0] = x + rng.uniform_between(-jitter, jitter, key, rng.START, agent, attempt, draw)
+    point[1] = y + rng.uniform_between(-jitter, jitter, key, rng.START, agent, attempt, draw + 1)

@@ -1,7 +1,10 @@
 """Optimal reciprocal collision avoidance (van den Berg et al., 2011), as the RVO2 library does it.
 
-An agent is a row `[px, py, vx, vy, radius]`. A line is a row `[px, py, dx, dy]`: the permitted
-velocities lie to the left of the direction `d` through the point `p`.
+An agent is a row `[px, py, vx, vy, radius]`. A line is four numbers: the permitted velocities lie
+to the left of the direction (DX, DY) through the point (PX, PY).
+
+Neighbours and lines lie in flat arrays, a stretch of `MOST` for each of their numbers: so the
+lines of all neighbours are computed at once, by the processor's vector instructions.
 """
 
 import math
@@ -10,10 +13,32 @@ import numpy as np
 
 from mrsan.kernels import function
 
+MOST = 80  # neighbours
+PX, PY, DX, DY = 0, MOST, 2 * MOST, 3 * MOST  # of line k: lines[PX + k] and so on
+_X, _Y, _VX, _VY, _RADIUS = 0, MOST, 2 * MOST, 3 * MOST, 4 * MOST  # of a neighbour, relative
+_LANES = 16  # lines are computed in whole vectors of so many
+
 _EPSILON = np.float32(1e-5)
 _ZERO = np.float32(0.0)
 _HALF = np.float32(0.5)
 _ONE = np.float32(1.0)
+_TWO = np.float32(2.0)
+_FAR = np.float32(np.inf)
+_SAMPLE = 8  # agents whose distances tell how many are near
+_SPARE = np.float32(1.4)  # times as many as needed are looked for
+
+
+@function
+def orca_scratch(agents):
+    """Room for `orca_velocity` to work in: made once, used for many agents."""
+    count = agents.shape[0]
+    return (
+        np.empty((2, count), np.float32),  # squared distances of all, of those near
+        np.empty((2, count), np.int32),  # rows of those near, their ranks
+        np.zeros(5 * MOST, np.float32),  # neighbours, nearest first
+        np.empty(4 * MOST, np.float32),  # lines
+        np.empty(4 * MOST, np.float32),  # lines projected on another
+    )
 
 
 @function
@@ -28,30 +53,28 @@ def orca_velocity(
     max_neighbors,
     time_horizon,
     time_step,
-    neighbors,
-    lines,
-    projected,
+    scratch,
 ):
     """New velocity of agent `i` among the first `count` rows of `agents`.
 
     Args:
-        agents: [A, 5] position, velocity and radius (m, m/s).
+        agents: [A, 5] position, velocity and radius (m, m/s); fastest in Fortran's order.
         count: number of rows of `agents` in use.
         i: the row of the agent that decides.
         preferred_x: preferred velocity, x (m/s).
         preferred_y: preferred velocity, y (m/s).
         max_speed: speed limit (m/s).
         neighbor_distance: only agents nearer than this count (m).
-        max_neighbors: only so many of the nearest count.
+        max_neighbors: only so many of the nearest count, at most `MOST`.
         time_horizon: for how long the velocity must be safe (s).
         time_step: length of a step (s).
-        neighbors: scratch, [max_neighbors, 2].
-        lines: scratch, [max_neighbors, 4].
-        projected: scratch, [max_neighbors, 4].
+        scratch: from `orca_scratch`.
     """
-    n = _nearest(agents, count, i, neighbor_distance, max_neighbors, neighbors)
-    for k in range(n):
-        _half_plane(agents, i, int(neighbors[k, 1]), time_horizon, time_step, lines, k)
+    distances, places, neighbors, lines, projected = scratch
+    n = _find_nearest(
+        agents, count, i, neighbor_distance, max_neighbors, distances, places, neighbors
+    )
+    _half_planes(neighbors, n, agents[i], time_horizon, time_step, lines)
     x, y, failed = _linear_program_2(lines, n, max_speed, preferred_x, preferred_y, False)
     if failed < n:
         x, y = _linear_program_3(lines, projected, n, failed, max_speed, x, y)
@@ -59,71 +82,107 @@ def orca_velocity(
 
 
 @function
-def _nearest(agents, count, i, neighbor_distance, max_neighbors, neighbors):
-    """Fill `neighbors` with (squared distance, row), nearest first; return how many."""
-    n = 0
-    x, y = agents[i, 0], agents[i, 1]
+def _find_nearest(agents, count, i, neighbor_distance, max_neighbors, distances, places, neighbors):
+    """Fill `neighbors` with those of `i`, relative to it and nearest first; return how many."""
+    squared, near = distances[0], distances[1]
+    rows, rank = places[0], places[1]
     limit = neighbor_distance * neighbor_distance
+    x, y = agents[i, 0], agents[i, 1]
     for j in range(count):
         dx, dy = x - agents[j, 0], y - agents[j, 1]
-        distance = dx * dx + dy * dy
-        if j == i or distance >= limit:
-            continue
-        if n < max_neighbors:
-            n += 1
-        k = n - 1
-        while k > 0 and distance < neighbors[k - 1, 0]:
-            neighbors[k, 0] = neighbors[k - 1, 0]
-            neighbors[k, 1] = neighbors[k - 1, 1]
-            k -= 1
-        neighbors[k, 0] = distance
-        neighbors[k, 1] = j
-        if n == max_neighbors:
-            limit = neighbors[n - 1, 0]
-    return n
+        squared[j] = dx * dx + dy * dy
+    reach = limit
+    if count > 3 * max_neighbors // 2:
+        reach = min(limit, _likely_reach(squared, count, max_neighbors))
+    squared[i] = limit  # not its own neighbour
+    n = 0
+    while True:  # until there are enough, who they are does not depend on the reach
+        n = 0
+        for j in range(count):  # without a branch: nobody could predict it
+            near[n], rows[n] = squared[j], j
+            n += squared[j] < reach
+        if n >= max_neighbors or reach >= limit:
+            break
+        reach = min(limit, _TWO * reach)
+    for k in range(n):  # of equally near ones the first comes first
+        farther = np.int32(0)  # of 32 bits like the ranks, for vectors
+        for q in range(k):
+            is_farther = near[q] > near[k]
+            rank[q] += is_farther
+            farther += is_farther
+        rank[k] = np.int32(k) - farther
+    most = min(n, max_neighbors)
+    for k in range(n):
+        place, j = rank[k], rows[k]
+        if place < most:
+            neighbors[_X + place], neighbors[_Y + place] = agents[j, 0] - x, agents[j, 1] - y
+            neighbors[_VX + place] = agents[i, 2] - agents[j, 2]
+            neighbors[_VY + place] = agents[i, 3] - agents[j, 3]
+            neighbors[_RADIUS + place] = agents[j, 4]
+    return most
 
 
 @function
-def _half_plane(agents, i, j, time_horizon, time_step, lines, k):
-    """The velocities of `i` that share the avoidance of `j` fairly."""
-    px, py = agents[j, 0] - agents[i, 0], agents[j, 1] - agents[i, 1]
-    vx, vy = agents[i, 2] - agents[j, 2], agents[i, 3] - agents[j, 3]
-    distance_squared = px * px + py * py
-    radius = agents[i, 4] + agents[j, 4]
-    radius_squared = radius * radius
-    colliding = distance_squared <= radius_squared
-    # The cut-off disc of the velocity obstacle; agents that overlap must part within one step.
-    inverse = _ONE / time_step if colliding else _ONE / time_horizon
-    wx, wy = vx - inverse * px, vy - inverse * py
-    w_squared = wx * wx + wy * wy
-    along = wx * px + wy * py
-    if colliding or (along < _ZERO and along * along > radius_squared * w_squared):
-        w = math.sqrt(w_squared)
-        if w <= _ZERO:
-            w, wx = _EPSILON, _EPSILON
-        nx, ny = wx / w, wy / w
-        dx, dy = ny, -nx
-        ux, uy = (radius * inverse - w) * nx, (radius * inverse - w) * ny
-    else:  # One of the two legs of the cone.
-        leg = math.sqrt(distance_squared - radius_squared)
-        if px * wy - py * wx > _ZERO:
-            dx = (px * leg - py * radius) / distance_squared
-            dy = (px * radius + py * leg) / distance_squared
-        else:
-            dx = -(px * leg + py * radius) / distance_squared
-            dy = -(-px * radius + py * leg) / distance_squared
-        dot = vx * dx + vy * dy
-        ux, uy = dot * dx - vx, dot * dy - vy
-    lines[k, 0] = agents[i, 2] + _HALF * ux
-    lines[k, 1] = agents[i, 3] + _HALF * uy
-    lines[k, 2] = dx
-    lines[k, 3] = dy
+def _likely_reach(squared, count, max_neighbors):
+    """A squared distance within which there are probably somewhat more than `max_neighbors`.
+
+    Of agents spread evenly over a disc the squared distances are spread evenly up to twice their
+    mean; that of a few is good enough.
+    """
+    step = (count + _SAMPLE - 1) // _SAMPLE
+    total, sampled = _ZERO, 0
+    for j in range(0, count, step):
+        total += squared[j]
+        sampled += 1
+    if total == _ZERO:
+        return _FAR
+    return _TWO * _SPARE * total * np.float32(max_neighbors) / np.float32(sampled * count)
+
+
+@function
+def _half_planes(neighbors, n, own, time_horizon, time_step, lines):
+    """The velocities of an agent that share the avoidance of each neighbour fairly.
+
+    Written without branches, both cases computed and one chosen, which makes vectors possible.
+    """
+    own_vx, own_vy, own_radius = own[2], own[3], own[4]
+    by_horizon, by_step = _ONE / time_horizon, _ONE / time_step
+    for k in range((n + _LANES - 1) // _LANES * _LANES):
+        px, py = neighbors[_X + k], neighbors[_Y + k]
+        vx, vy = neighbors[_VX + k], neighbors[_VY + k]
+        distance_squared = px * px + py * py
+        radius = own_radius + neighbors[_RADIUS + k]
+        radius_squared = radius * radius
+        colliding = distance_squared <= radius_squared
+        # The cut-off disc of the velocity obstacle; agents that overlap must part within one step.
+        inverse = by_step if colliding else by_horizon
+        wx, wy = vx - inverse * px, vy - inverse * py
+        w_squared = wx * wx + wy * wy
+        along = wx * px + wy * py
+        to_disc = colliding | (
+            (along < _ZERO) & (along * along > radius_squared * w_squared)
+        )  # or to one of the two legs of the cone
+        root = math.sqrt(w_squared if to_disc else distance_squared - radius_squared)
+        w = _EPSILON if root <= _ZERO else root
+        wx = _EPSILON if root <= _ZERO else wx
+        on_left = px * wy - py * wx > _ZERO
+        leg_x = px * root - py * radius if on_left else -(px * root + py * radius)
+        leg_y = px * radius + py * root if on_left else -(-px * radius + py * root)
+        length = w if to_disc else distance_squared
+        x, y = (wx if to_disc else leg_x) / length, (wy if to_disc else leg_y) / length
+        depth, dot = radius * inverse - w, vx * x + vy * y
+        ux = depth * x if to_disc else dot * x - vx
+        uy = depth * y if to_disc else dot * y - vy
+        lines[PX + k] = own_vx + _HALF * ux
+        lines[PY + k] = own_vy + _HALF * uy
+        lines[DX + k] = y if to_disc else x
+        lines[DY + k] = -x if to_disc else y
 
 
 @function
 def _linear_program_1(lines, k, radius, goal_x, goal_y, goal_is_direction):
     """Best point on line `k` within the disc and the lines before it: (feasible, x, y)."""
-    px, py, dx, dy = lines[k, 0], lines[k, 1], lines[k, 2], lines[k, 3]
+    px, py, dx, dy = lines[PX + k], lines[PY + k], lines[DX + k], lines[DY + k]
     dot = px * dx + py * dy
     discriminant = dot * dot + radius * radius - (px * px + py * py)
     if discriminant < _ZERO:
@@ -131,8 +190,8 @@ def _linear_program_1(lines, k, radius, goal_x, goal_y, goal_is_direction):
     root = math.sqrt(discriminant)
     left, right = -dot - root, -dot + root
     for i in range(k):
-        denominator = dx * lines[i, 3] - dy * lines[i, 2]
-        numerator = lines[i, 2] * (py - lines[i, 1]) - lines[i, 3] * (px - lines[i, 0])
+        denominator = dx * lines[DY + i] - dy * lines[DX + i]
+        numerator = lines[DX + i] * (py - lines[PY + i]) - lines[DY + i] * (px - lines[PX + i])
         if abs(denominator) <= _EPSILON:
             if numerator < _ZERO:
                 return False, _ZERO, _ZERO
@@ -163,7 +222,7 @@ def _linear_program_2(lines, n, radius, goal_x, goal_y, goal_is_direction):
     else:
         x, y = goal_x, goal_y
     for k in range(n):
-        if lines[k, 2] * (lines[k, 1] - y) - lines[k, 3] * (lines[k, 0] - x) > _ZERO:
+        if lines[DX + k] * (lines[PY + k] - y) - lines[DY + k] * (lines[PX + k] - x) > _ZERO:
             feasible, new_x, new_y = _linear_program_1(
                 lines, k, radius, goal_x, goal_y, goal_is_direction
             )
@@ -178,25 +237,25 @@ def _linear_program_3(lines, projected, n, first, radius, x, y):
     """No velocity satisfies all lines: the one that violates the worst of them least."""
     distance = _ZERO
     for k in range(first, n):
-        px, py = lines[k, 0], lines[k, 1]
-        dx, dy = lines[k, 2], lines[k, 3]
+        px, py = lines[PX + k], lines[PY + k]
+        dx, dy = lines[DX + k], lines[DY + k]
         if dx * (py - y) - dy * (px - x) <= distance:
             continue
         m = 0
         for j in range(k):
-            qx, qy = lines[j, 0], lines[j, 1]
-            ex, ey = lines[j, 2], lines[j, 3]
+            qx, qy = lines[PX + j], lines[PY + j]
+            ex, ey = lines[DX + j], lines[DY + j]
             determinant = dx * ey - dy * ex
             if abs(determinant) <= _EPSILON:
                 if dx * ex + dy * ey > _ZERO:
                     continue
-                projected[m, 0], projected[m, 1] = _HALF * (px + qx), _HALF * (py + qy)
+                projected[PX + m], projected[PY + m] = _HALF * (px + qx), _HALF * (py + qy)
             else:
                 t = (ex * (py - qy) - ey * (px - qx)) / determinant
-                projected[m, 0], projected[m, 1] = px + t * dx, py + t * dy
+                projected[PX + m], projected[PY + m] = px + t * dx, py + t * dy
             ex, ey = ex - dx, ey - dy
             norm = math.sqrt(ex * ex + ey * ey)
-            projected[m, 2], projected[m, 3] = ex / norm, ey / norm
+            projected[DX + m], projected[DY + m] = ex / norm, ey / norm
             m += 1
         new_x, new_y, failed = _linear_program_2(projected, m, radius, -dy, dx, True)
         if failed == m:  # Otherwise only rounding stands in the way: keep the last point.

@@ -7,7 +7,7 @@ from numba import prange
 
 from mrsan.kernels import function, kernel, rng
 from mrsan.kernels.habits import NEVER, entry_of, place_beside, walking_speed, walks_along
-from mrsan.kernels.layout import draw_human_way, draw_robot_way, layout_of
+from mrsan.kernels.layout import draw_human_goal, draw_human_start, draw_robot_way, layout_of
 from mrsan.kernels.recorded import (
     NOT_ASSIGNED,
     RECORDED,
@@ -20,19 +20,27 @@ from mrsan.kernels.tally import CLOSEST_HUMAN, SOONEST_COLLISION
 _ZERO = np.float32(0.0)
 _FAR = np.float32(np.inf)
 
+# Where it is crowded nearly every place that is drawn is taken, and a map of cells says so at once.
+_PATIENCE = 32  # attempts after which the map is looked at
+_CELLS = 128  # along either side of it
+_CELL = np.float32(0.2)  # side of one, m
+_HALF_MAP = np.float32(0.5 * _CELLS) * _CELL
+_SLACK = np.float32(1e-3)  # more than rounding can do to a distance on it, m
+
 
 @kernel
 def begin_episodes(chunks, worlds, state, p, recording):
     """Start the next episode in each world whose mask `worlds` is set: state as of step 0."""
     total = worlds.shape[0]
     for chunk in prange(chunks):
+        taken = np.empty((_CELLS, _CELLS), np.bool_)
         for e in range(chunk * total // chunks, (chunk + 1) * total // chunks):
             if worlds[e]:
-                _begin(state, e, p, recording)
+                _begin(state, e, p, recording, taken)
 
 
 @function
-def _begin(state, e, p, recording):
+def _begin(state, e, p, recording, taken):
     key = rng.episode_key(state.case[e], state.episode[e])
     state.key[e] = key
     state.clock[e] = 0
@@ -51,11 +59,12 @@ def _begin(state, e, p, recording):
     low, high = p.humans_min, state.human_radius.shape[1]
     share = rng.uniform(key, rng.HUMAN_COUNT, 0, 0, 0)
     count = min(low + int(share * np.float32(high - low + 1)), high)
+    marked = 0
     for j in range(high):
         state.human_present[e, j] = j < count
         state.human_entry[e, j] = 0 if j < count else NEVER
         if j < count:
-            _place_human(state, e, j, key, layout, p)
+            marked = _place_human(state, e, j, key, layout, p, taken, marked)
             state.human_entry[e, j] = entry_of(key, j - 1 if walks_along(key, j, p) else j, p)
             state.human_present[e, j] = state.human_entry[e, j] == 0
 
@@ -94,7 +103,8 @@ def _place_robot(state, e, i, key, layout, recording, p):
 
 
 @function
-def _place_human(state, e, j, key, layout, p):
+def _place_human(state, e, j, key, layout, p, taken, marked):
+    """Draw human `j` of world `e` until it has room; how many agents the map `taken` now knows."""
     robots = state.robot_heading.shape[1]
     position, goal = state.human_position[e], state.human_goal[e]
     radius = rng.uniform_between(
@@ -109,20 +119,78 @@ def _place_human(state, e, j, key, layout, p):
     state.human_speed[e, j] = speed
     state.human_velocity[e, j, 0] = state.human_velocity[e, j, 1] = _ZERO
     attempt = 0
-    placed = False
-    while not placed:
-        if paired:
+    if paired:
+        place_beside(position, goal, state.human_radius[e], j, key, attempt)
+        while not _has_room(state, e, j, j - 1, p):
+            attempt += 1
             place_beside(position, goal, state.human_radius[e], j, key, attempt)
-        else:
-            draw_human_way(position[j], goal[j], key, j, robots + j, attempt, speed, layout, p)
-        placed = True
-        for k in range(robots):
-            gap = radius + p.robot_radius + p.spawn_clearance
-            placed = placed and _distance(position[j], state.robot_position[e, k]) >= gap
-        for k in range(j - 1 if paired else j):
-            gap = radius + state.human_radius[e, k] + p.spawn_clearance
-            placed = placed and _distance(position[j], position[k]) >= gap
+        return marked
+    draw_human_start(position[j], key, j, robots + j, attempt, speed, layout, p)
+    while _is_taken(position[j], attempt, taken) or not _has_room(state, e, j, j, p):
         attempt += 1
+        if attempt == _PATIENCE:
+            _mark(state, e, marked, robots + j, p, taken)
+            marked = robots + j
+        draw_human_start(position[j], key, j, robots + j, attempt, speed, layout, p)
+    draw_human_goal(position[j], goal[j], key, j, robots + j, attempt, speed, layout, p)
+    return marked
+
+
+@function
+def _has_room(state, e, j, others, p):
+    """Whether human `j` keeps clear of all robots and of the first `others` humans."""
+    position, radius = state.human_position[e], state.human_radius[e]
+    for k in range(state.robot_heading.shape[1]):
+        gap = radius[j] + p.robot_radius + p.spawn_clearance
+        if not _distance(position[j], state.robot_position[e, k]) >= gap:
+            return False
+    for k in range(others):
+        gap = radius[j] + radius[k] + p.spawn_clearance
+        if not _distance(position[j], position[k]) >= gap:
+            return False
+    return True
+
+
+@function
+def _is_taken(place, attempt, taken):
+    """Whether the map says that there is no room for a human, which it does not until asked."""
+    if attempt < _PATIENCE:
+        return False
+    x, y = place[0] + _HALF_MAP, place[1] + _HALF_MAP
+    if not (_ZERO <= x < _HALF_MAP + _HALF_MAP and _ZERO <= y < _HALF_MAP + _HALF_MAP):
+        return False
+    return taken[int(y / _CELL), int(x / _CELL)]
+
+
+@function
+def _mark(state, e, first, last, p, taken):
+    """Mark the cells in which there is no room for a human because of agents `first` to `last`.
+
+    Agents are robots, then humans. A cell is marked if all of it is too near to one of them for
+    the smallest human: where the map says nothing there may still be no room.
+    """
+    robots = state.robot_heading.shape[1]
+    if first == 0:
+        taken[:, :] = False
+    for k in range(first, last):
+        if k < robots:
+            place, radius = state.robot_position[e, k], p.robot_radius
+        else:
+            place, radius = state.human_position[e, k - robots], state.human_radius[e, k - robots]
+        x, y = place[0] + _HALF_MAP, place[1] + _HALF_MAP
+        reach = radius + p.human_radius_min + p.spawn_clearance - _SLACK
+        for row in range(
+            max(int((y - reach) / _CELL), 0), min(int((y + reach) / _CELL) + 1, _CELLS)
+        ):
+            bottom = np.float32(row) * _CELL - y
+            dy = max(abs(bottom), abs(bottom + _CELL))
+            for column in range(
+                max(int((x - reach) / _CELL), 0), min(int((x + reach) / _CELL) + 1, _CELLS)
+            ):
+                left = np.float32(column) * _CELL - x
+                dx = max(abs(left), abs(left + _CELL))
+                if dx * dx + dy * dy < reach * reach:
+                    taken[row, column] = True
 
 
 @function

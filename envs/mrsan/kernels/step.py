@@ -10,7 +10,7 @@ from mrsan.kernels.contact import closest_approach, comes_to_the_other, time_to_
 from mrsan.kernels.habits import come_and_go, stands, walks_along
 from mrsan.kernels.kinematics import brake, next_velocity, wrap_angle
 from mrsan.kernels.layout import draw_goal, layout_of
-from mrsan.kernels.orca import orca_velocity
+from mrsan.kernels.orca import orca_scratch, orca_velocity
 from mrsan.kernels.recorded import RECORDED, follow, recorded_velocity
 from mrsan.kernels.social_force import social_force_velocity
 from mrsan.kernels.tally import (
@@ -68,12 +68,10 @@ def advance(chunks, state, action, p, recording, reward, parts):
     total, robots = reward.shape
     people = state.human_radius.shape[1]
     for chunk in prange(chunks):
-        agents = np.empty((people + robots, 5), np.float32)
+        agents = np.empty((5, people + robots), np.float32).T
+        scratch = orca_scratch(agents)
         slots = np.empty(people, np.int32)
         chosen = np.empty((people, 2), np.float32)
-        neighbors = np.empty((p.max_neighbors, 2), np.float32)
-        lines = np.empty((p.max_neighbors, 4), np.float32)
-        projected = np.empty((p.max_neighbors, 4), np.float32)
         moved = np.empty((robots, 2), np.float32)
         gap = np.empty(robots, np.float32)
         contact = np.empty(robots, np.int8)
@@ -93,9 +91,7 @@ def advance(chunks, state, action, p, recording, reward, parts):
                         state, e, here[row], recording, p
                     )
             else:
-                _choose_human_velocities(
-                    state, e, p, here, agents, chosen, neighbors, lines, projected
-                )
+                _choose_human_velocities(state, e, p, here, agents, chosen, scratch)
             _move_robots(state, e, action, p, moved)
             _move_humans(state, e, p, here, chosen)
             _find_contacts(state, e, p, here, moved, gap, contact)
@@ -114,7 +110,7 @@ def _find_present(present, slots):
 
 
 @function
-def _choose_human_velocities(state, e, p, here, agents, chosen, neighbors, lines, projected):
+def _choose_human_velocities(state, e, p, here, agents, chosen, scratch):
     """What each human who is present wants to do next, all decided on the same state."""
     position, velocity, goal = state.human_position, state.human_velocity, state.human_goal
     radius, preferred_speed = state.human_radius, state.human_speed
@@ -173,9 +169,7 @@ def _choose_human_velocities(state, e, p, here, agents, chosen, neighbors, lines
                 p.max_neighbors,
                 p.time_horizon,
                 p.time_step,
-                neighbors,
-                lines,
-                projected,
+                scratch,
             )
         else:
             chosen[row, 0], chosen[row, 1] = social_force_velocity(
