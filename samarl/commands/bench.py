@@ -50,7 +50,6 @@ from samarl.files import (
     write_atomically,
     write_json,
 )
-from samarl.policies.checkpoint import find_policy
 
 STATUS = """\
 (same: the committed row again; close: within its 95 % intervals, as processors round differently;
@@ -209,6 +208,8 @@ def _from_training(checkpoints: Sequence[str], command: str) -> Row:
         One command that trains and evaluates, the commit at which it was trained, and what trained
         each of the seeds. Nothing of a policy that took several commands: its card has them.
     """
+    from samarl.policies.checkpoint import find_policy  # torch, which --help does not need
+
     trained = []
     for name in checkpoints:
         path = find_policy(name)

@@ -21,8 +21,11 @@ CASES = Split.test.case(0) + np.arange(40)
 
 
 def drives(name: str, kinematics: Kinematics) -> bool:
-    """A policy drives the robots that it was trained on, a planner all of them."""
-    if name not in LEARNED:
+    """A policy drives the robots that it was trained on, a planner all of them.
+
+    So does a policy whose velocities are tracked.
+    """
+    if name not in LEARNED or CONFIGS[name].get("track_velocity"):
         return True
     card = find_policy(CONFIGS[name]["checkpoint"]).with_suffix(".json").read_text("utf-8")
     return kinematics.name in card
