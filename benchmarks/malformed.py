@@ -34,7 +34,7 @@ from mrsan.recording import RecordingError
 from samarl.files import check_writable, code_version, machine, write_json
 
 REFUSED, ACCEPTED = "refused", "accepted"
-SECONDS = 20.0  # may pass until something is refused; ten thousand take minutes
+SECONDS = 60.0  # may pass until something is refused; on an idle machine it takes milliseconds
 MEMORY = 2 * 2**30  # bytes more than before may be asked for
 
 

@@ -66,9 +66,12 @@ def evaluation_in(config: DictConfig) -> Evaluation:
     Raises:
         ConfigurationError: names what is wrong with it.
     """
-    values = OmegaConf.merge(OmegaConf.structured(Evaluation), config.evaluation)
-    evaluation = OmegaConf.to_object(values)
-    assert isinstance(evaluation, Evaluation)
+    evaluation = OmegaConf.to_object(config.evaluation)
+    if not isinstance(evaluation, Evaluation):
+        raise ConfigurationError(
+            f"evaluation is {config.evaluation!r:.60}; a file of it must begin with another one: "
+            "defaults: [default]"
+        )
     return evaluation
 
 

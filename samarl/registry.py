@@ -33,9 +33,6 @@ def checked_fields(schema: Any, values: Any, path: str) -> dict[str, Any]:
     """The fields of a dataclass from `values`, which must fit their names and types."""
     if not isinstance(values, Mapping | DictConfig):
         raise ConfigurationError(f"{path} is {values!r:.60}; it must be names with their values")
-    missing = OmegaConf.missing_keys(values) if isinstance(values, DictConfig) else ()
-    if missing:
-        raise ConfigurationError(f"{path}.{min(missing)} is '???'; it must have a value")
     try:
         merged = OmegaConf.merge(OmegaConf.structured(schema), values)
         fields = OmegaConf.to_container(merged, throw_on_missing=True)
