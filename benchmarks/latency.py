@@ -7,26 +7,23 @@ batch of 512 such robots; the observations are those of episodes that the agent 
 from __future__ import annotations
 
 import argparse
-import shlex
 import statistics
-import sys
 import tempfile
 import time
 from pathlib import Path
 from typing import Any
 
-import numba
 import numpy as np
-import torch
 from tqdm import tqdm
 
-from benchmarks.workload import interruptible, positive_number
+from benchmarks.workload import add_output, interruptible, made_by, positive_number
 from mrsan import ConfigurationError, Scenario, World
+from mrsan.threads import use_threads
 from samarl.agents import build_agent
 from samarl.configuration import available_agents, load_agent
 from samarl.evaluation.table import as_text
 from samarl.export import export_agent
-from samarl.files import code_version, machine, write_json
+from samarl.files import machine, write_json
 from samarl.runtime import Driver
 from samarl.runtime.simulation import as_seen
 
@@ -39,8 +36,7 @@ _MEASURED = ("one_robot_ms", "exported_ms", f"batch_of_{BATCH}_ms")
 def main() -> None:
     """Measure every agent, print the table, write the JSON."""
     arguments = _parse()
-    numba.set_num_threads(1)
-    torch.set_num_threads(1)
+    use_threads(1)
     agents = {name: load_agent(name) for name in arguments.agents or available_agents()}
     if arguments.checkpoint is not None:
         target = "samarl.agents.learned.Learned"
@@ -60,9 +56,7 @@ def main() -> None:
     print(as_text(header, lines))
     result = {
         "agents": rows,
-        "machine": machine(),
-        "commit": code_version(),
-        "command": shlex.join(["python", "-m", "benchmarks.latency", *sys.argv[1:]]),
+        **made_by("latency"),
         "threads": 1,
     }
     write_json(arguments.output, result)
@@ -142,7 +136,7 @@ def _parse() -> argparse.Namespace:
     parser.add_argument("--seconds", type=positive_number, default=2.0, help="per figure")
     parser.add_argument("--agents", nargs="+", help="of conf/agent/; all of them by default")
     parser.add_argument("--checkpoint", type=Path, help="a trained policy to measure as well")
-    parser.add_argument("--output", type=Path, default=Path("outputs/latency.json"))
+    add_output(parser, "latency")
     return parser.parse_args()
 
 

@@ -8,8 +8,9 @@ os.environ["NUMBA_NUM_THREADS"] = "2"  # on every machine: some tests compare on
 os.environ["OMP_NUM_THREADS"] = "1"  # PyTorch's: tests run side by side
 
 import hypothesis
-import numba
 import pytest
+
+from mrsan.threads import use_threads
 
 # Kernels may compile inside the first example, and a suite must say the same twice.
 hypothesis.settings.register_profile(
@@ -47,9 +48,7 @@ def pytest_sessionstart(session: pytest.Session) -> None:
 @pytest.fixture(autouse=True)
 def one_thread() -> None:
     """Tests run side by side: more threads than cores would wait for each other."""
-    numba.set_num_threads(1)
-    if "torch" in sys.modules:  # after Numba's, which sets torch's as well
-        sys.modules["torch"].set_num_threads(1)
+    use_threads(1)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -30,6 +30,13 @@ def let_threads_sleep() -> None:
         config.THREADING_LAYER = "workqueue"
 
 
+def use_threads(number: int) -> None:
+    """Run kernels on so many threads, as far as there are; and torch, where it is loaded."""
+    numba.set_num_threads(min(number, config.NUMBA_NUM_THREADS))
+    if torch := sys.modules.get("torch"):  # after Numba's, whose start sets torch's as well
+        torch.set_num_threads(number)
+
+
 def kernel_threads() -> int:
     """On how many threads kernels run; torch keeps the number that it had.
 

@@ -13,7 +13,6 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numba
 import numpy as np
 import torch
 from torch import Tensor
@@ -22,6 +21,7 @@ from tqdm import tqdm
 
 from mrsan import ConfigurationError, Split, social_score
 from mrsan.scenario import check_numbers, required
+from mrsan.threads import use_threads
 from samarl import distributed
 from samarl.agents.learned import Deployed
 from samarl.algorithms import ALGORITHMS
@@ -99,8 +99,7 @@ class Trainer:
         self.config, self.stages = config, stages
         self.name = str(policy.get("name"))
         _keep_freed_memory()
-        numba.set_num_threads(min(config.threads, numba.config.NUMBA_NUM_THREADS))
-        torch.set_num_threads(config.threads)  # after Numba's, which sets torch's as well
+        use_threads(config.threads)
         torch.manual_seed(config.seed)
         sizes = {key: value for key, value in policy.items() if key != "name"}
         self.policy = make_policy(self.name, sizes, stages[0].scenario.action_size)
