@@ -7,13 +7,10 @@ the same `Rollout`, so a learner cannot tell them apart; it cannot take worlds b
 from __future__ import annotations
 
 import argparse
-import shlex
 import statistics
-import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -26,12 +23,12 @@ from torchrl.envs import InitTracker, TransformedEnv
 from tqdm import trange
 
 from benchmarks.training import default_trainer
-from benchmarks.workload import interruptible, positive_whole_number
+from benchmarks.workload import add_output, interruptible, made_by, positive_whole_number
 from mrsan import Observation
 from mrsan.features import VELOCITY
 from mrsan.scenario import Scenario
 from mrsan.torchrl_env import TorchRLEnv
-from samarl.files import code_version, machine, write_json
+from samarl.files import write_json
 from samarl.observations.frames import Frames
 from samarl.policies.policy import LOCAL, Policy
 from samarl.rollout import Rollout
@@ -64,9 +61,7 @@ def main() -> None:
     result: dict[str, Any] = {
         "world_steps_per_second": {name: round(rate, 1) for name, rate in rates.items()},
         "times_as_fast": round(rates["samarl"] / rates["torchrl"], 2),
-        "machine": machine(),
-        "commit": code_version(),
-        "command": shlex.join(["python", "-m", "benchmarks.collecting", *sys.argv[1:]]),
+        **made_by("collecting"),
     }
     write_json(arguments.output, result)
     for name, rate in rates.items():
@@ -174,7 +169,7 @@ def _parse() -> argparse.Namespace:
         prog="python -m benchmarks.collecting", description=(__doc__ or "").partition("\n")[0]
     )
     parser.add_argument("--rounds", type=positive_whole_number, default=10, help="timed (10)")
-    parser.add_argument("--output", type=Path, default=Path("outputs/collecting.json"))
+    add_output(parser, "collecting")
     return parser.parse_args()
 
 

@@ -13,7 +13,6 @@ import json
 import os
 import random
 import re
-import shlex
 import subprocess
 import sys
 import tempfile
@@ -26,9 +25,9 @@ from tensorboard.backend.event_processing.event_accumulator import (  # type: ig
 )
 from tqdm import tqdm
 
-from benchmarks.workload import interruptible
+from benchmarks.workload import add_output, interruptible, made_by
 from mrsan import ConfigurationError
-from samarl.files import check_writable, code_version, machine, write_json
+from samarl.files import check_writable, write_json
 from samarl.training.run_dir import BEST, LAST, RunDir
 
 SAVE_EVERY = 32  # environment steps
@@ -214,7 +213,6 @@ def main() -> None:
     arguments = _parse()
     begin = time.perf_counter()
     result: dict[str, Any] = {}
-    failure = None
     try:
         check_writable(arguments.output, "--output")
         with interruptible():
@@ -222,16 +220,11 @@ def main() -> None:
             result["training"] = torment(Training, arguments.training, r)
             result["sweep"] = torment(Sweep, arguments.sweep, r)
     except (ConfigurationError, LostError) as error:
-        failure = str(error)
+        sys.exit(f"error: {error}")
     result |= {
-        "failure": failure,
         "seconds": round(time.perf_counter() - begin, 1),
-        "machine": machine(),
-        "commit": code_version(),
-        "command": shlex.join(["python", "-m", "benchmarks.kills", *sys.argv[1:]]),
+        **made_by("kills"),
     }
-    if failure is not None:
-        sys.exit(f"error: {failure}")
     for name in ("training", "sweep"):
         print(f"{name}:", ", ".join(f"{what} {of}" for what, of in result[name].items()))
     write_json(arguments.output, result)
@@ -248,10 +241,7 @@ def _parse() -> argparse.Namespace:
             f"--{name}", type=int, default=50, help=f"kills of the {name} (default: 50)"
         )
     parser.add_argument("--seed", type=int, default=0, help="of the moments (default: 0)")
-    parser.add_argument(
-        "--output", type=Path, default=Path("outputs/kills.json"),
-        help="the JSON file to write (default: outputs/kills.json)",
-    )  # fmt: skip
+    add_output(parser, "kills")
     return parser.parse_args()
 
 

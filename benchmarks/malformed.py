@@ -14,7 +14,6 @@ import contextlib
 import os
 import random
 import resource
-import shlex
 import signal
 import subprocess
 import sys
@@ -28,10 +27,10 @@ from typing import Any
 from tqdm import tqdm
 
 from benchmarks.malformed_kinds import KINDS, Good, Item
-from benchmarks.workload import interruptible, positive_whole_number
+from benchmarks.workload import add_output, interruptible, made_by, positive_whole_number
 from mrsan import ActionError, ConfigurationError
 from mrsan.recording import RecordingError
-from samarl.files import check_writable, code_version, machine, write_json
+from samarl.files import check_writable, write_json
 
 REFUSED, ACCEPTED = "refused", "accepted"
 SECONDS = 60.0  # may pass until something is refused; on an idle machine it takes milliseconds
@@ -138,9 +137,7 @@ def main() -> None:
         "through_commands": commands,
         "slowest_seconds": round(slowest, 2),
         "seconds": round(time.perf_counter() - begin, 1),
-        "machine": machine(),
-        "commit": code_version(),
-        "command": shlex.join(["python", "-m", "benchmarks.malformed", *sys.argv[1:]]),
+        **made_by("malformed"),
     }
     write_json(arguments.output, result)
     for kind, of_kind in counts.items():
@@ -164,10 +161,7 @@ def _parse() -> argparse.Namespace:
         "--commands", type=int, default=40,
         help="so many of them through the commands as well (default: 40)",
     )  # fmt: skip
-    parser.add_argument(
-        "--output", type=Path, default=Path("outputs/malformed.json"),
-        help="the JSON file to write (default: outputs/malformed.json)",
-    )  # fmt: skip
+    add_output(parser, "malformed")
     return parser.parse_args()
 
 

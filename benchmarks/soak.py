@@ -10,7 +10,6 @@ import argparse
 import hashlib
 import json
 import resource
-import shlex
 import statistics
 import sys
 import time
@@ -22,10 +21,16 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 from tqdm import tqdm
 
-from benchmarks.workload import RandomDrive, interruptible, positive_whole_number
+from benchmarks.workload import (
+    RandomDrive,
+    add_output,
+    interruptible,
+    made_by,
+    positive_whole_number,
+)
 from mrsan import ConfigurationError, Step, World
 from mrsan.state import State
-from samarl.files import check_writable, code_version, machine, unfinished, write_json
+from samarl.files import check_writable, code_version, unfinished, write_json
 
 LARGEST_GROWTH = 20.0  # MB, of one process
 SAVE_SECONDS = 60.0
@@ -181,9 +186,8 @@ def _soaked(arguments: argparse.Namespace) -> dict[str, Any]:
         "growth_mb": max(process["growth_mb"] for process in soak.processes),
         "processes": soak.processes,
         "state_sha256": soak.digest(),
-        "machine": machine(),
+        **made_by("soak"),
         "commit": ", ".join(soak.commits),
-        "command": shlex.join(["python", "-m", "benchmarks.soak", *sys.argv[1:]]),
     }
 
 
@@ -274,10 +278,7 @@ def _parse() -> argparse.Namespace:
         "--state", type=Path, default=Path("outputs/soak.safetensors"),
         help="where the worlds are kept until it is done (default: outputs/soak.safetensors)",
     )  # fmt: skip
-    parser.add_argument(
-        "--output", type=Path, default=Path("outputs/soak.json"),
-        help="the JSON file to write (default: outputs/soak.json)",
-    )  # fmt: skip
+    add_output(parser, "soak")
     return parser.parse_args()
 
 

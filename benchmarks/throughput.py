@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import shlex
 import statistics
 import subprocess
 import sys
@@ -23,10 +22,10 @@ import numba
 import numpy as np
 from tqdm import tqdm
 
-from benchmarks.workload import RandomDrive, interruptible, positive_number
+from benchmarks.workload import RandomDrive, add_output, interruptible, made_by, positive_number
 from mrsan.pettingzoo_env import PettingZooEnv
 from samarl.evaluation.table import as_text
-from samarl.files import code_version, machine, write_json
+from samarl.files import write_json
 
 WORLDS, HUMANS, ROBOTS = 512, 10, 3
 BY_WORLDS = (1, 64, 512, 4096)
@@ -95,10 +94,8 @@ def measure(seconds: float, with_compile: bool) -> dict[str, Any]:
         "start": start,
         "seconds_per_point": seconds,
         "repetitions": _REPETITIONS,
-        "machine": machine(),
         "threads": numba.get_num_threads(),
-        "commit": code_version(),
-        "command": shlex.join(["python", "-m", "benchmarks.throughput", *sys.argv[1:]]),
+        **made_by("throughput"),
     }
 
 
@@ -246,12 +243,7 @@ def _parse() -> argparse.Namespace:
         action="store_true",
         help="also time the first start ever, with nothing compiled (half a minute)",
     )
-    parser.add_argument(
-        "--output",
-        type=Path,
-        default=Path("outputs/throughput.json"),
-        help="the JSON file to write (default: outputs/throughput.json)",
-    )
+    add_output(parser, "throughput")
     return parser.parse_args()
 
 

@@ -12,25 +12,22 @@ from __future__ import annotations
 import argparse
 import cProfile
 import pstats
-import shlex
 import statistics
-import sys
 import tempfile
 import time
-from pathlib import Path
 from typing import Any
 
 from hydra import compose, initialize_config_dir
 from hydra.core.config_store import ConfigStore
 from tqdm import trange
 
-from benchmarks.workload import interruptible, positive_whole_number
+from benchmarks.workload import add_output, interruptible, made_by, positive_whole_number
 from samarl.commands.train import Train, build_trainer
 from samarl.configuration import register_schemas
 from samarl.distributed import asked_to_stop
 from samarl.evaluation.table import as_text
-from samarl.files import code_version, find_folder, machine, write_json
-from samarl.launch import launcher, processes, rank
+from samarl.files import find_folder, machine, write_json
+from samarl.launch import processes, rank
 from samarl.training.trainer import Trainer
 
 # Parts of a round and the functions that make them up (end of the file's path, name).
@@ -77,9 +74,7 @@ def main() -> None:
         "share_percent": shares(pstats.Stats(profiler)),
         "processes": processes(),
         "threads": trainer.config.threads,
-        "machine": machine(),
-        "commit": code_version(),
-        "command": shlex.join([*launcher(), "python", "-m", "benchmarks.training", *sys.argv[1:]]),
+        **made_by("training"),
     }
     write_json(arguments.output, result)
     rate, low, high = (f"{value:,.0f}" for value in list(result.values())[:3])
@@ -123,7 +118,7 @@ def _parse() -> argparse.Namespace:
     )
     parser.add_argument("settings", nargs="*", help="as for samarl-train: trainer.threads=1")
     parser.add_argument("--rounds", type=positive_whole_number, default=5, help="timed (5)")
-    parser.add_argument("--output", type=Path, default=Path("outputs/training_throughput.json"))
+    add_output(parser, "training_throughput")
     return parser.parse_args()
 
 

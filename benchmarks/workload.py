@@ -5,13 +5,17 @@ from __future__ import annotations
 import argparse
 import contextlib
 import math
+import shlex
 import sys
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mrsan import Scenario, Step, World
+from samarl.files import code_version, machine
+from samarl.launch import launcher
 
 _WARM_UP = 50  # steps, after which the episodes of the worlds are in all phases
 _BATCHES = 16  # of random actions, used in turn: drawing them must not be what is measured
@@ -56,6 +60,20 @@ def _positive(kind: Callable[[str], float], text: str, what: str) -> float:
     if not (math.isfinite(value) and value > 0):
         raise argparse.ArgumentTypeError(f"is {text!r}; it must be {what} above 0")
     return value
+
+
+def add_output(parser: argparse.ArgumentParser, name: str) -> None:
+    """`--output`, the file of a benchmark's figures."""
+    path = Path(f"outputs/{name}.json")
+    parser.add_argument(
+        "--output", type=Path, default=path, help=f"the JSON file to write (default: {path})"
+    )
+
+
+def made_by(program: str) -> dict[str, str]:
+    """What stands beside the figures of a benchmark: machine, commit and command."""
+    words = [*launcher(), "python", "-m", f"benchmarks.{program}", *sys.argv[1:]]
+    return {"machine": machine(), "commit": code_version(), "command": shlex.join(words)}
 
 
 @contextlib.contextmanager
