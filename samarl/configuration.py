@@ -7,7 +7,7 @@ import importlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cache
-from typing import Any
+from typing import Any, TypeVar
 
 from hydra import compose, initialize_config_dir
 from hydra.core.config_loader import ConfigLoader
@@ -19,6 +19,8 @@ from omegaconf.errors import OmegaConfBaseException
 from mrsan import ConfigurationError, Scenario
 from samarl.evaluation.runner import Evaluation
 from samarl.files import find_folder
+
+T = TypeVar("T")
 
 
 @dataclass
@@ -51,13 +53,7 @@ def scenario_in(config: DictConfig) -> Scenario:
     Raises:
         ConfigurationError: names what is wrong with it.
     """
-    scenario = OmegaConf.to_object(config.scenario) if config.scenario is not None else None
-    if not isinstance(scenario, Scenario):
-        raise ConfigurationError(
-            f"scenario is {config.scenario!r:.60}; a file of it must begin with another one: "
-            "defaults: [samarl]"
-        )
-    return scenario
+    return _object_in(config, "scenario", Scenario, "samarl")
 
 
 def evaluation_in(config: DictConfig) -> Evaluation:
@@ -66,13 +62,18 @@ def evaluation_in(config: DictConfig) -> Evaluation:
     Raises:
         ConfigurationError: names what is wrong with it.
     """
-    evaluation = OmegaConf.to_object(config.evaluation)
-    if not isinstance(evaluation, Evaluation):
+    return _object_in(config, "evaluation", Evaluation, "default")
+
+
+def _object_in(config: DictConfig, group: str, kind: type[T], shipped: str) -> T:
+    values = config[group]
+    found = None if values is None else OmegaConf.to_object(values)
+    if not isinstance(found, kind):
         raise ConfigurationError(
-            f"evaluation is {config.evaluation!r:.60}; a file of it must begin with another one: "
-            "defaults: [default]"
+            f"{group} is {values!r:.60}; a file of it must begin with another one: "
+            f"defaults: [{shipped}]"
         )
-    return evaluation
+    return found
 
 
 def import_plugins(modules: Sequence[str]) -> None:

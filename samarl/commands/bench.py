@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import os
 import shlex
 from collections.abc import Sequence
@@ -47,6 +46,7 @@ from samarl.files import (
     check_writable,
     code_version,
     find_folder,
+    read_json,
     write_atomically,
     write_json,
 )
@@ -213,7 +213,7 @@ def _from_training(checkpoints: Sequence[str], command: str) -> Row:
     trained = []
     for name in checkpoints:
         path = find_policy(name)
-        made = json.loads(path.with_suffix(".json").read_text("utf-8"))["made"]
+        made = read_json(path.with_suffix(".json"))["made"]
         if "command" not in made or "initial" in made:
             return {}
         words = [w for w in shlex.split(made["command"]) if not w.startswith("run_dir=")]

@@ -105,9 +105,10 @@ class Lookout:
         if len(observation.ego) != len(self._is_init):
             self._begin(len(observation.ego))
         known = self._tracker.update(observation, self._tracks, self._is_init)
-        aside = straight_on(known.humans_known)
         if self._foresight:
             aside = self._foresight.update(known.ego, self._tracks, self._is_init)
+        else:
+            aside = straight_on(known.humans_known)
         self._is_init = np.zeros(len(known.ego), np.bool_)
         return known, aside
 

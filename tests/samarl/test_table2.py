@@ -58,6 +58,15 @@ def test_msa3c_is_trained_in_10p3r() -> None:
     assert second == replace(first, reward=replace(first.reward, **changed))
 
 
+def test_samarl_is_trained_in_10p3r_too() -> None:
+    """As its recipe has it: fewer people now and then, its own reward, collisions end episodes."""
+    stages = yaml.safe_load((CONF / "curriculum/10p3r_samarl.yaml").read_text())["stages"]
+    own = {"collisions_end": True, "reward": Scenario().reward}
+    for stage, least in zip(stages, (0, 5), strict=True):
+        played = replace(scenario_of(stage["scenario"]), name="10p3r")
+        assert played == replace(load_scenario("10p3r"), humans_min=least, **own)
+
+
 def test_a_file_that_names_its_scenario_names_itself() -> None:
     for path in (CONF / "scenario").glob("*.yaml"):
         assert load_scenario(path.stem).name in (path.stem, Scenario.name)

@@ -38,7 +38,8 @@ class ModelPredictive(Plans, Agent):
 
     def act(self, observation: Observation) -> NDArray[np.float32]:
         """The first action of the cheapest plan."""
-        known, aside = observation.known, straight_on(observation.humans_visible)
         if self._lookout:
             _, aside = self._lookout.update(observation)
-        return first_action(self, known, self.scenario, aside)
+        else:
+            aside = straight_on(observation.humans_visible)
+        return first_action(self, observation.known, self.scenario, aside)
