@@ -82,36 +82,36 @@ class Episodes(NamedTuple):
 def episodes_of(state: State, scenario: Scenario, worlds: NDArray[np.bool_]) -> Episodes:
     """The records of the worlds whose mask `worlds` [E] is set; all of them must have ended."""
     rows = np.flatnonzero(worlds)  # faster to index with than a mask
-    collision = state.collision[rows]
+    collision, arrived, clock = state.collision[rows], state.arrived[rows], state.clock[rows]
     ended_by_time = state.truncated[rows][:, None]
     on_its_way = np.where(ended_by_time, Outcome.timeout, Outcome.interrupted)
-    outcome = np.where(state.arrived[rows], Outcome.arrived, on_its_way)
+    outcome = np.where(arrived, Outcome.arrived, on_its_way)
     outcome = np.where(collision != 0, collision, outcome).astype(np.int8)
-    columns = np.moveaxis(state.tally[rows].astype(np.float64), -1, 0)
+    columns = np.moveaxis(state.tally[rows], -1, 0).astype(np.float64, order="C")
     tally = dict(zip(TALLY, columns, strict=True))
-    steps = np.maximum(tally["driven_steps"], 1)
-    to_goal = state.robot_goal[rows] - state.robot_start[rows]
+    per_step = dict(zip(TALLY, columns / np.maximum(tally["driven_steps"], 1.0), strict=True))
+    to_goal = (state.robot_goal[rows] - state.robot_start[rows]).astype(np.float64)
     return Episodes(
         case=state.case[rows],
         episode=state.episode[rows],
-        duration=state.clock[rows].astype(np.float64) * scenario.time_step,
+        duration=clock * scenario.time_step,
         outcome=outcome,
         path_length=tally["path_length"],
-        straight_line=np.sqrt(np.square(to_goal.astype(np.float64)).sum(-1)),
+        straight_line=np.sqrt(np.square(to_goal).sum(-1)),
         time=tally["driven_steps"] * scenario.time_step,
         closest_human=tally["closest_human"],
-        close_share=tally["close_steps"] / steps,
-        personal_share=tally["personal_steps"] / steps,
-        social_share=tally["social_steps"] / steps,
-        standing_share=tally["standing_steps"] / steps,
-        jerk=tally["jerk_sum"] / steps,
+        close_share=per_step["close_steps"],
+        personal_share=per_step["personal_steps"],
+        social_share=per_step["social_steps"],
+        standing_share=per_step["standing_steps"],
+        jerk=per_step["jerk_sum"],
         heading_change=tally["heading_change"],
         soonest_collision=tally["soonest_collision"],
         ran_into_human=tally["ran_into"] > 0,
-        steps=state.clock[rows].astype(np.int64),
-        arrived=state.arrived[rows],
+        steps=clock.astype(np.int64),
+        arrived=arrived,
         contacts=tally["contacts"],
-        comfort_share=tally["comfort_steps"] / steps,
+        comfort_share=per_step["comfort_steps"],
     )
 
 

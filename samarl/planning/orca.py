@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from mrsan import Observation, Scenario
 from mrsan.kernels import kernel
-from mrsan.kernels.orca import orca_scratch, orca_velocity
+from mrsan.kernels.orca import orca_room, orca_velocity
 from mrsan.scenario import required
 from samarl.planning.tracking import gather, preferred_velocity, track_velocity
 
@@ -60,8 +60,7 @@ def _orca(
 ):
     total = ego.shape[0]
     for chunk in prange(chunks):
-        rows = np.empty((1 + humans.shape[2] + robots.shape[2], 5), np.float32)
-        scratch = orca_scratch(rows)
+        rows, scratch = orca_room(1 + humans.shape[2] + robots.shape[2])
         for e in range(chunk * total // chunks, (chunk + 1) * total // chunks):
             for i in range(ego.shape[1]):
                 count = gather(

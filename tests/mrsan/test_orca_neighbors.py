@@ -7,14 +7,13 @@ from numba import njit
 
 from mrsan.kernels import orca
 
-_ROW = 4 * orca.MOST  # the radius of a neighbour, here its row
-
 
 @njit
 def nearest(agents, i, distance, most):
-    distances, places, neighbors, _, _ = orca.orca_scratch(agents)
-    n = orca._find_nearest(agents, len(agents), i, distance, most, distances, places, neighbors)
-    return neighbors[_ROW : _ROW + n].astype(np.int64)
+    rows, (distances, places, order, _, _) = orca.orca_room(len(agents))
+    rows[: len(agents)] = agents
+    n = orca._find_nearest(rows, len(agents), i, distance, most, distances, places, order)
+    return order[:n].astype(np.int64)
 
 
 @given(
@@ -31,7 +30,6 @@ def test_they_are_the_nearest_in_order(
     rng = np.random.default_rng(seed)
     agents = np.zeros((count, 5), np.float32)
     agents[:, :2] = 10.0 * rng.integers(0, grid + 1, (count, 2)) / (grid + 1)
-    agents[:, 4] = np.arange(count)
     i = int(rng.integers(count))
     squared = ((agents[i, :2] - agents[:, :2]) ** 2).sum(1)
     order = np.argsort(squared, kind="stable")

@@ -2,8 +2,10 @@
 
 import numpy as np
 import pytest
+from numba import njit
 
 from mrsan import Crowd, Scenario, World
+from mrsan.kernels import layout
 
 CLEARANCE = 0.4
 FIVE_SIGMA = 5.0
@@ -142,3 +144,20 @@ def test_still_people_stand_still() -> None:
     for _ in range(5):
         world.step(np.zeros((10, 3, 3)))
     np.testing.assert_array_equal(world.state.human_position, before)
+
+
+@njit
+def largest_error(key, attempts, speed, p):
+    """How far a guessed start lies from the one that is drawn, at most, m."""
+    place, largest = np.empty(2, np.float32), 0.0
+    for attempt in range(attempts):
+        layout.draw_human_start(place, key, 0, 3, attempt, speed, layout.CIRCLE, p)
+        x, y = layout.guess_human_start(key, 3, attempt, speed, p)
+        largest = max(largest, abs(place[0] - x), abs(place[1] - y))
+    return largest
+
+
+def test_a_guessed_start_is_the_one_that_is_drawn() -> None:
+    """Within less than the map of free places allows for, so that it changes no start."""
+    p = Scenario(circle_radius=10.0).parameters()
+    assert largest_error(np.uint64(12345), 5000, np.float32(1.3), p) < 1e-4

@@ -1,7 +1,9 @@
 """The compiled numeric core: one job a file, float32, no Python objects.
 
-`function` marks code that only other kernels call. `kernel` marks an entry point that loops over
-worlds with `prange`: compiled on first use, cached on disk, parallel from two worlds on.
+`function` marks code that only other kernels call. It does not count who refers to an array, which
+would take a tenth of the time, and so may not make or return any: `allocating` may. `kernel` marks
+an entry point that loops over worlds with `prange`: compiled on first use, cached on disk, parallel
+from two worlds on.
 
 Two traps of Numba shape these files. An array updated in place (`state.clock[e] += 1`) in the body
 of a `prange` loop is taken for a reduction and silently lost: update it in a `function`. And a
@@ -13,6 +15,7 @@ from __future__ import annotations
 import hashlib
 import types
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +24,9 @@ import numba
 from mrsan.threads import kernel_threads
 
 # IEEE arithmetic (no fastmath): a case gives the same bits on any number of worlds or threads.
-function = numba.njit(error_model="numpy", forceinline=True)
+_inlined = partial(numba.njit, error_model="numpy", forceinline=True)
+allocating = _inlined()
+function = _inlined(_nrt=False)
 
 _PACKAGE = Path(__file__).resolve().parent.parent
 _CORE_SOURCES = [

@@ -3,19 +3,18 @@
 An agent is a row `[px, py, vx, vy, radius]`. A line is four numbers: the permitted velocities lie
 to the left of the direction (DX, DY) through the point (PX, PY).
 
-Neighbours and lines lie in flat arrays, a stretch of `MOST` for each of their numbers: so the
-lines of all neighbours are computed at once, by the processor's vector instructions.
+Agents and lines lie in memory as columns, a stretch for each of their numbers: so the lines of all
+agents are computed at once, by the processor's vector instructions.
 """
 
 import math
 
 import numpy as np
 
-from mrsan.kernels import function
+from mrsan.kernels import allocating, function
 
-MOST = 80  # neighbours
+MOST = 80  # agents
 PX, PY, DX, DY = 0, MOST, 2 * MOST, 3 * MOST  # of line k: lines[PX + k] and so on
-_X, _Y, _VX, _VY, _RADIUS = 0, MOST, 2 * MOST, 3 * MOST, 4 * MOST  # of a neighbour, relative
 _LANES = 16  # lines are computed in whole vectors of so many
 
 _EPSILON = np.float32(1e-5)
@@ -24,19 +23,21 @@ _HALF = np.float32(0.5)
 _ONE = np.float32(1.0)
 _TWO = np.float32(2.0)
 _FAR = np.float32(np.inf)
+_AS_THEY_LIE = np.arange(MOST, dtype=np.uint32)
 _SAMPLE = 8  # agents whose distances tell how many are near
 _SPARE = np.float32(1.4)  # times as many as needed are looked for
 
 
-@function
-def orca_scratch(agents):
-    """Room for `orca_velocity` to work in: made once, used for many agents."""
-    count = agents.shape[0]
-    return (
-        np.empty((2, count), np.float32),  # squared distances of all, of those near
-        np.empty((2, count), np.int32),  # rows of those near, their ranks
-        np.zeros(5 * MOST, np.float32),  # neighbours, nearest first
-        np.empty(4 * MOST, np.float32),  # lines
+@allocating
+def orca_room(most):
+    """Room for up to `most` agents, to be filled, and for `orca_velocity` to work in."""
+    room = (most + _LANES - 1) // _LANES * _LANES
+    agents = np.zeros((5, room), np.float32).T
+    return agents, (
+        np.empty((2, room), np.float32),  # squared distances of all, of those near
+        np.empty((2, room), np.uint32),  # rows of those near, their ranks
+        np.empty(room, np.uint32),  # rows of the neighbours, nearest first
+        np.empty(4 * MOST, np.float32),  # lines, of row k at place k
         np.empty(4 * MOST, np.float32),  # lines projected on another
     )
 
@@ -58,32 +59,30 @@ def orca_velocity(
     """New velocity of agent `i` among the first `count` rows of `agents`.
 
     Args:
-        agents: [A, 5] position, velocity and radius (m, m/s); fastest in Fortran's order.
+        agents: [A, 5] position, velocity and radius (m, m/s), from `orca_room`.
         count: number of rows of `agents` in use.
         i: the row of the agent that decides.
         preferred_x: preferred velocity, x (m/s).
         preferred_y: preferred velocity, y (m/s).
         max_speed: speed limit (m/s).
         neighbor_distance: only agents nearer than this count (m).
-        max_neighbors: only so many of the nearest count, at most `MOST`.
+        max_neighbors: only so many of the nearest count.
         time_horizon: for how long the velocity must be safe (s).
         time_step: length of a step (s).
-        scratch: from `orca_scratch`.
+        scratch: from `orca_room`.
     """
-    distances, places, neighbors, lines, projected = scratch
-    n = _find_nearest(
-        agents, count, i, neighbor_distance, max_neighbors, distances, places, neighbors
-    )
-    _half_planes(neighbors, n, agents[i], time_horizon, time_step, lines)
-    x, y, failed = _linear_program_2(lines, n, max_speed, preferred_x, preferred_y, False)
+    distances, places, order, lines, projected = scratch
+    n = _find_nearest(agents, count, i, neighbor_distance, max_neighbors, distances, places, order)
+    _half_planes(agents, count, i, time_horizon, time_step, lines)
+    x, y, failed = _linear_program_2(lines, order, n, max_speed, preferred_x, preferred_y, False)
     if failed < n:
-        x, y = _linear_program_3(lines, projected, n, failed, max_speed, x, y)
+        x, y = _linear_program_3(lines, order, projected, n, failed, max_speed, x, y)
     return x, y
 
 
 @function
-def _find_nearest(agents, count, i, neighbor_distance, max_neighbors, distances, places, neighbors):
-    """Fill `neighbors` with those of `i`, relative to it and nearest first; return how many."""
+def _find_nearest(agents, count, i, neighbor_distance, max_neighbors, distances, places, order):
+    """Fill `order` with the rows of the neighbours of `i`, nearest first; return how many."""
     squared, near = distances[0], distances[1]
     rows, rank = places[0], places[1]
     limit = neighbor_distance * neighbor_distance
@@ -105,20 +104,16 @@ def _find_nearest(agents, count, i, neighbor_distance, max_neighbors, distances,
             break
         reach = min(limit, _TWO * reach)
     for k in range(n):  # of equally near ones the first comes first
-        farther = np.int32(0)  # of 32 bits like the ranks, for vectors
+        farther = np.uint32(0)  # of 32 bits like the ranks, for vectors
         for q in range(k):
             is_farther = near[q] > near[k]
             rank[q] += is_farther
             farther += is_farther
-        rank[k] = np.int32(k) - farther
+        rank[k] = np.uint32(k) - farther
     most = min(n, max_neighbors)
     for k in range(n):
-        place, j = rank[k], rows[k]
-        if place < most:
-            neighbors[_X + place], neighbors[_Y + place] = agents[j, 0] - x, agents[j, 1] - y
-            neighbors[_VX + place] = agents[i, 2] - agents[j, 2]
-            neighbors[_VY + place] = agents[i, 3] - agents[j, 3]
-            neighbors[_RADIUS + place] = agents[j, 4]
+        if rank[k] < most:
+            order[rank[k]] = rows[k]
     return most
 
 
@@ -140,18 +135,20 @@ def _likely_reach(squared, count, max_neighbors):
 
 
 @function
-def _half_planes(neighbors, n, own, time_horizon, time_step, lines):
-    """The velocities of an agent that share the avoidance of each neighbour fairly.
+def _half_planes(agents, count, i, time_horizon, time_step, lines):
+    """The velocities of agent `i` that share the avoidance of each other agent fairly.
 
-    Written without branches, both cases computed and one chosen, which makes vectors possible.
+    That of itself means nothing. Written without branches, both cases computed and one chosen,
+    which makes vectors possible.
     """
-    own_vx, own_vy, own_radius = own[2], own[3], own[4]
+    own_x, own_y, own_vx, own_vy = agents[i, 0], agents[i, 1], agents[i, 2], agents[i, 3]
+    own_radius = agents[i, 4]
     by_horizon, by_step = _ONE / time_horizon, _ONE / time_step
-    for k in range((n + _LANES - 1) // _LANES * _LANES):
-        px, py = neighbors[_X + k], neighbors[_Y + k]
-        vx, vy = neighbors[_VX + k], neighbors[_VY + k]
+    for k in range((count + _LANES - 1) // _LANES * _LANES):
+        px, py = agents[k, 0] - own_x, agents[k, 1] - own_y
+        vx, vy = own_vx - agents[k, 2], own_vy - agents[k, 3]
         distance_squared = px * px + py * py
-        radius = own_radius + neighbors[_RADIUS + k]
+        radius = own_radius + agents[k, 4]
         radius_squared = radius * radius
         colliding = distance_squared <= radius_squared
         # The cut-off disc of the velocity obstacle; agents that overlap must part within one step.
@@ -180,9 +177,10 @@ def _half_planes(neighbors, n, own, time_horizon, time_step, lines):
 
 
 @function
-def _linear_program_1(lines, k, radius, goal_x, goal_y, goal_is_direction):
+def _linear_program_1(lines, order, k, radius, goal_x, goal_y, goal_is_direction):
     """Best point on line `k` within the disc and the lines before it: (feasible, x, y)."""
-    px, py, dx, dy = lines[PX + k], lines[PY + k], lines[DX + k], lines[DY + k]
+    row = order[k]
+    px, py, dx, dy = lines[PX + row], lines[PY + row], lines[DX + row], lines[DY + row]
     dot = px * dx + py * dy
     discriminant = dot * dot + radius * radius - (px * px + py * py)
     if discriminant < _ZERO:
@@ -190,8 +188,11 @@ def _linear_program_1(lines, k, radius, goal_x, goal_y, goal_is_direction):
     root = math.sqrt(discriminant)
     left, right = -dot - root, -dot + root
     for i in range(k):
-        denominator = dx * lines[DY + i] - dy * lines[DX + i]
-        numerator = lines[DX + i] * (py - lines[PY + i]) - lines[DY + i] * (px - lines[PX + i])
+        row = order[i]
+        denominator = dx * lines[DY + row] - dy * lines[DX + row]
+        numerator = lines[DX + row] * (py - lines[PY + row]) - lines[DY + row] * (
+            px - lines[PX + row]
+        )
         if abs(denominator) <= _EPSILON:
             if numerator < _ZERO:
                 return False, _ZERO, _ZERO
@@ -211,7 +212,7 @@ def _linear_program_1(lines, k, radius, goal_x, goal_y, goal_is_direction):
 
 
 @function
-def _linear_program_2(lines, n, radius, goal_x, goal_y, goal_is_direction):
+def _linear_program_2(lines, order, n, radius, goal_x, goal_y, goal_is_direction):
     """Point nearest the goal within the disc and all lines: (x, y, first line that failed or n)."""
     speed_squared = goal_x * goal_x + goal_y * goal_y
     if goal_is_direction:
@@ -222,9 +223,13 @@ def _linear_program_2(lines, n, radius, goal_x, goal_y, goal_is_direction):
     else:
         x, y = goal_x, goal_y
     for k in range(n):
-        if lines[DX + k] * (lines[PY + k] - y) - lines[DY + k] * (lines[PX + k] - x) > _ZERO:
+        row = order[k]
+        if (
+            lines[DX + row] * (lines[PY + row] - y) - lines[DY + row] * (lines[PX + row] - x)
+            > _ZERO
+        ):
             feasible, new_x, new_y = _linear_program_1(
-                lines, k, radius, goal_x, goal_y, goal_is_direction
+                lines, order, k, radius, goal_x, goal_y, goal_is_direction
             )
             if not feasible:
                 return x, y, k
@@ -233,18 +238,20 @@ def _linear_program_2(lines, n, radius, goal_x, goal_y, goal_is_direction):
 
 
 @function
-def _linear_program_3(lines, projected, n, first, radius, x, y):
+def _linear_program_3(lines, order, projected, n, first, radius, x, y):
     """No velocity satisfies all lines: the one that violates the worst of them least."""
     distance = _ZERO
     for k in range(first, n):
-        px, py = lines[PX + k], lines[PY + k]
-        dx, dy = lines[DX + k], lines[DY + k]
+        row = order[k]
+        px, py = lines[PX + row], lines[PY + row]
+        dx, dy = lines[DX + row], lines[DY + row]
         if dx * (py - y) - dy * (px - x) <= distance:
             continue
         m = 0
         for j in range(k):
-            qx, qy = lines[PX + j], lines[PY + j]
-            ex, ey = lines[DX + j], lines[DY + j]
+            row = order[j]
+            qx, qy = lines[PX + row], lines[PY + row]
+            ex, ey = lines[DX + row], lines[DY + row]
             determinant = dx * ey - dy * ex
             if abs(determinant) <= _EPSILON:
                 if dx * ex + dy * ey > _ZERO:
@@ -257,7 +264,7 @@ def _linear_program_3(lines, projected, n, first, radius, x, y):
             norm = math.sqrt(ex * ex + ey * ey)
             projected[DX + m], projected[DY + m] = ex / norm, ey / norm
             m += 1
-        new_x, new_y, failed = _linear_program_2(projected, m, radius, -dy, dx, True)
+        new_x, new_y, failed = _linear_program_2(projected, _AS_THEY_LIE, m, radius, -dy, dx, True)
         if failed == m:  # Otherwise only rounding stands in the way: keep the last point.
             x, y = new_x, new_y
         distance = dx * (py - y) - dy * (px - x)

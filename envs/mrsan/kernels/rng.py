@@ -59,7 +59,7 @@ def uniform(key, stream, agent, step, draw):
         | (np.uint64(agent) << _AGENT_SHIFT)
         | np.uint64(draw)
     )
-    return np.float32(_mix(key + _mix(counter + _GOLDEN)) >> _S40) * _UNIT
+    return np.float32(np.int32(_mix(key + _mix(counter + _GOLDEN)) >> _S40)) * _UNIT
 
 
 @function

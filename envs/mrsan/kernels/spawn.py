@@ -7,7 +7,14 @@ from numba import prange
 
 from mrsan.kernels import function, kernel, rng
 from mrsan.kernels.habits import NEVER, entry_of, place_beside, walking_speed, walks_along
-from mrsan.kernels.layout import draw_human_goal, draw_human_start, draw_robot_way, layout_of
+from mrsan.kernels.layout import (
+    CIRCLE,
+    draw_human_goal,
+    draw_human_start,
+    draw_robot_way,
+    guess_human_start,
+    layout_of,
+)
 from mrsan.kernels.recorded import (
     NOT_ASSIGNED,
     RECORDED,
@@ -21,11 +28,12 @@ _ZERO = np.float32(0.0)
 _FAR = np.float32(np.inf)
 
 # Where it is crowded nearly every place that is drawn is taken, and a map of cells says so at once.
-_PATIENCE = 32  # attempts after which the map is looked at
+_PATIENCE = 8  # attempts after which the map is looked at
 _CELLS = 128  # along either side of it
 _CELL = np.float32(0.2)  # side of one, m
 _HALF_MAP = np.float32(0.5 * _CELLS) * _CELL
-_SLACK = np.float32(1e-3)  # more than rounding can do to a distance on it, m
+_SLACK = np.float32(1e-3)  # more than rounding, or a guess, can do to a distance on it, m
+_AT_ONCE = 16  # attempts that are looked up on it together
 
 
 @kernel
@@ -34,13 +42,14 @@ def begin_episodes(chunks, worlds, state, p, recording):
     total = worlds.shape[0]
     for chunk in prange(chunks):
         taken = np.empty((_CELLS, _CELLS), np.bool_)
+        guessed = np.empty((2, _AT_ONCE), np.float32).T
         for e in range(chunk * total // chunks, (chunk + 1) * total // chunks):
             if worlds[e]:
-                _begin(state, e, p, recording, taken)
+                _begin(state, e, p, recording, taken, guessed)
 
 
 @function
-def _begin(state, e, p, recording, taken):
+def _begin(state, e, p, recording, taken, guessed):
     key = rng.episode_key(state.case[e], state.episode[e])
     state.key[e] = key
     state.clock[e] = 0
@@ -64,7 +73,7 @@ def _begin(state, e, p, recording, taken):
         state.human_present[e, j] = j < count
         state.human_entry[e, j] = 0 if j < count else NEVER
         if j < count:
-            marked = _place_human(state, e, j, key, layout, p, taken, marked)
+            marked = _place_human(state, e, j, key, layout, p, taken, guessed, marked)
             state.human_entry[e, j] = entry_of(key, j - 1 if walks_along(key, j, p) else j, p)
             state.human_present[e, j] = state.human_entry[e, j] == 0
 
@@ -103,7 +112,7 @@ def _place_robot(state, e, i, key, layout, recording, p):
 
 
 @function
-def _place_human(state, e, j, key, layout, p, taken, marked):
+def _place_human(state, e, j, key, layout, p, taken, guessed, marked):
     """Draw human `j` of world `e` until it has room; how many agents the map `taken` now knows."""
     robots = state.robot_heading.shape[1]
     position, goal = state.human_position[e], state.human_goal[e]
@@ -131,6 +140,8 @@ def _place_human(state, e, j, key, layout, p, taken, marked):
         if attempt == _PATIENCE:
             _mark(state, e, marked, robots + j, p, taken)
             marked = robots + j
+        if attempt >= _PATIENCE and layout == CIRCLE:
+            attempt = _skip_taken(key, robots + j, attempt, speed, p, taken, guessed)
         draw_human_start(position[j], key, j, robots + j, attempt, speed, layout, p)
     draw_human_goal(position[j], goal[j], key, j, robots + j, attempt, speed, layout, p)
     return marked
@@ -154,9 +165,25 @@ def _has_room(state, e, j, others, p):
 @function
 def _is_taken(place, attempt, taken):
     """Whether the map says that there is no room for a human, which it does not until asked."""
-    if attempt < _PATIENCE:
-        return False
-    x, y = place[0] + _HALF_MAP, place[1] + _HALF_MAP
+    return attempt >= _PATIENCE and _on_map(place[0], place[1], taken)
+
+
+@function
+def _skip_taken(key, agent, attempt, speed, p, taken, guessed):
+    """The next attempt on the circle for which the map does not say that there is no room."""
+    while True:
+        for k in range(guessed.shape[0]):
+            guessed[k, 0], guessed[k, 1] = guess_human_start(key, agent, attempt + k, speed, p)
+        for k in range(guessed.shape[0]):
+            if not _on_map(guessed[k, 0], guessed[k, 1], taken):
+                return attempt + k
+        attempt += guessed.shape[0]
+
+
+@function
+def _on_map(x, y, taken):
+    """What the map says of a place; outside of it, that there may be room."""
+    x, y = x + _HALF_MAP, y + _HALF_MAP
     if not (_ZERO <= x < _HALF_MAP + _HALF_MAP and _ZERO <= y < _HALF_MAP + _HALF_MAP):
         return False
     return taken[int(y / _CELL), int(x / _CELL)]

@@ -10,7 +10,7 @@ from mrsan.kernels.contact import closest_approach, comes_to_the_other, time_to_
 from mrsan.kernels.habits import come_and_go, stands, walks_along
 from mrsan.kernels.kinematics import brake, next_velocity, wrap_angle
 from mrsan.kernels.layout import draw_goal, layout_of
-from mrsan.kernels.orca import orca_scratch, orca_velocity
+from mrsan.kernels.orca import orca_room, orca_velocity
 from mrsan.kernels.recorded import RECORDED, follow, recorded_velocity
 from mrsan.kernels.social_force import social_force_velocity
 from mrsan.kernels.tally import (
@@ -68,8 +68,7 @@ def advance(chunks, state, action, p, recording, reward, parts):
     total, robots = reward.shape
     people = state.human_radius.shape[1]
     for chunk in prange(chunks):
-        agents = np.empty((5, people + robots), np.float32).T
-        scratch = orca_scratch(agents)
+        agents, scratch = orca_room(people + robots)
         slots = np.empty(people, np.int32)
         chosen = np.empty((people, 2), np.float32)
         moved = np.empty((robots, 2), np.float32)
