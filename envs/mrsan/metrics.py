@@ -94,7 +94,7 @@ def episodes_of(state: State, scenario: Scenario, worlds: NDArray[np.bool_]) -> 
     return Episodes(
         case=state.case[rows],
         episode=state.episode[rows],
-        duration=clock * scenario.time_step,
+        duration=clock.astype(np.float64) * scenario.time_step,
         outcome=outcome,
         path_length=tally["path_length"],
         straight_line=np.sqrt(np.square(to_goal).sum(-1)),
