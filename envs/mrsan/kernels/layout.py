@@ -89,7 +89,7 @@ def draw_human_start(start, key, j, agent, attempt, speed, layout, p):
 
 @function
 def guess_human_start(key, agent, attempt, speed, p):
-    """About where `draw_human_start` puts an agent on the circle: to a tenth of a millimetre within 15 m.
+    """About where `draw_human_start` puts an agent on a circle of up to 15 m: to 0.1 mm.
 
     Without calls or branches, so that many attempts are computed at once.
     """
