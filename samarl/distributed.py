@@ -11,6 +11,8 @@ import atexit
 import contextlib
 import re
 import signal
+import sys
+import threading
 from collections.abc import Iterable, Iterator
 from datetime import timedelta
 from typing import Any, TypeVar
@@ -28,6 +30,7 @@ T = TypeVar("T")
 
 BACKENDS = {"cpu": "gloo", "cuda": "cpu:gloo,cuda:nccl"}  # by the device of the networks
 PATIENCE = timedelta(minutes=30)  # with a process that says nothing: the first validates alone
+_STOPS = (signal.SIGINT, signal.SIGTERM)
 _asked_to_stop = False
 
 
@@ -57,7 +60,7 @@ def begin(device: str) -> None:
     with _together():
         dist.init_process_group(BACKENDS[kind], timeout=PATIENCE)
     atexit.register(dist.destroy_process_group)
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in _STOPS:
         signal.signal(number, _note)
 
 
@@ -117,8 +120,32 @@ def asked_to_stop() -> bool:
     return any(exchanged(_asked_to_stop))
 
 
+@contextlib.contextmanager
+def stopping_between_rounds() -> Iterator[None]:
+    """In here Ctrl-C and SIGTERM are noted, see `asked_to_stop`; of one process a second is obeyed.
+
+    What is saved in the middle of a round could not be gone on with bit for bit.
+    """
+    global _asked_to_stop
+    if processes() > 1 or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    _asked_to_stop = False
+    before = {number: signal.signal(number, _note) for number in _STOPS}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
 def _note(number: int, frame: Any) -> None:
     global _asked_to_stop
+    if processes() == 1:
+        if _asked_to_stop:
+            raise KeyboardInterrupt
+        if sys.stderr.isatty():
+            print("\nstops after this round (once more: now, without saving)", file=sys.stderr)
     _asked_to_stop = True
 
 

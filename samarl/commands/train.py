@@ -51,7 +51,7 @@ def main() -> None:
 
 def train(config: DictConfig) -> None:
     """Train; the same command again goes on where the last one was interrupted."""
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # is like Ctrl-C: saves
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # is like Ctrl-C
     if config.resume is not None:
         config = begun_as(config)
     trainer = build_trainer(config, command_line("samarl-train"))

@@ -123,7 +123,9 @@ def gather_aside(known, aside, bends):
     count = 1
     for j in range(known.shape[0]):
         if known[j]:
-            bends[count] = aside[j]
+            for k in range(aside.shape[1]):
+                for axis in range(2):
+                    bends[count, k, axis] = aside[j, k, axis]
             count += 1
     bends[count:] = np.float32(0.0)
     return count

@@ -148,6 +148,32 @@ def test_a_stopped_run_saves_and_says_so_in_one_line(how: signal.Signals, tmp_pa
     assert (tmp_path / "run/last.safetensors").exists()
 
 
+def test_a_run_stopped_within_a_round_goes_on_bit_for_bit(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    prepare, calls = PPO.prepare, []
+
+    def stopped(self: PPO, *arguments: Any) -> Any:
+        calls.append(arguments)
+        if len(calls) == 3:
+            os.kill(os.getpid(), signal.SIGINT)
+        return prepare(self, *arguments)
+
+    for name, replacement in (("whole", prepare), ("cut", stopped)):
+        (tmp_path / name).mkdir()
+        monkeypatch.chdir(tmp_path / name)
+        monkeypatch.setattr(PPO, "prepare", replacement)
+        monkeypatch.setattr(sys, "argv", ["samarl-train", *SMALL])
+        if name == "cut":
+            with pytest.raises(SystemExit) as left:
+                main()
+            assert left.value.code == 130
+            assert Path("run/progress.csv").read_text().count("\n") == 1 + 3
+        main()
+    weights = [tmp_path / name / "run/last.safetensors" for name in ("whole", "cut")]
+    assert weights[0].read_bytes() == weights[1].read_bytes()
+
+
 @pytest.mark.parametrize(("number", "of"), [("advantage", "actor"), ("target", "critic")])
 def test_a_loss_that_is_not_finite_stops_the_run_and_names_the_last_good_state(
     number: str,
