@@ -164,7 +164,8 @@ def _look_ahead(
 def _turn_own(own, x, y, vx, vy, turn, p, out):
     """The robot's own state after it has moved to (x, y) and turned, in its new body frame."""
     cos, sin = math.cos(turn), math.sin(turn)
-    out[:] = own
+    for k in range(own.shape[0]):
+        out[k] = own[k]
     for px, py in ((GOAL_X, GOAL_Y), (ORIGIN_X, ORIGIN_Y)):
         dx, dy = own[px] - x, own[py] - y
         out[px], out[py] = cos * dx + sin * dy, cos * dy - sin * dx

@@ -1,9 +1,9 @@
 """The compiled numeric core: one job a file, float32, no Python objects.
 
 `function` marks code that only other kernels call. It does not count who refers to an array, which
-would take a tenth of the time, and so may not make or return any: `allocating` may. `kernel` marks
-an entry point that loops over worlds with `prange`: compiled on first use, cached on disk, parallel
-from two worlds on.
+would take a tenth of the time, and so may not make or return any, nor copy one with `a[:] = b`:
+`allocating` may. `kernel` marks an entry point that loops over worlds with `prange`: compiled on
+first use, cached on disk, parallel from two worlds on.
 
 Two traps of Numba shape these files. An array updated in place (`state.clock[e] += 1`) in the body
 of a `prange` loop is taken for a reduction and silently lost: update it in a `function`. And a
