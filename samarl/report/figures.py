@@ -24,6 +24,7 @@ Curve = dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]  # column: st
 _BASELINES = ("model_predictive", "perimeter")  # planners that curves are compared with
 _AXES = {"fov_degrees": "field of view, degrees", "humans": "humans", "robots": "robots"}
 _POINTS = 200  # more do not show
+_DASHES = ("-", "--", ":", "-.")  # each for as many runs as there are colours
 _PANELS = 5  # of a table, side by side at most
 _LIGHT_TEXT, _DARK_TEXT = "#FDFDFD", "#111111"  # on the colours of a heat map, in any mode
 
@@ -77,20 +78,24 @@ def draw_curves(
         column: which to draw.
         levels: drawn as horizontal lines, by their names.
     """
+    shown = {
+        name: found
+        for name, curves in runs.items()
+        if (found := [curve[column] for curve in curves if column in curve])
+    }
+    entries = len(shown) + len(levels or {})
+    size = (4.6, 3.0) if entries <= len(COLOURS) else (7.0, max(3.0, 0.6 + 0.185 * entries))
     with rc_context(STYLE):
-        figure = Figure(figsize=(4.6, 3.0), layout="constrained")
+        figure = Figure(figsize=size, layout="constrained")
         axes = figure.add_subplot()
         scale = 100.0 if "success" in column else 1.0
-        for i, (name, curves) in enumerate(runs.items()):
-            found = [curve[column] for curve in curves if column in curve]
-            if not found:
-                continue
+        for i, (name, found) in enumerate(shown.items()):
             last = min(steps[-1] for steps, _ in found)  # where all seeds have come to
             grid = np.unique(np.concatenate([steps for steps, _ in found]))
             grid = grid[grid <= last]
             grid = grid[np.linspace(0, len(grid) - 1, min(len(grid), _POINTS)).astype(int)]
             values = scale * np.stack([np.interp(grid, *curve) for curve in found])
-            colour, dashes = COLOURS[i % len(COLOURS)], "--" if i >= len(COLOURS) else "-"
+            colour, dashes = COLOURS[i % len(COLOURS)], _DASHES[i // len(COLOURS) % len(_DASHES)]
             seeds = f" ({len(found)} seeds)" if len(found) > 1 else " (1 seed)"
             axes.plot(grid, values.mean(0), dashes, color=colour, linewidth=1.5, label=name + seeds)
             if len(found) > 1:
@@ -106,7 +111,10 @@ def draw_curves(
         axes.xaxis.set_major_formatter(EngFormatter(sep=""))
         if "success" in column or "score" in column:
             axes.set_ylim(-2, 102)
-        axes.legend(fontsize=8, loc="best")
+        if entries > len(COLOURS):
+            figure.legend(fontsize=8, loc="outside right upper")
+        elif entries:
+            axes.legend(fontsize=8, loc="best")
     return figure
 
 
@@ -181,7 +189,7 @@ def draw_lines(
         axes.set_xlabel(name)
         axes.set_ylabel("success %, with the 95 % interval")
         axes.set_title(title, loc="left")
-        axes.legend(fontsize=8, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2)
+        figure.legend(fontsize=8, loc="outside lower left")
     return figure
 
 
