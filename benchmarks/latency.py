@@ -1,7 +1,8 @@
 """How long one decision takes: `python -m benchmarks.latency [--checkpoint policy.safetensors]`.
 
-One robot among ten people on one core, the same with the policy exported (`samarl.runtime`), and a
-batch of 512 such robots; the observations are those of episodes that the agent itself drives.
+One robot among ten people on one core (in 10p3r for what drives holonomic robots), the same with
+the policy exported (`samarl.runtime`), and a batch of 512 such robots; the observations are those
+of episodes that the agent itself drives.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ import argparse
 import statistics
 import tempfile
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +21,8 @@ from tqdm import tqdm
 from benchmarks.workload import add_output, interruptible, made_by, positive_number
 from mrsan import ConfigurationError, Scenario, World
 from mrsan.threads import use_threads
-from samarl.agents import build_agent
-from samarl.configuration import available_agents, load_agent
+from samarl.agents import Agent, build_agent
+from samarl.configuration import available_agents, load_agent, load_scenario
 from samarl.evaluation.table import as_text
 from samarl.export import export_agent
 from samarl.files import machine, write_json
@@ -28,7 +30,10 @@ from samarl.runtime import Driver
 from samarl.runtime.simulation import as_seen
 
 BATCH = 512
-SCENARIO = Scenario(robots=1, humans=10, fov_degrees=90.0)
+SCENARIOS = (
+    Scenario(robots=1, humans=10, fov_degrees=90.0),
+    replace(load_scenario("10p3r"), robots=1),  # for agents that drive holonomic robots
+)
 _WARM_UP = 20
 _MEASURED = ("one_robot_ms", "exported_ms", f"batch_of_{BATCH}_ms")
 
@@ -63,10 +68,18 @@ def main() -> None:
     print(f"\nmedians, one thread, {machine()}\nwritten to {arguments.output}")
 
 
+def built(config: dict[str, Any]) -> tuple[Agent, Scenario]:
+    """The agent, in the first of the scenarios whose robots it drives."""
+    try:
+        return build_agent(config, SCENARIOS[0]), SCENARIOS[0]
+    except ConfigurationError:
+        return build_agent(config, SCENARIOS[1]), SCENARIOS[1]
+
+
 def decision_times(config: dict[str, Any], worlds: int, seconds: float) -> dict[str, float]:
     """Median, smallest and largest time of one `act` for `worlds` robots, in ms."""
-    agent = build_agent(config, SCENARIO)
-    world = World(SCENARIO, worlds, auto_reset=True)
+    agent, scenario = built(config)
+    world = World(scenario, worlds, auto_reset=True)
     observation = world.reset(np.arange(worlds))
     begins = np.ones(worlds, np.bool_)
     times: list[float] = []
@@ -86,7 +99,7 @@ def decision_times(config: dict[str, Any], worlds: int, seconds: float) -> dict[
 
 def exported_times(config: dict[str, Any], name: str, seconds: float) -> dict[str, float] | None:
     """The same of one step of the runtime for one robot; None for what is not exported."""
-    agent = build_agent(config, SCENARIO)
+    agent, scenario = built(config)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "policy.onnx"
         try:
@@ -94,7 +107,7 @@ def exported_times(config: dict[str, Any], name: str, seconds: float) -> dict[st
         except ConfigurationError:  # a planner, or an ablation
             return None
         driver = Driver.load(path)
-    world = World(SCENARIO, 1, auto_reset=True)
+    world = World(scenario, 1, auto_reset=True)
     observation, begins, step = world.reset([0]), True, 0
     times: list[float] = []
     end = float("inf")
@@ -104,7 +117,7 @@ def exported_times(config: dict[str, Any], name: str, seconds: float) -> dict[st
             step = 0
         own, seen = as_seen(observation, 0)
         start = time.perf_counter()
-        command = driver.step(own, seen, step * SCENARIO.time_step)
+        command = driver.step(own, seen, step * scenario.time_step)
         times.append(1e3 * (time.perf_counter() - start))
         after = world.step(command.action[None, None])
         observation, step = after.observation, step + 1
