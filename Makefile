@@ -10,6 +10,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input --quiet --quiet
 STAMP := $(VENV)/.installed
+MANY_WORLDS := trainer.threads=1 'curriculum.stages=[{worlds: 192, scenario: {humans: 10, robots: 3}},{worlds: 192, scenario: {humans: 10, robots: 5}}]' --rounds 2
 SWEEP := $(BIN)/samarl-evaluate -m evaluation.cases=200 hydra.sweep.dir=outputs/sweeps
 
 # The first table after a heading of results/NAME.md goes between the README's marks of that name.
@@ -79,8 +80,10 @@ results: setup ## Rewrite results/ and the README's table and pictures (RECORDIN
 	@$(BIN)/python -m benchmarks.throughput --compile --output results/throughput.json
 	@$(BIN)/python -m benchmarks.latency --output results/latency.json
 	@$(BIN)/python -m benchmarks.training --output results/training_throughput.json
+	@OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.training $(MANY_WORLDS) \
+	  --output results/training_throughput_1_process.json
 	@OMP_NUM_THREADS=1 $(BIN)/torchrun --nproc-per-node 2 --no-python $(BIN)/python \
-	  -m benchmarks.training trainer.threads=1 --output results/training_throughput_2_processes.json
+	  -m benchmarks.training $(MANY_WORLDS) --output results/training_throughput_2_processes.json
 	$(call INTO_README,table1,# Table I)
 	$(call INTO_README,transfer,### Recorded people)
 	@$(MAKE) --no-print-directory pictures
