@@ -172,6 +172,7 @@ class Trainer:
             first += 2 * stage.worlds
         return collectors
 
+    @distributed.stopping_between_rounds()
     def run(self) -> None:
         """Train to the end; Ctrl-C and SIGTERM stop it after a round, and nothing is lost."""
         c, first = self.config, rank() == 0
@@ -184,23 +185,22 @@ class Trainer:
             disable=None if first else True,
         )  # fmt: skip
         try:
-            with distributed.stopping_between_rounds():
-                while self.steps_done < c.steps:
-                    before = self.steps_done
-                    row = self.round()
-                    due = self.steps_done // c.validate_every > before // c.validate_every
-                    if first and (due or self.steps_done >= c.steps):
-                        row |= self._validate()
-                    self.rows.append(row)
-                    if logger is not None:
-                        logger.log(row, self.steps_done)
-                    bar.set_postfix_str(f"success {100 * row['charts/success']:.1f} %")
-                    bar.update(self.steps_done - before)
-                    if self.steps_done // c.save_every > before // c.save_every:
-                        self.save()
-                    if distributed.asked_to_stop():
-                        self.save()
-                        raise KeyboardInterrupt
+            while self.steps_done < c.steps:
+                before = self.steps_done
+                row = self.round()
+                due = self.steps_done // c.validate_every > before // c.validate_every
+                if first and (due or self.steps_done >= c.steps):
+                    row |= self._validate()
+                self.rows.append(row)
+                if logger is not None:
+                    logger.log(row, self.steps_done)
+                bar.set_postfix_str(f"success {100 * row['charts/success']:.1f} %")
+                bar.update(self.steps_done - before)
+                stops = distributed.asked_to_stop()
+                if stops or self.steps_done // c.save_every > before // c.save_every:
+                    self.save()
+                if stops:
+                    raise KeyboardInterrupt
         except (FloatingPointError, distributed.LostProcessError) as error:
             good = "the last good state is kept" if self.run_dir.begun else "nothing was saved"
             lost = self.run_dir.begun and isinstance(error, distributed.LostProcessError)
