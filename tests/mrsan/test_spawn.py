@@ -149,11 +149,11 @@ def test_still_people_stand_still() -> None:
 @njit
 def largest_error(key, attempts, speed, p):
     """How far a guessed start lies from the one that is drawn, at most, m."""
-    place, largest = np.empty(2, np.float32), 0.0
+    place, guessed, largest = np.empty(2, np.float32), np.empty(2, np.float32), 0.0
     for attempt in range(attempts):
         layout.draw_human_start(place, key, 0, 3, attempt, speed, layout.CIRCLE, p)
-        x, y = layout.guess_human_start(key, 3, attempt, speed, p)
-        largest = max(largest, abs(place[0] - x), abs(place[1] - y))
+        layout.guess_human_start(guessed, key, 3, attempt, speed, p)
+        largest = max(largest, abs(place[0] - guessed[0]), abs(place[1] - guessed[1]))
     return largest
 
 

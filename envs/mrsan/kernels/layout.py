@@ -88,18 +88,16 @@ def draw_human_start(start, key, j, agent, attempt, speed, layout, p):
 
 
 @function
-def guess_human_start(key, agent, attempt, speed, p):
+def guess_human_start(start, key, agent, attempt, speed, p):
     """About where `draw_human_start` puts an agent on a circle of up to 15 m: to 0.1 mm.
 
     Without calls or branches, so that many attempts are computed at once.
     """
-    circle = p.circle_radius * (_ONE + _GROWTH * np.float32(attempt // _TRIES))
+    circle = _widened(p.circle_radius, attempt)
     turn = rng.uniform(key, rng.START, agent, attempt, 0)
-    jitter = p.spawn_jitter * speed
-    x = rng.uniform_between(-jitter, jitter, key, rng.START, agent, attempt, 1)
-    y = rng.uniform_between(-jitter, jitter, key, rng.START, agent, attempt, 2)
     later = turn + (_ONE - _QUARTER if turn < _QUARTER else -_QUARTER)
-    return circle * _cos_of_turn(turn) + x, circle * _cos_of_turn(later) + y
+    x, y = circle * _cos_of_turn(turn), circle * _cos_of_turn(later)
+    _jitter(start, x, y, key, agent, attempt, 1, p.spawn_jitter * speed)
 
 
 @function
@@ -174,13 +172,19 @@ def _floor(attempt, p):
     """Half the side of the floor, wider after tries without success if there is no wall, m."""
     if p.arena_radius < np.inf:
         return _HALF * p.floor_size
-    return _HALF * p.floor_size * (_ONE + _GROWTH * np.float32(attempt // _TRIES))
+    return _widened(_HALF * p.floor_size, attempt)
+
+
+@function
+def _widened(length, attempt):
+    """A length of the place, longer after tries without success."""
+    return length * (_ONE + _GROWTH * np.float32(attempt // _TRIES))
 
 
 @function
 def _on_circle(key, agent, attempt, room, p):
     """The point of the circle about which an agent starts; opposite to it is its goal."""
-    circle = p.circle_radius * (_ONE + _GROWTH * np.float32(attempt // _TRIES))
+    circle = _widened(p.circle_radius, attempt)
     if circle > room * _ROUNDING:  # a wall, and no room on the circle: anywhere inside
         circle = room * math.sqrt(rng.uniform(key, rng.START, agent, attempt, 5))
     angle = _TWO_PI * rng.uniform(key, rng.START, agent, attempt, 0)

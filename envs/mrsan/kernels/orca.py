@@ -189,10 +189,9 @@ def _linear_program_1(lines, order, k, radius, goal_x, goal_y, goal_is_direction
     left, right = -dot - root, -dot + root
     for i in range(k):
         row = order[i]
-        denominator = dx * lines[DY + row] - dy * lines[DX + row]
-        numerator = lines[DX + row] * (py - lines[PY + row]) - lines[DY + row] * (
-            px - lines[PX + row]
-        )
+        ex, ey = lines[DX + row], lines[DY + row]
+        denominator = dx * ey - dy * ex
+        numerator = ex * (py - lines[PY + row]) - ey * (px - lines[PX + row])
         if abs(denominator) <= _EPSILON:
             if numerator < _ZERO:
                 return False, _ZERO, _ZERO
@@ -224,10 +223,8 @@ def _linear_program_2(lines, order, n, radius, goal_x, goal_y, goal_is_direction
         x, y = goal_x, goal_y
     for k in range(n):
         row = order[k]
-        if (
-            lines[DX + row] * (lines[PY + row] - y) - lines[DY + row] * (lines[PX + row] - x)
-            > _ZERO
-        ):
+        dx, dy = lines[DX + row], lines[DY + row]
+        if dx * (lines[PY + row] - y) - dy * (lines[PX + row] - x) > _ZERO:
             feasible, new_x, new_y = _linear_program_1(
                 lines, order, k, radius, goal_x, goal_y, goal_is_direction
             )

@@ -173,7 +173,7 @@ def _skip_taken(key, agent, attempt, speed, p, taken, guessed):
     """The next attempt on the circle for which the map does not say that there is no room."""
     while True:
         for k in range(guessed.shape[0]):
-            guessed[k, 0], guessed[k, 1] = guess_human_start(key, agent, attempt + k, speed, p)
+            guess_human_start(guessed[k], key, agent, attempt + k, speed, p)
         for k in range(guessed.shape[0]):
             if not _on_map(guessed[k, 0], guessed[k, 1], taken):
                 return attempt + k
