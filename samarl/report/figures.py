@@ -89,7 +89,10 @@ def draw_curves(
         figure = Figure(figsize=size, layout="constrained")
         axes = figure.add_subplot()
         scale = 100.0 if "success" in column else 1.0
-        for i, (name, found) in enumerate(shown.items()):
+        for i, name in enumerate(runs):  # of the same colour in every figure
+            if name not in shown:
+                continue
+            found = shown[name]
             last = min(steps[-1] for steps, _ in found)  # where all seeds have come to
             grid = np.unique(np.concatenate([steps for steps, _ in found]))
             grid = grid[grid <= last]
