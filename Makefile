@@ -10,7 +10,8 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input --quiet --quiet
 STAMP := $(VENV)/.installed
-MANY_WORLDS := trainer.threads=1 'curriculum.stages=[{worlds: 192, scenario: {humans: 10, robots: 3}},{worlds: 192, scenario: {humans: 10, robots: 5}}]' --rounds 2
+MANY_WORLDS := --rounds 2 trainer.threads=1 'curriculum.stages=[ \
+  {worlds: 192, scenario: {humans: 10, robots: 3}},{worlds: 192, scenario: {humans: 10, robots: 5}}]'
 SWEEP := $(BIN)/samarl-evaluate -m evaluation.cases=200 hydra.sweep.dir=outputs/sweeps
 
 # The first table after a heading of results/NAME.md goes between the README's marks of that name.
