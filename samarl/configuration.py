@@ -7,8 +7,10 @@ import importlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cache
+from pathlib import Path
 from typing import Any, TypeVar
 
+import yaml
 from hydra import compose, initialize_config_dir
 from hydra.core.config_loader import ConfigLoader
 from hydra.core.config_store import ConfigStore
@@ -21,6 +23,8 @@ from samarl.evaluation.runner import Evaluation
 from samarl.files import find_folder
 
 T = TypeVar("T")
+
+LARGEST = 100_000  # so many values a YAML file may have; ours have some hundreds
 
 
 @dataclass
@@ -74,6 +78,38 @@ def _object_in(config: DictConfig, group: str, kind: type[T], shipped: str) -> T
             f"defaults: [{shipped}]"
         )
     return found
+
+
+def refuse_bombs(folder: Path) -> None:
+    """Refuse YAML files whose aliases stand for more values than a configuration can have.
+
+    Hydra would write every alias out: a few lines can ask for all memory there is.
+
+    Raises:
+        ConfigurationError: names the file.
+    """
+    for path in sorted(folder.rglob("*.yaml")):
+        try:
+            text = path.read_text(encoding="utf-8")
+            tree = yaml.compose(text, yaml.SafeLoader) if "&" in text else None
+            if tree and _values_in(tree, {}) > LARGEST:
+                raise ConfigurationError(
+                    f"{path} has more than {LARGEST} values when its aliases are written out; it "
+                    "must have fewer"
+                )
+        except (OSError, UnicodeError, yaml.YAMLError, RecursionError):
+            pass  # said when it is read, if it ever is
+
+
+def _values_in(node: yaml.Node, known: dict[int, int]) -> int:
+    """How many, counting an alias as often as it is used; `known` has those of other nodes."""
+    if id(node) not in known:
+        known[id(node)] = LARGEST  # it holds itself, if it is met again before this is done
+        entries = node.value if isinstance(node, yaml.CollectionNode) else []
+        if isinstance(node, yaml.MappingNode):
+            entries = [part for pair in entries for part in pair]
+        known[id(node)] = 1 + sum(_values_in(entry, known) for entry in entries)
+    return known[id(node)]
 
 
 def import_plugins(modules: Sequence[str]) -> None:

@@ -30,8 +30,8 @@ from yaml import YAMLError
 import samarl
 from mrsan import ActionError, ConfigurationError
 from samarl.agents import Agent
-from samarl.commands.help import help_text
-from samarl.configuration import first, import_plugins, register_schemas
+from samarl.commands.help import help_text, own_folder
+from samarl.configuration import first, import_plugins, refuse_bombs, register_schemas
 from samarl.files import find_folder
 from samarl.launch import launcher, rank
 
@@ -79,6 +79,11 @@ def run_command(task: Callable[[DictConfig], Any], config_name: str, **schemas: 
     register_schemas()
     for name, schema in schemas.items():
         ConfigStore.instance().store(name=name, node=schema)
+    try:
+        if own := own_folder(sys.argv[1:]):
+            refuse_bombs(own)
+    except ConfigurationError as error:
+        _fail(error)
     if {"--help", "-h"} & set(sys.argv[1:]):
         try:
             print(help_text(config_name, sys.argv[1:]))

@@ -16,7 +16,7 @@ import tokenize
 from collections.abc import Iterator, Sequence
 from enum import Enum
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from hydra import compose, initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
@@ -33,6 +33,16 @@ _GROUPS = "Groups (choose with group=name; help of a choice: group=name --help):
 Meanings = dict[str, str]  # by the path of a setting, such as scenario.reward.arrival
 
 
+def own_folder(words: Sequence[str]) -> Path | None:
+    """The user's `--config-dir` on a command line."""
+    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
+    parser.add_argument("--config-dir", "-cd", type=Path)
+    try:
+        return cast("Path | None", parser.parse_known_args(words)[0].config_dir)
+    except argparse.ArgumentError:
+        return None  # without a value: Hydra says so
+
+
 def help_text(config_name: str, words: Sequence[str]) -> str:
     """What `--help` prints.
 
@@ -42,10 +52,7 @@ def help_text(config_name: str, words: Sequence[str]) -> str:
     """
     folder = find_folder("conf").resolve()
     settings = [word for word in words if re.match(r"[\w.+~/@]+=", word)]
-    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
-    parser.add_argument("--config-dir", "-cd", type=Path)
-    own = parser.parse_known_args(words)[0].config_dir
-    if own is not None:
+    if own := own_folder(words):
         settings.append(f"hydra.searchpath=[file://{own.resolve()}]")
     with initialize_config_dir(str(folder), version_base="1.3"):
         config = compose(config_name, settings, return_hydra_config=True)

@@ -17,7 +17,9 @@ from hydra.core.global_hydra import GlobalHydra
 
 from mrsan import Reward, Scenario
 from samarl.commands import evaluate
+from samarl.configuration import refuse_bombs
 from samarl.evaluation.runner import Evaluation
+from samarl.files import find_folder
 
 CHUNKS, CHUNK = 4, 100
 OWNERS = {"scenario": Scenario, "scenario.reward": Reward, "evaluation": Evaluation}
@@ -260,3 +262,26 @@ def test_the_line_names_the_field_the_value_and_what_is_right(
 ) -> None:
     assert run(arguments, monkeypatch) == 2
     assert message in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("bomb", ["laughs", "holds itself"])
+def test_a_file_whose_aliases_would_fill_the_memory_is_refused_before_it_is_read(
+    bomb: str, bare: None, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Ten lines that stand for 10^9 values; read, they end in a crash after minutes."""
+    lines = ["a: &a [x, x, x, x, x, x, x, x, x, x]"]
+    for above, below in zip("abcdefgh", "bcdefghi", strict=True):
+        lines.append(f"{below}: &{below} [{', '.join([f'*{above}'] * 10)}]")
+    Path("mine/agent").mkdir(parents=True)
+    Path("mine/agent/bomb.yaml").write_text(
+        "&a [*a]" if bomb == "holds itself" else "\n".join(lines)
+    )
+    for extra in ([], ["--help"]):
+        assert run(["--config-dir=mine", "agent=bomb", *extra], monkeypatch) == 2
+        assert "agent/bomb.yaml has more than 100000 values" in capsys.readouterr().err
+
+
+def test_aliases_as_people_use_them_are_read(tmp_path: Path) -> None:
+    (tmp_path / "few.yaml").write_text("a: &a {x: 1}\nb: [*a, *a]\nc: {<<: *a}\n")
+    refuse_bombs(tmp_path)
+    refuse_bombs(find_folder("conf"))
