@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
@@ -171,11 +171,15 @@ def scenario_of(column: Any, field: str = "columns") -> Scenario:
 
     That is `scenario`, SAMARL's unless it is said.
     """
+    if not isinstance(column, Mapping | DictConfig):
+        raise ConfigurationError(
+            f"{field} has {column!r:.60}; it must be fields of a scenario with their values"
+        )
     fields = dict(column)
-    named = load_scenario(fields.pop("scenario", Scenario.name))
+    named = load_scenario(str(fields.pop("scenario", Scenario.name)))
     try:
         scenario = OmegaConf.to_object(OmegaConf.merge(OmegaConf.structured(named), fields))
-    except OmegaConfBaseException as error:
+    except (OmegaConfBaseException, OverflowError) as error:  # a whole number beyond any float
         reason = str(error).splitlines()[0]
         raise ConfigurationError(f"{field} has {column}: {reason}") from error
     assert isinstance(scenario, Scenario)

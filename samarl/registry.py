@@ -36,6 +36,8 @@ def checked_fields(schema: Any, values: Any, path: str) -> dict[str, Any]:
     try:
         merged = OmegaConf.merge(OmegaConf.structured(schema), values)
         fields = OmegaConf.to_container(merged, throw_on_missing=True)
+    except OverflowError as error:
+        raise ConfigurationError(f"{path} has a number that is too large for a float") from error
     except OmegaConfBaseException as error:
         reason = str(error).splitlines()[0]
         name = getattr(error, "full_key", "")
