@@ -33,13 +33,19 @@ from samarl.training.trainer import Trainer
 # Parts of a round and the functions that make them up (end of the file's path, name).
 _PARTS = {
     "simulation": [("world.py", "step"), ("world.py", "reset")],
-    "tracks": [("tracker.py", "update")],
-    "networks, acting": [("collector.py", "collect")],  # less simulation and tracks, see below
+    "tracks, features": [("policy.py", "_perceive")],
+    "shield": [("shield.py", "shielded")],
+    "networks, acting": [("policy.py", "act"), ("policy.py", "resume")],
+    "rollouts": [("collector.py", "collect")],
     "advantages": [("ppo.py", "prepare")],
     "networks, forward": [("ppo.py", "_loss")],
     "networks, backward": [("_tensor.py", "backward")],
     "optimiser": [("adam.py", "step"), ("clip_grad.py", "clip_grad_norm_")],
     "mean of gradients": [("distributed.py", "average_gradients")],  # waits for the slowest process
+}
+_WITHIN = {  # what is called from within a part is no part of it
+    "networks, acting": ["tracks, features"],
+    "rollouts": ["networks, acting", "tracks, features", "shield", "simulation"],
 }
 
 
@@ -99,7 +105,8 @@ def shares(profile: pstats.Stats) -> dict[str, float]:
         )
         for part, functions in _PARTS.items()
     }
-    spent["networks, acting"] -= spent["simulation"] + spent["tracks"]
+    for part, inner in _WITHIN.items():
+        spent[part] -= sum(spent[name] for name in inner)
     spent["rest"] = total - sum(spent.values())
     return {part: round(100 * seconds / total, 1) for part, seconds in spent.items()}
 
@@ -119,7 +126,7 @@ def _parse() -> argparse.Namespace:
     parser.add_argument("settings", nargs="*", help="as for samarl-train: trainer.threads=1")
     parser.add_argument("--rounds", type=positive_whole_number, default=5, help="timed (5)")
     add_output(parser, "training_throughput")
-    return parser.parse_args()
+    return parser.parse_intermixed_args()
 
 
 if __name__ == "__main__":
