@@ -95,7 +95,7 @@ def by_command(item: Item, folder: Path) -> str:
         [sys.executable, "-m", f"samarl.commands.{item.command[0]}", *item.command[1:]],
         cwd=folder, capture_output=True, text=True, timeout=600,
     )  # fmt: skip
-    lines = done.stderr.splitlines()
+    lines = [line for line in done.stderr.splitlines() if not line.startswith("Compiling ")]
     if done.returncode == 2 and len(lines) == 1 and lines[0].startswith("error: "):
         return REFUSED
     return f"exit code {done.returncode}: {done.stderr[-300:]}"
@@ -108,6 +108,7 @@ def main() -> None:
         check_writable(arguments.output, "--output")
     except ConfigurationError as error:
         sys.exit(f"error: {error}")
+    output = arguments.output.resolve()  # what is loaded lies in a folder of its own
     begin = time.perf_counter()
     counts: dict[str, collections.Counter[str]] = collections.defaultdict(collections.Counter)
     failures: list[dict[str, Any]] = []
@@ -139,7 +140,7 @@ def main() -> None:
         "seconds": round(time.perf_counter() - begin, 1),
         **made_by("malformed"),
     }
-    write_json(arguments.output, result)
+    write_json(output, result)
     for kind, of_kind in counts.items():
         print(f"{kind:20}", ", ".join(f"{count} {what}" for what, count in of_kind.items()))
     print(f"written to {arguments.output}")

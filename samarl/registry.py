@@ -29,15 +29,19 @@ def needed() -> Any:
     return field()
 
 
-def checked_fields(schema: Any, values: Any, path: str) -> dict[str, Any]:
-    """The fields of a dataclass from `values`, which must fit their names and types."""
+def _check_named(values: Any, path: str) -> None:
     if not isinstance(values, Mapping | DictConfig):
         raise ConfigurationError(f"{path} is {values!r:.60}; it must be names with their values")
+
+
+def checked_fields(schema: Any, values: Any, path: str) -> dict[str, Any]:
+    """The fields of a dataclass from `values`, which must fit their names and types."""
+    _check_named(values, path)
     try:
         merged = OmegaConf.merge(OmegaConf.structured(schema), values)
         fields = OmegaConf.to_container(merged, throw_on_missing=True)
-    except OverflowError as error:
-        raise ConfigurationError(f"{path} has a number that is too large for a float") from error
+    except OverflowError:
+        raise ConfigurationError(f"{path} has a number that is too large for a float") from None
     except OmegaConfBaseException as error:
         reason = str(error).splitlines()[0]
         name = getattr(error, "full_key", "")
@@ -84,6 +88,7 @@ class Registry(Generic[T]):
         Raises:
             ConfigurationError: names the field that is unknown, missing or wrong.
         """
+        _check_named(values, self.kind)
         fields = {str(key): value for key, value in values.items() if key != "name"}
         schema = self[str(values.get("name"))].config
         config = schema(**checked_fields(schema, fields, self.kind))

@@ -148,8 +148,8 @@ class Policy(nn.Module, ABC):
         """
         super().__init__()
         self.config, self.action_size = config, action_size
-        entry = ENCODERS[str(config.encoder.get("name"))]
         sizes = ENCODERS.config(config.encoder)
+        entry = ENCODERS[config.encoder["name"]]
         self.networks = nn.ModuleList(  # type: ignore[assignment]
             self._make_networks(entry.made(sizes, NETWORK_EGO_FEATURES, NETWORK_OTHER_FEATURES))
             for _ in range(config.actors)

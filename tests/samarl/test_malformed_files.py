@@ -9,6 +9,7 @@ import torch
 from benchmarks.malformed import ACCEPTED, REFUSED, make_item, outcome
 from benchmarks.malformed_kinds import KINDS, POLICY, THROUGH_COMMANDS, Good
 from mrsan import ConfigurationError
+from samarl.configuration import scenario_of
 from samarl.policies.checkpoint import load_policy, make_policy, save_policy
 
 SLOW = 22  # of the first numbers, those that go through commands are tried as well
@@ -44,8 +45,24 @@ def test_a_policy_that_gives_no_numbers_or_claims_gigabytes_is_refused(tmp_path:
         ({"hidden": 4096, "actors": 16}, "its sizes are those of a policy that .* cannot hold"),
         ({"hidden": 10**9}, "policy.hidden is 1000000000; it must be a whole number in"),
         ({"hidden": 10**400}, "policy.hidden is 1000"),
+        ({"round_radius": 10**400}, "policy has a number that is too large for a float"),
+        ({"encoder": "${nowhere}"}, "encoder is '.*'; it must be names with their values"),
     ):
         spoiled = {**card, "config": {**card["config"], **sizes}}
         path.with_suffix(".json").write_text(json.dumps(spoiled))
         with pytest.raises(ConfigurationError, match=message):
             load_policy(path)
+
+
+@pytest.mark.parametrize(
+    ("column", "message"),
+    [
+        (float("inf"), "crowds has inf; it must be fields of a scenario"),
+        ("0x10", "crowds has '0x10'; it must be fields of a scenario"),
+        ({"sensing_range": 10**400}, "crowds has .*too large"),
+        ({"scenario": [1]}, r"'\[1\]' is not a scenario; it must be among"),
+    ],
+)
+def test_a_column_that_is_no_scenario_is_refused(column: object, message: str) -> None:
+    with pytest.raises(ConfigurationError, match=message):
+        scenario_of(column, "crowds")
