@@ -151,6 +151,7 @@ def row(**fields: Any) -> Row:
         ({"social_score": 31.0}, "close "),
         ({"success_rate": 69.94}, "close "),
         ({"success_rate": 70.0}, "DIFFERS "),
+        ({"success_rate": 4.0}, "DIFFERS "),
         ({"success_rate": 0.0}, "close "),  # one episode of the four ends otherwise
         ({"success_rate": 75.0}, "DIFFERS "),  # two
         ({"method": "other"}, "new "),
