@@ -223,10 +223,10 @@ class RolloutCollector:
         self.snapshots.restore(self.world, self._memory(), steps)
         self.observation = self.world.observe()
         h = self.policy.history
-        for e, k in zip(worlds, back, strict=True):
-            rows = self._rows_of(np.array([e]))
+        for k in np.unique(back):
+            rows = self._rows_of(worlds[back == k])
             for tensor in (*self.frames, self.begins):
-                tensor[rows, k:column] = tensor[rows, : column - k].clone()
+                tensor[rows, k:column] = tensor[rows, : column - k]
         rows = self._rows_of(worlds)
         seen = slice(column - h, column)
         self.policy.resume(self.frames.at(seen).of(rows), self.begins[rows, seen], self.state, rows)
