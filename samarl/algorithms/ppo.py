@@ -32,6 +32,10 @@ MACRO_RISE = 0.3
 """Share of a training in which the macro level's least noise rises: first its waypoints stay put,
 so that the local level learns to drive to them."""
 
+AT_ONCE = 16384
+"""Frames that the critics read at once when they learn nothing: thousands of worlds have more than
+is well in memory."""
+
 
 @dataclass
 class PPOConfig:
@@ -177,7 +181,9 @@ class PPO(Algorithm):
         out: list[dict[str, Prepared]] = [{} for _ in rollouts]
         features = []
         for rollout in rollouts:
-            read = self.encoder(Frames(*(x.flatten(0, 1) for x in self._critic_frames(rollout))))
+            given = Frames(*(x.flatten(0, 1) for x in self._critic_frames(rollout)))
+            parts = range(0, len(given.ego), AT_ONCE)
+            read = torch.cat([self.encoder(given.of(slice(i, i + AT_ONCE))) for i in parts])
             shape = (len(rollout.steps), rollout.robots, -1, read.shape[-1])
             features.append(read.view(shape).transpose(1, 2))  # [S, T + 1, N, F]
         for name, head in self.heads.items():
