@@ -4,7 +4,7 @@ An agent is a row `[px, py, vx, vy, radius]`. A line is four numbers: the permit
 to the left of the direction (DX, DY) through the point (PX, PY).
 
 Agents and lines lie in memory as columns, a stretch for each of their numbers: so the lines of all
-agents are computed at once, by the processor's vector instructions.
+neighbours are computed at once, by the processor's vector instructions.
 """
 
 import math
@@ -23,7 +23,6 @@ _HALF = np.float32(0.5)
 _ONE = np.float32(1.0)
 _TWO = np.float32(2.0)
 _FAR = np.float32(np.inf)
-_AS_THEY_LIE = np.arange(MOST, dtype=np.uint32)
 _SAMPLE = 8  # agents whose distances tell how many are near
 _SPARE = np.float32(1.4)  # times as many as needed are looked for
 
@@ -36,8 +35,8 @@ def orca_room(most):
     return agents, (
         np.empty((2, room), np.float32),  # squared distances of all, of those near
         np.empty((2, room), np.uint32),  # rows of those near, their ranks
-        np.empty(room, np.uint32),  # rows of the neighbours, nearest first
-        np.empty(4 * MOST, np.float32),  # lines, of row k at place k
+        np.zeros((5, room), np.float32).T,  # the neighbours, nearest first
+        np.empty(4 * MOST, np.float32),  # lines, of the nearest neighbour first
         np.empty(4 * MOST, np.float32),  # lines projected on another
     )
 
@@ -71,18 +70,20 @@ def orca_velocity(
         time_step: length of a step (s).
         scratch: from `orca_room`.
     """
-    distances, places, order, lines, projected = scratch
-    n = _find_nearest(agents, count, i, neighbor_distance, max_neighbors, distances, places, order)
-    _half_planes(agents, count, i, time_horizon, time_step, lines)
-    x, y, failed = _linear_program_2(lines, order, n, max_speed, preferred_x, preferred_y, False)
+    distances, places, nearest, lines, projected = scratch
+    n = _find_nearest(
+        agents, count, i, neighbor_distance, max_neighbors, distances, places, nearest
+    )
+    _half_planes(agents, i, nearest, n, time_horizon, time_step, lines)
+    x, y, failed = _linear_program_2(lines, n, max_speed, preferred_x, preferred_y, False)
     if failed < n:
-        x, y = _linear_program_3(lines, order, projected, n, failed, max_speed, x, y)
+        x, y = _linear_program_3(lines, projected, n, failed, max_speed, x, y)
     return x, y
 
 
 @function
-def _find_nearest(agents, count, i, neighbor_distance, max_neighbors, distances, places, order):
-    """Fill `order` with the rows of the neighbours of `i`, nearest first; return how many."""
+def _find_nearest(agents, count, i, neighbor_distance, max_neighbors, distances, places, nearest):
+    """Fill `nearest` with the neighbours of `i`, nearest first; return how many there are."""
     squared, near = distances[0], distances[1]
     rows, rank = places[0], places[1]
     limit = neighbor_distance * neighbor_distance
@@ -113,7 +114,8 @@ def _find_nearest(agents, count, i, neighbor_distance, max_neighbors, distances,
     most = min(n, max_neighbors)
     for k in range(n):
         if rank[k] < most:
-            order[rank[k]] = rows[k]
+            for column in range(5):
+                nearest[rank[k], column] = agents[rows[k], column]
     return most
 
 
@@ -135,20 +137,20 @@ def _likely_reach(squared, count, max_neighbors):
 
 
 @function
-def _half_planes(agents, count, i, time_horizon, time_step, lines):
-    """The velocities of agent `i` that share the avoidance of each other agent fairly.
+def _half_planes(agents, i, nearest, n, time_horizon, time_step, lines):
+    """The velocities of agent `i` that share the avoidance of each of its `n` neighbours fairly.
 
-    That of itself means nothing. Written without branches, both cases computed and one chosen,
+    Lines behind those mean nothing. Written without branches, both cases computed and one chosen,
     which makes vectors possible.
     """
     own_x, own_y, own_vx, own_vy = agents[i, 0], agents[i, 1], agents[i, 2], agents[i, 3]
     own_radius = agents[i, 4]
     by_horizon, by_step = _ONE / time_horizon, _ONE / time_step
-    for k in range((count + _LANES - 1) // _LANES * _LANES):
-        px, py = agents[k, 0] - own_x, agents[k, 1] - own_y
-        vx, vy = own_vx - agents[k, 2], own_vy - agents[k, 3]
+    for k in range((n + _LANES - 1) // _LANES * _LANES):
+        px, py = nearest[k, 0] - own_x, nearest[k, 1] - own_y
+        vx, vy = own_vx - nearest[k, 2], own_vy - nearest[k, 3]
         distance_squared = px * px + py * py
-        radius = own_radius + agents[k, 4]
+        radius = own_radius + nearest[k, 4]
         radius_squared = radius * radius
         colliding = distance_squared <= radius_squared
         # The cut-off disc of the velocity obstacle; agents that overlap must part within one step.
@@ -177,10 +179,9 @@ def _half_planes(agents, count, i, time_horizon, time_step, lines):
 
 
 @function
-def _linear_program_1(lines, order, k, radius, goal_x, goal_y, goal_is_direction):
+def _linear_program_1(lines, k, radius, goal_x, goal_y, goal_is_direction):
     """Best point on line `k` within the disc and the lines before it: (feasible, x, y)."""
-    row = order[k]
-    px, py, dx, dy = lines[PX + row], lines[PY + row], lines[DX + row], lines[DY + row]
+    px, py, dx, dy = lines[PX + k], lines[PY + k], lines[DX + k], lines[DY + k]
     dot = px * dx + py * dy
     discriminant = dot * dot + radius * radius - (px * px + py * py)
     if discriminant < _ZERO:
@@ -188,10 +189,9 @@ def _linear_program_1(lines, order, k, radius, goal_x, goal_y, goal_is_direction
     root = math.sqrt(discriminant)
     left, right = -dot - root, -dot + root
     for i in range(k):
-        row = order[i]
-        ex, ey = lines[DX + row], lines[DY + row]
+        ex, ey = lines[DX + i], lines[DY + i]
         denominator = dx * ey - dy * ex
-        numerator = ex * (py - lines[PY + row]) - ey * (px - lines[PX + row])
+        numerator = ex * (py - lines[PY + i]) - ey * (px - lines[PX + i])
         if abs(denominator) <= _EPSILON:
             if numerator < _ZERO:
                 return False, _ZERO, _ZERO
@@ -211,7 +211,7 @@ def _linear_program_1(lines, order, k, radius, goal_x, goal_y, goal_is_direction
 
 
 @function
-def _linear_program_2(lines, order, n, radius, goal_x, goal_y, goal_is_direction):
+def _linear_program_2(lines, n, radius, goal_x, goal_y, goal_is_direction):
     """Point nearest the goal within the disc and all lines: (x, y, first line that failed or n)."""
     speed_squared = goal_x * goal_x + goal_y * goal_y
     if goal_is_direction:
@@ -222,11 +222,10 @@ def _linear_program_2(lines, order, n, radius, goal_x, goal_y, goal_is_direction
     else:
         x, y = goal_x, goal_y
     for k in range(n):
-        row = order[k]
-        dx, dy = lines[DX + row], lines[DY + row]
-        if dx * (lines[PY + row] - y) - dy * (lines[PX + row] - x) > _ZERO:
+        dx, dy = lines[DX + k], lines[DY + k]
+        if dx * (lines[PY + k] - y) - dy * (lines[PX + k] - x) > _ZERO:
             feasible, new_x, new_y = _linear_program_1(
-                lines, order, k, radius, goal_x, goal_y, goal_is_direction
+                lines, k, radius, goal_x, goal_y, goal_is_direction
             )
             if not feasible:
                 return x, y, k
@@ -235,20 +234,18 @@ def _linear_program_2(lines, order, n, radius, goal_x, goal_y, goal_is_direction
 
 
 @function
-def _linear_program_3(lines, order, projected, n, first, radius, x, y):
+def _linear_program_3(lines, projected, n, first, radius, x, y):
     """No velocity satisfies all lines: the one that violates the worst of them least."""
     distance = _ZERO
     for k in range(first, n):
-        row = order[k]
-        px, py = lines[PX + row], lines[PY + row]
-        dx, dy = lines[DX + row], lines[DY + row]
+        px, py = lines[PX + k], lines[PY + k]
+        dx, dy = lines[DX + k], lines[DY + k]
         if dx * (py - y) - dy * (px - x) <= distance:
             continue
         m = 0
         for j in range(k):
-            row = order[j]
-            qx, qy = lines[PX + row], lines[PY + row]
-            ex, ey = lines[DX + row], lines[DY + row]
+            qx, qy = lines[PX + j], lines[PY + j]
+            ex, ey = lines[DX + j], lines[DY + j]
             determinant = dx * ey - dy * ex
             if abs(determinant) <= _EPSILON:
                 if dx * ex + dy * ey > _ZERO:
@@ -261,7 +258,7 @@ def _linear_program_3(lines, order, projected, n, first, radius, x, y):
             norm = math.sqrt(ex * ex + ey * ey)
             projected[DX + m], projected[DY + m] = ex / norm, ey / norm
             m += 1
-        new_x, new_y, failed = _linear_program_2(projected, _AS_THEY_LIE, m, radius, -dy, dx, True)
+        new_x, new_y, failed = _linear_program_2(projected, m, radius, -dy, dx, True)
         if failed == m:  # Otherwise only rounding stands in the way: keep the last point.
             x, y = new_x, new_y
         distance = dx * (py - y) - dy * (px - x)
