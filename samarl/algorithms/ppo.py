@@ -182,8 +182,7 @@ class PPO(Algorithm):
         features = []
         for rollout in rollouts:
             given = Frames(*(x.flatten(0, 1) for x in self._critic_frames(rollout)))
-            parts = range(0, len(given.ego), AT_ONCE)
-            read = torch.cat([self.encoder(given.of(slice(i, i + AT_ONCE))) for i in parts])
+            read = torch.cat([self.encoder(part) for part in given.split(AT_ONCE)])
             shape = (len(rollout.steps), rollout.robots, -1, read.shape[-1])
             features.append(read.view(shape).transpose(1, 2))  # [S, T + 1, N, F]
         for name, head in self.heads.items():

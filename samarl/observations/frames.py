@@ -26,6 +26,10 @@ class Frames(NamedTuple):
         """Some of the robots."""
         return Frames(*(tensor[robots] for tensor in self))
 
+    def split(self, robots: int) -> list[Frames]:
+        """In parts of at most so many robots; none make one part."""
+        return [Frames(*tensors) for tensors in zip(*(t.split(robots) for t in self), strict=True)]
+
     def to(self, device: torch.device) -> Frames:
         """The same on another device."""
         return Frames(*(tensor.to(device, non_blocking=True) for tensor in self))

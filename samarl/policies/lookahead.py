@@ -128,8 +128,8 @@ class LookaheadPolicy(Policy):
         imagined = frames_of(outcomes.tracks, scenario, self.config.known_origin).to(self.device)
         rows = torch.from_numpy(np.flatnonzero(active)).to(self.device).repeat(len(commands))
         piece = AT_ONCE if self.device.type == "cpu" else max(len(rows), 1)
-        parts = [slice(begin, begin + piece) for begin in range(0, max(len(rows), 1), piece)]
-        worth = torch.cat([self.value(imagined.of(part), rows[part]) for part in parts]).cpu()
+        parts = zip(imagined.split(piece), rows.split(piece), strict=True)
+        worth = torch.cat([self.value(*part) for part in parts]).cpu()
         later = worth.view(outcomes.reward.shape) * ~torch.from_numpy(outcomes.ended)
         score = torch.from_numpy(outcomes.reward) + self.config.discount * later  # [C, R]
         chosen = score.argmax(0)
