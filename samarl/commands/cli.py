@@ -228,8 +228,8 @@ def _fail(error: Exception) -> NoReturn:
         print(f"error: {unknown}", file=sys.stderr)
         sys.exit(2)
     message = str(error).split("Config search path:")[0] or type(error).__name__
-    if isinstance(error, OSError) and error.filename is None:  # Hydra's own files, for example
-        message = f"a file below {os.getcwd()} cannot be written ({error.strerror or error})"
+    if isinstance(error, OSError) and error.errno and error.filename is None:  # of Hydra, say
+        message = f"a file below {os.getcwd()} cannot be written ({error.strerror})"
     if error.__cause__ and str(error.__cause__) not in message:
         message += f"\n{error.__cause__}"
     key = getattr(error, "full_key", None)

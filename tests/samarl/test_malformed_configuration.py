@@ -241,7 +241,7 @@ def test_every_malformed_configuration_ends_in_one_line(
         ),
         (
             ["agent=nobody"],
-            "Could not find 'agent/nobody'; Available options in 'agent'; ",
+            "error: In 'config': Could not find 'agent/nobody'; Available options in 'agent'; ",
         ),
         (["scenario.robotz=3"], "scenario.robotz is not known; did you mean scenario.robots?"),
         (["scenario.fov=90"], "scenario.fov is not known; did you mean scenario.fov_degrees?"),
