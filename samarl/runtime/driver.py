@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import NamedTuple
@@ -18,7 +18,7 @@ from samarl.observations.tracker import Tracker, TrackMemory, Tracks
 from samarl.planning.lookahead import Commands, command_set, look_ahead
 from samarl.planning.shield import shielded
 from samarl.planning.tracking import motion_after
-from samarl.runtime.inputs import Detection, InputError, OwnState, check
+from samarl.runtime.inputs import Detection, InputError, OwnState, validated
 from samarl.runtime.network import Network
 from samarl.runtime.slots import Slots
 
@@ -81,33 +81,33 @@ class Driver:
         self._before = 0.0  # when the last step was
         self._origin = 0.0, 0.0  # of what the policy is told
 
-    def step(self, own: OwnState, detections: Sequence[Detection], time: float) -> Command:
+    def step(self, own: OwnState, detections: Iterable[Detection], time: float) -> Command:
         """Decide what to do now.
 
-        Steps may be early or late, and those who were seen may be missed: they are expected to go
-        on at constant velocity, by the time that has really passed.
+        Steps may come early or late and detections may be missing: tracks are extrapolated at
+        constant velocity over the time that has really passed.
 
         Args:
             own: the robot and its goal.
-            detections: whom it sees now, or is told of.
-            time: of all this on any clock that does not jump, s.
+            detections: everybody who is visible now, or reported by team-mates; any iterable.
+            time: of these measurements, on any clock that does not jump, s.
 
         Raises:
-            InputError: names the number that cannot be used; nothing was changed.
+            InputError: names the input that cannot be used; the driver is unchanged.
         """
-        check(own, detections, time)
+        own, people, time = validated(own, detections, time)
         begins = self._began is None
         if not begins and time <= self._before:
             raise InputError(
                 f"time is {time}; it must be later than that of the step before, {self._before} "
-                "(reset() begins anew)"
+                "(call reset() to start again)"
             )
         if self._began is None:
             self._began = self._before = time
             if not self.description.knows_the_place:
                 self._origin = own.x, own.y  # float32 is coarse far away from it
         elapsed, self._before = time - self._before, time
-        seen = self._observed(own, detections, time)
+        seen = self._observed(own, people, time)
         known = {
             number: tracker.update(seen, self._memories[number], np.array([begins]), elapsed)
             for number, tracker in self._trackers.items()

@@ -1,22 +1,25 @@
-"""What a robot tells the runtime, checked: a wrong number must not reach the wheels."""
+"""The inputs of `Driver.step`, validated: no invalid number may reach the wheels."""
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
-from typing import NamedTuple
+from collections.abc import Hashable, Iterable
+from numbers import Real
+from typing import Any, NamedTuple
 
-LARGEST = 1e10  # squares of more are nothing that single precision has; time counts from 1970
+import numpy as np
+
+LARGEST = 1e10  # squares of larger numbers overflow single precision; Unix time is below it
 
 
 class InputError(ValueError):
-    """A number that cannot be used; the message says which, and what would be right."""
+    """An input that cannot be used; the message names the field, its value and what is allowed."""
 
 
 class OwnState(NamedTuple):
-    """The robot and its goal in a frame that stands still, such as the map's or the odometry's.
+    """The robot and its goal in a fixed frame, such as the map's or the odometry's.
 
-    To policies that know the middle of the place (`samarl`, `samarl_flat`, `cadrl`) that is the
-    frame's origin.
+    Some policies (`samarl`, `samarl_flat`, `cadrl`) take the frame's origin for the centre of the
+    area that people cross.
     """
 
     x: float  # m
@@ -29,45 +32,90 @@ class OwnState(NamedTuple):
 
 
 class Detection(NamedTuple):
-    """Somebody who is seen now, in the same frame."""
+    """A person or team-mate that is currently visible, in the same frame as `OwnState`."""
 
     x: float  # m
     y: float
     velocity_x: float  # m/s
     velocity_y: float
-    radius: float = 0.3  # m, as the people in training have
-    robot: bool = False  # a team-mate, or a person
-    id: Hashable | None = None  # the same from step to step; None: who is near is who was there
+    radius: float = 0.3  # m; the radius of people in training
+    robot: bool = False  # true: a team-mate; false: a person
+    id: Hashable | None = None  # constant over time; None: matched by position
 
 
-def check(own: OwnState, detections: Sequence[Detection], time: float) -> None:
-    """Refuse what is no finite number or absurdly large, and names that are given twice.
+def validated(
+    own: OwnState, detections: Iterable[Detection], time: float
+) -> tuple[OwnState, list[Detection], float]:
+    """Check the inputs of one step and convert them to built-in types.
+
+    Args:
+        own: the robot's state.
+        detections: any iterable; it is consumed exactly once.
+        time: of the measurement, s.
+
+    Returns:
+        The same values with every number a `float`, every flag a `bool`, and detections in a list.
 
     Raises:
-        InputError: names the field and its value.
+        InputError: an input has the wrong type, is not finite, is too large, or an id occurs twice.
     """
-    _number("time", time)
-    for name, value in zip(OwnState._fields, own, strict=True):
-        _number(f"own.{name}", value)
-    named: dict[tuple[bool, Hashable], int] = {}
-    for k, seen in enumerate(detections):
-        for name, value in zip(Detection._fields[:5], seen[:5], strict=True):
-            _number(f"detections[{k}].{name}", value)
-        if seen.radius <= 0.0:
-            raise InputError(f"detections[{k}].radius is {seen.radius}; it must be above 0")
-        if seen.id is not None:
-            first = named.setdefault((seen.robot, seen.id), k)
-            if first != k:
-                raise InputError(
-                    f"detections[{k}].id is {seen.id!r}, as is detections[{first}].id; ids must "
-                    "differ"
-                )
-
-
-def _number(name: str, value: float) -> None:
+    if not isinstance(own, OwnState):
+        raise InputError(f"own is {_shown(own)}; it must be an OwnState")
     try:
-        good = abs(value) <= LARGEST  # nan is not
+        iterator = iter(detections)
     except TypeError:
-        good = False
-    if not good:
-        raise InputError(f"{name} is {value!r}; it must be a number within +-{LARGEST:g}")
+        raise InputError(
+            f"detections is {_shown(detections)}; it must be an iterable of Detection"
+        ) from None
+    time = _number("time", time)
+    own = OwnState(
+        *(_number(f"own.{name}", value) for name, value in zip(own._fields, own, strict=True))
+    )
+    people = [_detection(f"detections[{k}]", value) for k, value in enumerate(iterator)]
+    first_with_id: dict[tuple[bool, Hashable], int] = {}
+    for k, detection in enumerate(people):
+        if detection.id is None:
+            continue
+        first = first_with_id.setdefault((detection.robot, detection.id), k)
+        if first != k:
+            raise InputError(
+                f"detections[{k}].id is {detection.id!r}, as is detections[{first}].id; ids must "
+                "differ"
+            )
+    return own, people, time
+
+
+def _detection(path: str, value: Any) -> Detection:
+    """Return one element of `detections` with built-in types."""
+    if not isinstance(value, Detection):
+        raise InputError(f"{path} is {_shown(value)}; it must be a Detection")
+    x, y, velocity_x, velocity_y, radius = (
+        _number(f"{path}.{name}", number)
+        for name, number in zip(Detection._fields[:5], value[:5], strict=True)
+    )
+    if radius <= 0.0:
+        raise InputError(f"{path}.radius is {radius}; it must be above 0")
+    if not isinstance(value.robot, bool | np.bool_):
+        raise InputError(f"{path}.robot is {_shown(value.robot)}; it must be true or false")
+    try:
+        hash(value.id)
+        usable = bool(value.id == value.id)  # NaN would never be recognised
+    except Exception:  # whatever a foreign class raises
+        usable = False
+    if not usable:
+        raise InputError(
+            f"{path}.id is {_shown(value.id)}; it must be hashable and equal to itself"
+        )
+    return Detection(x, y, velocity_x, velocity_y, radius, bool(value.robot), value.id)
+
+
+def _number(name: str, value: Any) -> float:
+    """Return a finite number as a float; booleans, arrays and strings are not numbers."""
+    if isinstance(value, Real) and not isinstance(value, bool) and abs(value) <= LARGEST:
+        return float(value)
+    raise InputError(f"{name} is {_shown(value)}; it must be a number within +-{LARGEST:g}")
+
+
+def _shown(value: Any) -> str:
+    """Return a short form of any value, on one line."""
+    return " ".join(repr(value).split())[:100]

@@ -4,10 +4,14 @@ import json
 import math
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from mrsan import ConfigurationError, Scenario, World
 from samarl.agents.learned import Learned
@@ -40,6 +44,12 @@ def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def driver(path: Path) -> Driver:
+    return Driver.load(path)
+
+
+@pytest.fixture(scope="module")
+def loaded(path: Path) -> Driver:
+    """A driver for many short drives, each after a reset."""
     return Driver.load(path)
 
 
@@ -104,30 +114,95 @@ NAN = float("nan")
 
 
 @pytest.mark.parametrize(
-    ("own", "seen", "time", "message"),
+    ("own", "detections", "time", "field"),
     [
-        (OWN._replace(velocity_x=NAN), [], 1.0, "own.velocity_x is nan; it must be a number"),
-        (OWN._replace(heading=-math.inf), [], 1.0, "own.heading is -inf; it must be a number"),
-        (OWN._replace(goal_x=None), [], 1.0, "own.goal_x is None; it must be a number"),
-        (OWN._replace(x=1e39), [], 1.0, r"own.x is 1e\+39; it must be a number within"),
-        (OWN, [PERSON, PERSON._replace(y=NAN, id=2)], 1.0, r"detections\[1\].y is nan; it must"),
-        (OWN, [PERSON._replace(radius=0.0)], 1.0, r"detections\[0\].radius is 0.0; it must be"),
-        (OWN, [PERSON, PERSON], 1.0, r"detections\[1\].id is 'anna', as is detections\[0\].id"),
-        (OWN, [], NAN, "time is nan; it must be a number"),
-        (OWN, [], 0.5, "time is 0.5; it must be later than that of the step before, 0.5"),
+        (OWN._replace(velocity_x=NAN), [], 1.0, "own.velocity_x"),
+        (OWN._replace(heading=-math.inf), [], 1.0, "own.heading"),
+        (OWN._replace(goal_x=None), [], 1.0, "own.goal_x"),
+        (OWN._replace(x=1e39), [], 1.0, "own.x"),
+        (OWN._replace(x=np.array([1.0])), [], 1.0, "own.x"),
+        (OWN._replace(x=True), [], 1.0, "own.x"),
+        (tuple(OWN), [], 1.0, "own"),
+        (OWN._asdict(), [], 1.0, "own"),
+        (OWN, None, 1.0, "detections"),
+        (OWN, PERSON, 1.0, "detections[0]"),  # one detection that is not in a list
+        (OWN, {"anna": PERSON}, 1.0, "detections[0]"),
+        (OWN, [PERSON._asdict()], 1.0, "detections[0]"),
+        (OWN, [tuple(PERSON)], 1.0, "detections[0]"),
+        (OWN, [PERSON, PERSON._replace(y=NAN, id=2)], 1.0, "detections[1].y"),
+        (OWN, [PERSON._replace(x=np.zeros((2, 2)))], 1.0, "detections[0].x"),
+        (OWN, [PERSON._replace(x="4.0")], 1.0, "detections[0].x"),
+        (OWN, [PERSON._replace(radius=0.0)], 1.0, "detections[0].radius"),
+        (OWN, [PERSON._replace(robot=None)], 1.0, "detections[0].robot"),
+        (OWN, [PERSON._replace(id=[1])], 1.0, "detections[0].id"),
+        (OWN, [PERSON._replace(id=NAN)], 1.0, "detections[0].id"),
+        (OWN, [PERSON, PERSON], 1.0, "detections[1].id"),
+        (OWN, [], NAN, "time"),
+        (OWN, [], None, "time"),
+        (OWN, [], np.array([1.0]), "time"),
+        (OWN, [], 0.5, "time"),  # not later than the step before
     ],
 )
-def test_a_wrong_number_is_named_and_changes_nothing(
-    path: Path, driver: Driver, own: OwnState, seen: list, time: float, message: str
+def test_an_invalid_input_is_named_and_changes_nothing(
+    path: Path, driver: Driver, own: Any, detections: Any, time: Any, field: str
 ) -> None:
     undisturbed = Driver.load(path)
     for one in (driver, undisturbed):
         one.step(OWN, [PERSON], 0.5)
-    with pytest.raises(InputError, match=message) as error:
-        driver.step(own, seen, time)
+    with pytest.raises(InputError) as error:
+        driver.step(own, detections, time)
+    assert str(error.value).startswith(f"{field} is ")
     assert "\n" not in str(error.value)
     expected = undisturbed.step(OWN, [PERSON], 0.75)
     np.testing.assert_array_equal(driver.step(OWN, [PERSON], 0.75).action, expected.action)
+
+
+ANYTHING = st.one_of(
+    st.none(), st.booleans(), st.integers(), st.floats(), st.complex_numbers(), st.text(max_size=3),
+    st.binary(max_size=3), st.fractions(), st.decimals(), st.lists(st.floats(), max_size=2),
+    st.dictionaries(st.integers(), st.none(), max_size=1),
+    st.sampled_from(
+        [np.float32(2.0), np.int64(3), np.array(1.0), np.array([1.0]), np.zeros((2, 2)), object()]
+    ),
+)  # fmt: skip
+OFTEN_VALID = st.floats(-5.0, 5.0) | ANYTHING
+OWN_STATES = st.builds(OwnState, *[OFTEN_VALID] * 7) | ANYTHING
+DETECTIONS = st.builds(
+    Detection, *[OFTEN_VALID] * 4, radius=OFTEN_VALID, robot=st.booleans() | ANYTHING, id=ANYTHING
+)
+SEVERAL = st.lists(st.just(PERSON) | DETECTIONS | ANYTHING, max_size=3)
+ITERABLES = SEVERAL | SEVERAL.map(tuple) | SEVERAL.map(iter) | ANYTHING
+
+
+@settings(deadline=None, max_examples=300)
+@given(own=st.just(OWN) | OWN_STATES, detections=ITERABLES, time=st.just(2.0) | ANYTHING)
+def test_any_input_drives_or_raises_an_input_error(
+    loaded: Driver, own: Any, detections: Any, time: Any
+) -> None:
+    loaded.reset()
+    before = loaded.step(OWN, [PERSON], 0.5)
+    try:
+        command = loaded.step(own, detections, time)
+    except InputError:
+        after = loaded.step(OWN, [PERSON], 0.75)
+        loaded.reset()
+        np.testing.assert_array_equal(loaded.step(OWN, [PERSON], 0.5).action, before.action)
+        np.testing.assert_array_equal(loaded.step(OWN, [PERSON], 0.75).action, after.action)
+    else:
+        assert np.isfinite(command.action).all()
+
+
+@pytest.mark.parametrize("iterable", [iter, tuple, partial(map, Detection._make)])
+def test_any_iterable_of_detections_is_the_same_as_a_list(
+    path: Path, driver: Driver, iterable: Any
+) -> None:
+    people = [Detection(1.6, 1.4 + 0.6 * k, 0.0, 0.0, id=k) for k in range(3)]  # a wall of people
+    other = Driver.load(path)
+    for k in range(4):
+        expected = other.step(OWN, people, 0.25 * k)
+        command = driver.step(OWN, iterable(people), 0.25 * k)
+        np.testing.assert_array_equal(command.action, expected.action)
+    assert expected.shielded
 
 
 def test_another_file_is_refused(tmp_path: Path) -> None:
