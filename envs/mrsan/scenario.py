@@ -337,6 +337,26 @@ class Scenario:
             )
         return recording
 
+    def no_room(self, robots: bool, case: int) -> str:
+        """Say that a case has no room for all robots, or for all people."""
+        clearance = f"scenario.spawn_clearance is {self.spawn_clearance}"
+        if not robots:
+            return (
+                f"scenario.humans is {self.humans}; case {case} has no room for so many: "
+                f"{clearance}, scenario.human_radius_max is {self.human_radius_max}"
+            )
+        if self.crowd is Crowd.recorded:
+            place = f"on the recorded floor with scenario.human_radius_max {self.human_radius_max}"
+        elif self.layout is Layout.circle:
+            place = f"on a circle of scenario.circle_radius {self.circle_radius}"
+        else:
+            place = f"on a floor of scenario.floor_size {self.floor_size}"
+        return (
+            f"scenario.robots is {self.robots}; case {case} has no room for so many {place}: "
+            f"{clearance}, scenario.robot_radius is {self.robot_radius}, scenario.robot_way_min is "
+            f"{self.robot_way_min}"
+        )
+
     @property
     def half_extent(self) -> float:
         """From the middle to where the outermost may start, along an axis, m."""

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from mrsan.features import EGO_FEATURES, OTHER_FEATURES
 from mrsan.kernels.sensing import observe
-from mrsan.kernels.spawn import begin_episodes
+from mrsan.kernels.spawn import NO_ROOM_FOR_ROBOTS, begin_episodes
 from mrsan.kernels.step import advance
 from mrsan.kernels.tally import TALLY
 from mrsan.kernels.team import tell
@@ -23,8 +23,11 @@ from mrsan.lookahead import LookaheadReward
 from mrsan.metrics import Episodes, episodes_of
 from mrsan.parameters import Sensor
 from mrsan.reward import RewardParts
-from mrsan.scenario import Scenario
+from mrsan.scenario import ConfigurationError, Scenario
 from mrsan.state import Bools, Floats, Ints, State
+
+
+_INTERRUPTIBLE = 128  # worlds that begin an episode between two chances to stop with Ctrl-C
 
 
 class ActionError(ValueError):
@@ -117,6 +120,9 @@ class World:
 
         Returns:
             The observation of all worlds.
+
+        Raises:
+            ConfigurationError: a case has no room for all robots or people of the scenario.
         """
         mask = self._mask(worlds)
         if cases is not None:
@@ -136,9 +142,22 @@ class World:
 
     def _begin(self, worlds: Bools) -> None:
         """Begin the episode that the state names in some worlds [E]."""
-        begin_episodes(self.worlds, worlds, self.state, self._parameters, self._recording)
+        numbers = np.flatnonzero(worlds)
+        for first in range(0, len(numbers), _INTERRUPTIBLE):
+            group = np.zeros_like(worlds)
+            group[numbers[first : first + _INTERRUPTIBLE]] = True
+            self._place_agents(group)
         if self._lookahead:
             self._lookahead.begin(self.state, worlds)
+
+    def _place_agents(self, worlds: Bools) -> None:
+        """Draw the starts and goals of everybody in some worlds [E]."""
+        problem = np.zeros(self.worlds, np.int8)
+        begin_episodes(self.worlds, worlds, self.state, self._parameters, self._recording, problem)
+        if problem.any():
+            world = int(np.flatnonzero(problem)[0])
+            robots = problem[world] == NO_ROOM_FOR_ROBOTS
+            raise ConfigurationError(self.scenario.no_room(robots, int(self.state.case[world])))
 
     def snapshot(self) -> State:
         """The whole state of all worlds, copied: what `restore` goes back to.

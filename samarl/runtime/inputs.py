@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Hashable, Iterable
 from numbers import Real
 from typing import Any, NamedTuple
@@ -111,8 +112,10 @@ def _detection(path: str, value: Any) -> Detection:
 
 def _number(name: str, value: Any) -> float:
     """Return a finite number as a float; booleans, arrays and strings are not numbers."""
-    if isinstance(value, Real) and not isinstance(value, bool) and abs(value) <= LARGEST:
-        return float(value)
+    if isinstance(value, Real) and not isinstance(value, bool):
+        number = float(value) if abs(value) < LARGEST else math.nan  # of huge integers no float
+        if math.isfinite(number):
+            return number
     raise InputError(f"{name} is {_shown(value)}; it must be a number within +-{LARGEST:g}")
 
 

@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from mrsan.kernels import function, rng
+from mrsan.kernels.layout import widened
 
 NEVER = -1  # the step at which somebody enters who does not
 
@@ -12,8 +13,6 @@ _ZERO = np.float32(0.0)
 _HALF = np.float32(0.5)
 _ONE = np.float32(1.0)
 _HALF_PI = np.float32(0.5 * math.pi)
-_GROWTH = np.float32(0.05)
-_TRIES = 64  # tries before a place further away is looked for
 _GOLDEN_ANGLE = np.float32(2.399963)  # turns by it never come back to the same place, rad
 _BESIDE = np.float32(0.2)  # surface distance of two who walk together, m
 _ENTRY = np.float32(1.0)  # nobody appears nearer than that to a robot, m
@@ -48,8 +47,7 @@ def place_beside(position, goal, radius, j, key, attempt):
     dx, dy = goal[j - 1, 0] - position[j - 1, 0], goal[j - 1, 1] - position[j - 1, 1]
     side = _HALF_PI if rng.uniform(key, rng.HABITS, j, 0, _SIDE) < _HALF else -_HALF_PI
     angle = math.atan2(dy, dx) + side + _GOLDEN_ANGLE * np.float32(attempt)
-    away = radius[j] + radius[j - 1] + _BESIDE
-    away *= _ONE + _GROWTH * np.float32(attempt // _TRIES)
+    away = widened(radius[j] + radius[j - 1] + _BESIDE, attempt)
     offset_x, offset_y = away * math.cos(angle), away * math.sin(angle)
     position[j, 0], position[j, 1] = position[j - 1, 0] + offset_x, position[j - 1, 1] + offset_y
     goal[j, 0], goal[j, 1] = goal[j - 1, 0] + offset_x, goal[j - 1, 1] + offset_y

@@ -16,12 +16,16 @@ _ZERO = np.float32(0.0)
 _HALF = np.float32(0.5)
 _QUARTER = np.float32(0.25)
 _ONE = np.float32(1.0)
+_TWO = np.float32(2.0)
+_TINY = np.float32(1e-6)
 _FAR = np.float32(np.inf)
 _TWO_PI = np.float32(2.0 * math.pi)
 _SQRT_2 = np.float32(math.sqrt(2.0))
 _GROWTH = np.float32(0.05)
 _ROUNDING = np.float32(1.0001)
-_TRIES = 64  # tries before the place is widened for an agent that finds no room
+_TRIES = 64  # attempts before the place is widened for an agent that finds no room
+_OFF_FLOOR = 1024  # attempts after which people may start outside of a walled floor
+IMPATIENT = 8192  # attempts after which the place is widened exponentially
 _GOAL_TRIES = 32
 
 
@@ -52,13 +56,21 @@ def draw_robot_way(start, goal, key, i, attempt, layout, p):
                 apart = p.robot_radius + p.robot_radius + p.spawn_clearance
                 return dx * dx + dy * dy >= apart * apart
         return True
-    half = _floor(attempt, p)
-    return draw_way_on_floor(start, goal, key, i, attempt, half, half, p)
+    direct = attempt >= _TRIES
+    half = _floor(attempt - _TRIES if direct else attempt, p)
+    return draw_way_on_floor(start, goal, key, i, attempt, half, half, direct, p)
 
 
 @function
-def draw_way_on_floor(start, goal, key, i, attempt, half_x, half_y, p):
-    """A start and a goal of robot `i` anywhere on a floor; whether the way is of fair length."""
+def draw_way_on_floor(start, goal, key, i, attempt, half_x, half_y, direct, p):
+    """Draw a start and a goal of robot `i` on a floor; return whether the route's length is legal.
+
+    Both are uniform on the floor, and an attempt whose length is not legal fails. Where hardly any
+    two points are that far apart, all attempts would fail: with `direct` the length is drawn first.
+    """
+    if direct:
+        _draw_way_of_legal_length(start, goal, key, i, attempt, half_x, half_y, p)
+        return True
     start[0] = rng.uniform_between(-half_x, half_x, key, rng.START, i, attempt, 0)
     start[1] = rng.uniform_between(-half_y, half_y, key, rng.START, i, attempt, 1)
     goal[0] = rng.uniform_between(-half_x, half_x, key, rng.START, i, attempt, 2)
@@ -70,13 +82,36 @@ def draw_way_on_floor(start, goal, key, i, attempt, half_x, half_y, p):
 
 
 @function
+def _draw_way_of_legal_length(start, goal, key, i, attempt, half_x, half_y, p):
+    """Draw the length of a route, then a direction in which it fits on the floor, then its start.
+
+    The floor's diagonal must be at least `robot_way_min` long.
+    """
+    diagonal = _TWO * math.sqrt(half_x * half_x + half_y * half_y)
+    longest = min(p.robot_way_max, diagonal)
+    length = rng.uniform_between(p.robot_way_min, longest, key, rng.START, i, attempt, 0)
+    length = max(length, _TINY)
+    flattest = math.acos(min(_TWO * half_x / length, _ONE))
+    steepest = math.asin(min(_TWO * half_y / length, _ONE))
+    angle = rng.uniform_between(flattest, steepest, key, rng.START, i, attempt, 1)
+    quadrant = int(rng.uniform(key, rng.START, i, attempt, 2) * np.float32(4.0))
+    dx = length * math.cos(angle) * (_ONE if quadrant % 2 == 0 else -_ONE)
+    dy = length * math.sin(angle) * (_ONE if quadrant < 2 else -_ONE)
+    left, right = max(-half_x, -half_x - dx), min(half_x, half_x - dx)
+    bottom, top = max(-half_y, -half_y - dy), min(half_y, half_y - dy)
+    start[0] = rng.uniform_between(left, right, key, rng.START, i, attempt, 3)
+    start[1] = rng.uniform_between(bottom, top, key, rng.START, i, attempt, 4)
+    goal[0], goal[1] = start[0] + dx, start[1] + dy
+
+
+@function
 def draw_human_start(start, key, j, agent, attempt, speed, layout, p):
     """Where human `j`, agent `agent` of the world, starts."""
     if layout == CIRCLE:
         x, y = _on_circle(key, agent, attempt, _FAR, p)
         _jitter(start, x, y, key, agent, attempt, 1, p.spawn_jitter * speed)
         return
-    half = _floor(attempt, p)
+    half = _human_floor(attempt, p)
     first = rng.uniform_between(-half, half, key, rng.START, agent, attempt, 0)
     second = rng.uniform_between(-_ONE, _ONE, key, rng.START, agent, attempt, 1)
     if layout == SQUARE:
@@ -91,9 +126,9 @@ def draw_human_start(start, key, j, agent, attempt, speed, layout, p):
 def guess_human_start(start, key, agent, attempt, speed, p):
     """About where `draw_human_start` puts an agent on a circle of up to 15 m: to 0.1 mm.
 
-    Without calls or branches, so that many attempts are computed at once.
+    Without calls or branches, so that many attempts are computed at once; up to `IMPATIENT`.
     """
-    circle = _widened(p.circle_radius, attempt)
+    circle = _widened_linearly(p.circle_radius, attempt)
     turn = rng.uniform(key, rng.START, agent, attempt, 0)
     later = turn + (_ONE - _QUARTER if turn < _QUARTER else -_QUARTER)
     x, y = circle * _cos_of_turn(turn), circle * _cos_of_turn(later)
@@ -120,7 +155,7 @@ def draw_human_goal(start, goal, key, j, agent, attempt, speed, layout, p):
         return
     goal[0] = goal[1] = _ZERO
     if layout != SQUARE:
-        half = _floor(attempt, p)
+        half = _human_floor(attempt, p)
         end = half if rng.uniform(key, rng.LAYOUT, j, 0, 2) < _HALF else -half
         goal[0], goal[1] = (_ZERO, end) if _walks_upward(key, j, layout) else (end, _ZERO)
     goal[0], goal[1] = draw_goal(start[0], start[1], goal[0], goal[1], key, j, 0, speed, layout, p)
@@ -172,19 +207,35 @@ def _floor(attempt, p):
     """Half the side of the floor, wider after tries without success if there is no wall, m."""
     if p.arena_radius < np.inf:
         return _HALF * p.floor_size
-    return _widened(_HALF * p.floor_size, attempt)
+    return widened(_HALF * p.floor_size, attempt)
 
 
 @function
-def _widened(length, attempt):
-    """A length of the place, longer after tries without success."""
+def _human_floor(attempt, p):
+    """The same for people, whom no wall holds: after many attempts they may start beyond it."""
+    if attempt < _OFF_FLOOR:
+        return _floor(attempt, p)
+    return widened(_HALF * p.floor_size, attempt)
+
+
+@function
+def widened(length, attempt):
+    """A length of the place, longer after attempts without success."""
+    length = _widened_linearly(length, min(attempt, IMPATIENT))
+    if attempt > IMPATIENT:
+        length *= np.float32((_ONE + _GROWTH) ** np.float32((attempt - IMPATIENT) // _TRIES))
+    return length
+
+
+@function
+def _widened_linearly(length, attempt):
     return length * (_ONE + _GROWTH * np.float32(attempt // _TRIES))
 
 
 @function
 def _on_circle(key, agent, attempt, room, p):
     """The point of the circle about which an agent starts; opposite to it is its goal."""
-    circle = _widened(p.circle_radius, attempt)
+    circle = widened(p.circle_radius, attempt)
     if circle > room * _ROUNDING:  # a wall, and no room on the circle: anywhere inside
         circle = room * math.sqrt(rng.uniform(key, rng.START, agent, attempt, 5))
     angle = _TWO_PI * rng.uniform(key, rng.START, agent, attempt, 0)

@@ -24,6 +24,7 @@ _ONE = np.float32(1.0)
 _TWO = np.float32(2.0)
 _FAR = np.float32(np.inf)
 _SAMPLE = 8  # agents whose distances tell how many are near
+_REACHES = 8  # distances tried before everybody within `neighbor_distance` is ranked
 _SPARE = np.float32(1.4)  # times as many as needed are looked for
 
 
@@ -96,14 +97,14 @@ def _find_nearest(agents, count, i, neighbor_distance, max_neighbors, distances,
         reach = min(limit, _likely_reach(squared, count, max_neighbors))
     squared[i] = limit  # not its own neighbour
     n = 0
-    while True:  # until there are enough, who they are does not depend on the reach
+    for attempt in range(_REACHES):  # once there are enough, the reach makes no difference
         n = 0
         for j in range(count):  # without a branch: nobody could predict it
             near[n], rows[n] = squared[j], j
             n += squared[j] < reach
         if n >= max_neighbors or reach >= limit:
             break
-        reach = min(limit, _TWO * reach)
+        reach = min(limit, _TWO * reach) if attempt < _REACHES - 2 else limit
     for k in range(n):  # of equally near ones the first comes first
         farther = np.uint32(0)  # of 32 bits like the ranks, for vectors
         for q in range(k):

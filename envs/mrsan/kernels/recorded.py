@@ -15,6 +15,7 @@ _FAR = np.float32(np.inf)
 _CALM = 8  # steps after the start in which nobody walks through it: a robot needs time to drive off
 _STANDS = np.float32(1.0)  # who does not get further than that while the episode lasts, m
 _TRIES = 64  # tries after which less room is asked for
+_DIRECT = 1024  # attempts after which the length of a route is drawn before its ends
 _LEAST_ROOM = 10  # ... and after so many times that, none
 _REST = 24  # steps before a slot is given to another person: robots must have forgotten the first
 
@@ -35,7 +36,8 @@ def draw_recorded_way(start, goal, key, i, attempt, begin, recording, p):
         Whether they are that, and the way from one to the other of fair length.
     """
     half_x, half_y = recording.half_size[0], recording.half_size[1]
-    if not draw_way_on_floor(start, goal, key, i, attempt, half_x, half_y, p):
+    direct = attempt >= _DIRECT
+    if not draw_way_on_floor(start, goal, key, i, attempt, half_x, half_y, direct, p):
         return False
     share = np.float32(max(_LEAST_ROOM - attempt // _TRIES, 0)) / np.float32(_LEAST_ROOM)
     gap = p.robot_radius + p.human_radius_max + p.spawn_clearance * share

@@ -9,6 +9,7 @@ from mrsan.kernels import function, kernel, rng
 from mrsan.kernels.habits import NEVER, entry_of, place_beside, walking_speed, walks_along
 from mrsan.kernels.layout import (
     CIRCLE,
+    IMPATIENT,
     draw_human_goal,
     draw_human_start,
     draw_robot_way,
@@ -35,21 +36,43 @@ _HALF_MAP = np.float32(0.5 * _CELLS) * _CELL
 _SLACK = np.float32(1e-3)  # more than rounding, or a guess, can do to a distance on it, m
 _AT_ONCE = 16  # attempts that are looked up on it together
 
+# Attempts to place an agent before the scenario is given up. Where the place is widened (see
+# `layout`), nearly every scenario needs far fewer.
+_MOST_ATTEMPTS = 50_000
+_MOST_RECORDED_ATTEMPTS = 20_000  # each looks at everybody in the recording
+
+# Why an episode could not begin, see `begin_episodes`.
+NO_ROOM_FOR_ROBOTS = 1
+NO_ROOM_FOR_PEOPLE = 2
+_NOT_PLACED = -1
+
 
 @kernel
-def begin_episodes(chunks, worlds, state, p, recording):
-    """Start the next episode in each world whose mask `worlds` is set: state as of step 0."""
+def begin_episodes(chunks, worlds, state, p, recording, problem):
+    """Start the next episode in each world whose mask `worlds` is set: state as of step 0.
+
+    Args:
+        chunks: number of pieces the loop over worlds is cut into.
+        worlds: [E] bool.
+        state: the worlds.
+        p: the scenario's parameters.
+        recording: the tracks of recorded people.
+        problem: [E] int8, written: 0, or `NO_ROOM_FOR_*` in a world that could not begin.
+    """
     total = worlds.shape[0]
     for chunk in prange(chunks):
         taken = np.empty((_CELLS, _CELLS), np.bool_)
         guessed = np.empty((2, _AT_ONCE), np.float32).T
         for e in range(chunk * total // chunks, (chunk + 1) * total // chunks):
             if worlds[e]:
-                _begin(state, e, p, recording, taken, guessed)
+                problem[e] = _begin(state, e, p, recording, taken, guessed)
+                if problem[e] != 0:
+                    break
 
 
 @function
 def _begin(state, e, p, recording, taken, guessed):
+    """Begin the episode of world `e`; return 0, or why there is no room for everybody."""
     key = rng.episode_key(state.case[e], state.episode[e])
     state.key[e] = key
     state.clock[e] = 0
@@ -59,12 +82,13 @@ def _begin(state, e, p, recording, taken, guessed):
     if p.crowd == RECORDED:
         begin_recording(state, e, key, recording, p)
     for i in range(state.robot_heading.shape[1]):
-        _place_robot(state, e, i, key, layout, recording, p)
+        if not _place_robot(state, e, i, key, layout, recording, p):
+            return NO_ROOM_FOR_ROBOTS
     if p.crowd == RECORDED:
         state.human_present[e, :], state.human_track[e, :] = False, NOT_ASSIGNED
         state.human_entry[e, :] = 0
         follow(state, e, recording, p)
-        return
+        return 0
     low, high = p.humans_min, state.human_radius.shape[1]
     share = rng.uniform(key, rng.HUMAN_COUNT, 0, 0, 0)
     count = min(low + int(share * np.float32(high - low + 1)), high)
@@ -74,17 +98,20 @@ def _begin(state, e, p, recording, taken, guessed):
         state.human_entry[e, j] = 0 if j < count else NEVER
         if j < count:
             marked = _place_human(state, e, j, key, layout, p, taken, guessed, marked)
+            if marked == _NOT_PLACED:
+                return NO_ROOM_FOR_PEOPLE
             state.human_entry[e, j] = entry_of(key, j - 1 if walks_along(key, j, p) else j, p)
             state.human_present[e, j] = state.human_entry[e, j] == 0
+    return 0
 
 
 @function
 def _place_robot(state, e, i, key, layout, recording, p):
+    """Draw start and goal of robot `i` until they keep clear of the others; return success."""
     position, goal = state.robot_position[e], state.robot_goal[e]
     gap = p.robot_radius + p.robot_radius + p.spawn_clearance
-    attempt = 0
     placed = False
-    while not placed:
+    for attempt in range(_MOST_RECORDED_ATTEMPTS if p.crowd == RECORDED else _MOST_ATTEMPTS):
         if p.crowd == RECORDED:
             begin = state.record_step[e]
             placed = draw_recorded_way(position[i], goal[i], key, i, attempt, begin, recording, p)
@@ -98,7 +125,8 @@ def _place_robot(state, e, i, key, layout, recording, p):
                 )
                 >= gap
             )
-        attempt += 1
+        if placed:
+            break
     state.robot_heading[e, i] = math.atan2(goal[i, 1] - position[i, 1], goal[i, 0] - position[i, 0])
     state.robot_start[e, i, 0], state.robot_start[e, i, 1] = position[i, 0], position[i, 1]
     for k in range(2):
@@ -109,11 +137,16 @@ def _place_robot(state, e, i, key, layout, recording, p):
     state.last_contact[e, i, :] = -1
     state.tally[e, i, :] = _ZERO
     state.tally[e, i, CLOSEST_HUMAN] = state.tally[e, i, SOONEST_COLLISION] = _FAR
+    return placed
 
 
 @function
 def _place_human(state, e, j, key, layout, p, taken, guessed, marked):
-    """Draw human `j` of world `e` until it has room; how many agents the map `taken` now knows."""
+    """Draw human `j` of world `e` until it has room.
+
+    Returns:
+        How many agents the map `taken` knows now, or `_NOT_PLACED`.
+    """
     robots = state.robot_heading.shape[1]
     position, goal = state.human_position[e], state.human_goal[e]
     radius = rng.uniform_between(
@@ -132,11 +165,15 @@ def _place_human(state, e, j, key, layout, p, taken, guessed, marked):
         place_beside(position, goal, state.human_radius[e], j, key, attempt)
         while not _has_room(state, e, j, j - 1, p):
             attempt += 1
+            if attempt >= _MOST_ATTEMPTS:
+                return _NOT_PLACED
             place_beside(position, goal, state.human_radius[e], j, key, attempt)
         return marked
     draw_human_start(position[j], key, j, robots + j, attempt, speed, layout, p)
     while _is_taken(position[j], attempt, taken) or not _has_room(state, e, j, j, p):
         attempt += 1
+        if attempt >= _MOST_ATTEMPTS:
+            return _NOT_PLACED
         if attempt == _PATIENCE:
             _mark(state, e, marked, robots + j, p, taken)
             marked = robots + j
@@ -171,13 +208,14 @@ def _is_taken(place, attempt, taken):
 @function
 def _skip_taken(key, agent, attempt, speed, p, taken, guessed):
     """The next attempt on the circle for which the map does not say that there is no room."""
-    while True:
+    while attempt < IMPATIENT:
         for k in range(guessed.shape[0]):
             guess_human_start(guessed[k], key, agent, attempt + k, speed, p)
         for k in range(guessed.shape[0]):
             if not _on_map(guessed[k, 0], guessed[k, 1], taken):
                 return attempt + k
         attempt += guessed.shape[0]
+    return attempt
 
 
 @function
