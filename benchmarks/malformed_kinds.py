@@ -69,7 +69,7 @@ RUN = [
 ]  # fmt: skip
 ENCODER = {"name": "gru", "width": 8, "features": 8}
 POLICY = {
-    "actors": 1, "hidden": 8, "track_steps": 4, "round_below": 180.0, "round_radius": 7.0,
+    "actors": 1, "hidden": 8, "track_time": 1.0, "round_below": 180.0, "round_radius": 7.0,
     "encoder": ENCODER,
 }  # fmt: skip
 VALUES = [
@@ -173,7 +173,7 @@ def policy(r: random.Random, good: Good) -> Item:
 
     def load() -> None:
         made = build_agent(agent, good.scenario)
-        made.caution(), made.version()
+        made.scope_warning(), made.version()
         made.reset(np.ones(1, np.bool_))
         made.act(good.observation)
 

@@ -73,7 +73,7 @@ def policy_numbers(
 ) -> dict[str, Any]:  # fmt: skip
     """As of a YAML file."""
     shared = {
-        "actors": 1, "hidden": 16, "track_steps": 8, "round_below": 180.0, "round_radius": 7.0,
+        "actors": 1, "hidden": 16, "track_time": 2.0, "round_below": 180.0, "round_radius": 7.0,
         "encoder": encoder_numbers or {"name": encoder, **ENCODERS[encoder]},
     }  # fmt: skip
     return {"name": name, **shared, **POLICIES[name], **changes}

@@ -14,7 +14,7 @@ COMMANDS = Commands(turns=5, speeds=5, directions=16)
 
 def known(observation: Observation, scenario: Scenario) -> Tracks:
     e, n, m = observation.humans_visible.shape
-    tracker = Tracker(8, scenario.time_step)
+    tracker = Tracker(8 * scenario.time_step, scenario.time_step)
     return tracker.update(observation, tracker.initial(e, n, m), np.ones(e, np.bool_))
 
 

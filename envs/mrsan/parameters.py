@@ -53,6 +53,8 @@ class Parameters(NamedTuple):
     human_speed_max: np.float32
     human_safety_space: np.float32
     goal_distance: np.float32
+    recorded_start_clear_steps: int
+    recorded_slot_rest_steps: int
     goal_change_steps: int
     goal_change_probability: np.float32
     goal_change_probability_max: np.float32

@@ -181,7 +181,7 @@ class Scenario:
     robot_radius: float = number(0.3, 0.05, 2.0)  # m
     robot_speed: float = number(1.0, 0.05, 10.0)  # preferred and greatest speed, m/s
     max_acceleration: float = number(5.0, 0.01, 1000.0)  # m/s^2, SAMARL, Eq. 3
-    max_turn_degrees: float = number(15.0, 0.1, 180.0)  # per step, SAMARL, Eq. 3
+    max_turn_rate: float = number(60.0, 0.1, 18000.0)  # degrees/s: 15 a step in SAMARL, Eq. 3
     min_turning_radius: float = number(1.0, 0.001, 100.0)  # m, SAMARL, Eq. 3
     turn_in_place: bool = True  # at standstill; false: Eq. 3 to the letter
 
@@ -204,6 +204,8 @@ class Scenario:
     crowd: Crowd = Crowd.orca
     recording: str | None = None  # a file of "frame id x y"; null: a synthetic one that ships
     frame_seconds: float = number(0.04, 1e-4, 100.0)  # from one of its frame numbers to the next, s
+    recorded_start_clear: float = number(2.0, 0.0, 100.0)  # nobody crosses a start so early, s
+    recorded_slot_rest: float = number(6.0, 0.0, 1000.0)  # before a slot holds another person, s
     robots_visible: bool = False  # do people make way for robots?
     human_radius_min: float = number(0.3, 0.05, 2.0)  # drawn per person, m
     human_radius_max: float = number(0.3, 0.05, 2.0)
@@ -304,7 +306,16 @@ class Scenario:
     @property
     def time_limit_steps(self) -> int:
         """The time limit in steps."""
-        return round(self.time_limit / self.time_step)
+        return self.steps(self.time_limit)
+
+    @property
+    def max_turn(self) -> float:
+        """How far a robot may turn in one step, rad."""
+        return math.radians(min(self.max_turn_rate * self.time_step, 180.0))
+
+    def steps(self, duration: float) -> int:
+        """Convert a duration in seconds to the nearest number of steps."""
+        return round(duration / self.time_step)
 
     @property
     def team_tracks(self) -> bool:
@@ -314,7 +325,7 @@ class Scenario:
     @property
     def team_delay_steps(self) -> int:
         """The delay of what team-mates tell, in steps."""
-        return round(self.team_delay / self.time_step)
+        return self.steps(self.team_delay)
 
     def load_recording(self) -> Recording:
         """The recorded people, on the clock of the scenario; nobody for other crowds.
@@ -394,7 +405,7 @@ class Scenario:
             robot_radius=f(self.robot_radius),
             robot_speed=f(self.robot_speed),
             max_acceleration=f(self.max_acceleration),
-            max_turn=f(math.radians(self.max_turn_degrees)),
+            max_turn=f(self.max_turn),
             min_turning_radius=f(self.min_turning_radius),
             turn_in_place=self.turn_in_place,
             cos_half_fov=f(math.cos(math.radians(self.fov_degrees / 2))),
@@ -416,7 +427,9 @@ class Scenario:
             human_speed_max=f(self.human_speed_max),
             human_safety_space=f(self.human_safety_space),
             goal_distance=f(self.goal_distance),
-            goal_change_steps=max(1, round(self.goal_change_interval / self.time_step)),
+            recorded_start_clear_steps=self.steps(self.recorded_start_clear),
+            recorded_slot_rest_steps=self.steps(self.recorded_slot_rest),
+            goal_change_steps=max(1, self.steps(self.goal_change_interval)),
             goal_change_probability=f(self.goal_change_probability),
             goal_change_probability_max=f(
                 self.goal_change_probability
@@ -429,7 +442,7 @@ class Scenario:
             hurry_speed_max=f(self.hurry_speed_max),
             pair_probability=f(self.pair_probability),
             late_probability=f(self.late_probability),
-            late_steps=round(self.late_time / self.time_step),
+            late_steps=self.steps(self.late_time),
             leave_probability=f(self.leave_probability),
             people_come_and_go=self.late_probability > 0 or self.leave_probability > 0,
             neighbor_distance=f(self.neighbor_distance),

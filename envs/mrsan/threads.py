@@ -1,9 +1,10 @@
-"""How threads wait for work."""
+"""The threads that kernels run on: how they wait, how many there are, and who may use them."""
 
 from __future__ import annotations
 
 import os
 import sys
+import threading
 from functools import cache
 from pathlib import Path
 
@@ -28,6 +29,41 @@ def let_threads_sleep() -> None:
         os.environ["GOMP_SPINCOUNT"] = "1000"
     elif config.THREADING_LAYER == "default":
         config.THREADING_LAYER = "workqueue"
+
+
+class _Team:
+    """The one team of threads of a process, which serves one parallel kernel at a time."""
+
+    def __init__(self) -> None:
+        self.lock = threading.Lock()
+        self.lost = False  # this process was forked from one whose threads had started
+
+    def after_fork(self) -> None:
+        """A child inherits no threads, and GNU's OpenMP ends a child that needs them."""
+        self.lock = threading.Lock()  # another thread of the parent may have held it
+        self.lost = self.lost or _threads_have_started()
+
+
+_TEAM = _Team()
+if hasattr(os, "register_at_fork"):  # not on Windows
+    os.register_at_fork(after_in_child=_TEAM.after_fork)
+
+
+def parallel_kernels() -> threading.Lock | None:
+    """The lock to hold while a parallel kernel runs; None: only serial kernels can run here.
+
+    Numba's threading layers end the process when two threads start parallel kernels at once
+    (`workqueue`) or when a forked child does after its parent did (`omp`).
+    """
+    return None if _TEAM.lost else _TEAM.lock
+
+
+def _threads_have_started() -> bool:
+    try:
+        numba.threading_layer()
+    except ValueError:  # "Threading layer is not initialized."
+        return False
+    return True
 
 
 def use_threads(number: int) -> None:

@@ -26,7 +26,6 @@ from mrsan.reward import RewardParts
 from mrsan.scenario import ConfigurationError, Scenario
 from mrsan.state import Bools, Floats, Ints, State
 
-
 _INTERRUPTIBLE = 128  # worlds that begin an episode between two chances to stop with Ctrl-C
 
 

@@ -40,7 +40,7 @@ class Agent(ABC):
             digest.update(Path(file).read_bytes())
         return digest.hexdigest()[:16]
 
-    def caution(self) -> str | None:
+    def scope_warning(self) -> str | None:
         """What a user should know before it is played in this scenario, in one line."""
         return None
 

@@ -19,6 +19,15 @@ from samarl.policies.hierarchical import HierarchicalPolicy, Waypoints
 from samarl.policies.policy import Decision, Policy
 
 
+# Fields of a scenario outside of whose trained values a policy may fail, with label and unit.
+_SCOPE = {
+    "fov_degrees": ("view", "degrees"),
+    "time_step": ("time step", "s"),
+    "robot_speed": ("robot speed", "m/s"),
+    "robot_radius": ("robot radius", "m"),
+}
+
+
 class Deployed:
     """A policy driving the robots of E worlds, without exploration noise.
 
@@ -111,23 +120,30 @@ class Learned(Agent):
         """A digest of the code and of the weights."""
         return f"{super().version()}.{self.card.sha256[:16]}"
 
-    def caution(self) -> str | None:
-        """The view is none of those it was trained for, nor between them; or the people are known.
+    def scope_warning(self) -> str | None:
+        """Name the numbers of the scenario that lie outside of what the policy was trained for.
 
-        A recording is known by its file's name.
+        Or say that it was trained among the recorded people that it meets here, who are recognised
+        by the name of their file.
         """
-        here, made = self.scenario, self.card.made.get("configuration")
+        here, configuration = self.scenario, self.card.made.get("configuration")
         recording = Path(here.recording or "").name
-        if recording and recording in {Path(str(file)).name for file in _values(made, "recording")}:
+        training_files = {Path(str(file)).name for file in _values(configuration, "recording")}
+        if recording and recording in training_files:
             return f"{self.checkpoint} was trained among the people of {recording}"
-        known = _values(made, "fov_degrees")
-        views = sorted(v for v in known if isinstance(v, int | float) and 0 < v <= 360)
-        if not views or views[0] <= here.fov_degrees <= views[-1]:
+        trained, actual = [], []
+        for name, (label, unit) in _SCOPE.items():
+            numbers = [v for v in _values(configuration, name) if isinstance(v, int | float)]
+            value = getattr(here, name)
+            if numbers and not min(numbers) <= value <= max(numbers):
+                limits = " to ".join(f"{v:g}" for v in sorted({min(numbers), max(numbers)}))
+                trained.append(f"a {label} of {limits} {unit}")
+                actual.append(f"{value:g} {unit}")
+        if not trained:
             return None
-        trained = " to ".join(f"{view:g}" for view in sorted({views[0], views[-1]}))
         return (
-            f"{self.checkpoint} was trained for a view of {trained} degrees; here it is "
-            f"{here.fov_degrees:g}"
+            f"{self.checkpoint} was trained for {' and '.join(trained)}; "
+            f"here it is {' and '.join(actual)}"
         )
 
     def reset(self, worlds: NDArray[np.bool_]) -> None:

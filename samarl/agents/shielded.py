@@ -26,7 +26,7 @@ class Shielded(Agent):
         super().__post_init__()
         numbers, field = self.shield, "agent.shield.predictor"
         self._lookout = Lookout(
-            self.scenario, numbers.track_steps, numbers.predictor, numbers.steps, field
+            self.scenario, numbers.track_time, numbers.predictor, numbers.horizon, field
         )
         self._replaced = np.zeros((0, self.scenario.robots), np.bool_)
 
@@ -39,9 +39,9 @@ class Shielded(Agent):
         """A digest of the code of both."""
         return f"{super().version()}.{self.agent.version()}"
 
-    def caution(self) -> str | None:
+    def scope_warning(self) -> str | None:
         """That of the agent."""
-        return self.agent.caution()
+        return self.agent.scope_warning()
 
     def act(self, observation: Observation) -> NDArray[np.float32]:
         """What the agent does, [E, N, A], as far as the shield lets it pass."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import torch
 from torch import Tensor
 
@@ -30,7 +28,7 @@ def excess(mean: Tensor, std: Tensor, speed: Tensor, scenario: Scenario, slack: 
         return torch.zeros_like(speed)
     free_of = slack * std.detach()
     gain = s.max_acceleration * s.time_step  # m/s that a full acceleration adds in a step
-    turn = math.radians(s.max_turn_degrees)
+    turn = s.max_turn
     along = mean[:, 0]
     faster = (along - (s.robot_speed - speed) / gain - free_of[:, 0]).clamp_min(0.0)
     slower = (-speed / gain - along - free_of[:, 0]).clamp_min(0.0)

@@ -113,8 +113,8 @@ def bench(config: DictConfig) -> None:
     for scenario in scenarios:
         for name, agent in agents:
             # What is wrong is said before anything is played; policies are not for every column.
-            if caution := build_agent(agent, scenario).caution():
-                left_out.setdefault(name, caution)
+            if warning := build_agent(agent, scenario).scope_warning():
+                left_out.setdefault(name, warning)
                 continue
             others = other_seeds(str(agent.get("checkpoint"))) if config.seeds else []
             variants = [agent, *({**agent, "checkpoint": other} for other in others)]

@@ -51,10 +51,10 @@ def chosen_agent(config: DictConfig) -> DictConfig:
     return agent
 
 
-def say_caution(agent: Agent) -> None:
+def print_scope_warning(agent: Agent) -> None:
     """Say what a user should know of an agent in its scenario, if there is anything."""
-    if caution := agent.caution():
-        print(f"note: {caution}", file=sys.stderr)
+    if warning := agent.scope_warning():
+        print(f"note: {warning}", file=sys.stderr)
 
 
 def run_command(task: Callable[[DictConfig], Any], config_name: str, **schemas: type) -> None:

@@ -13,7 +13,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from mrsan import Episodes, Outcome, Scenario, social_score
 from samarl.agents import build_agent
-from samarl.commands.cli import chosen_agent, command_line, run_command, say_caution
+from samarl.commands.cli import chosen_agent, command_line, run_command, print_scope_warning
 from samarl.configuration import evaluation_in, load_scenario, scenario_in
 from samarl.evaluation.runner import Evaluation, run_cases
 from samarl.evaluation.summary import Row, summarise
@@ -50,7 +50,7 @@ def evaluate(config: DictConfig) -> Row:
         print(f"finished before: {folder}")
         before: Row = known["row"]
         return before
-    say_caution(agent)
+    print_scope_warning(agent)
     name = str(hydra.runtime.choices.agent)
     episodes = run_cases(agent, scenario, evaluation.numbers(), evaluation.batch, name)
     command = command_line("samarl-evaluate")

@@ -12,7 +12,7 @@ from omegaconf import MISSING, DictConfig
 
 from mrsan import ConfigurationError
 from samarl.agents import build_agent
-from samarl.commands.cli import chosen_agent, run_command, say_caution
+from samarl.commands.cli import chosen_agent, run_command, print_scope_warning
 from samarl.configuration import scenario_in
 from samarl.files import check_writable
 
@@ -45,7 +45,7 @@ def export(config: DictConfig) -> None:
 
     check_writable(path, "output")
     agent = build_agent(chosen_agent(config), scenario)
-    say_caution(agent)
+    print_scope_warning(agent)
     export_agent(path, agent, str(HydraConfig.get().runtime.choices.agent))
     print(f"written to {path}")
 

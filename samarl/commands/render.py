@@ -14,7 +14,7 @@ from mrsan import ConfigurationError, Split
 from mrsan.cases import CASES_PER_SPLIT
 from mrsan.scenario import check_numbers, number
 from samarl.agents import build_agent
-from samarl.commands.cli import chosen_agent, run_command, say_caution
+from samarl.commands.cli import chosen_agent, run_command, print_scope_warning
 from samarl.configuration import load_agent, scenario_in
 from samarl.evaluation.recording import Recording, record_episode
 from samarl.files import check_writable
@@ -57,7 +57,7 @@ def render(config: DictConfig) -> None:
     recordings = []
     for name, agent_config in agents:
         agent = build_agent(agent_config, scenario)
-        say_caution(agent)
+        print_scope_warning(agent)
         recording = record_episode(agent, scenario, split.case(index))
         title = (
             f"{name}, {split.name} case {index}: {scenario.fov_degrees:g}° view, "

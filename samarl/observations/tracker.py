@@ -53,9 +53,9 @@ class TrackMemory(NamedTuple):
 class Tracker:
     """Follows everybody that was seen; it belongs to the robot's memory, not to its sensor."""
 
-    def __init__(self, steps: int, time_step: float) -> None:
-        """Keep a track for `steps` steps of `time_step` seconds after the last sighting."""
-        self.steps = steps
+    def __init__(self, track_time: float, time_step: float) -> None:
+        """Keep a track for `track_time` seconds after the last sighting; both arguments in s."""
+        self.steps = round(track_time / time_step)
         self.time_step = np.float32(time_step)
 
     def initial(self, worlds: int, robots: int, humans: int) -> TrackMemory:

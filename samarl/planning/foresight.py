@@ -65,26 +65,26 @@ class Lookout:
     """Whom the robots of E worlds know of, and where a predictor sees them going."""
 
     def __init__(
-        self, scenario: Scenario, track_steps: int, predictor: str, steps: int, field: str
+        self, scenario: Scenario, track_time: float, predictor: str, horizon: float, field: str
     ) -> None:
         """Know of nobody yet.
 
         Args:
             scenario: the task.
-            track_steps: for how long those out of view are remembered.
+            track_time: for how long those out of view are remembered, s.
             predictor: its name or its file.
-            steps: predicted ahead.
+            horizon: how far ahead it predicts, s.
             field: that holds the predictor, for errors.
 
         Raises:
             ConfigurationError: there is no such predictor.
         """
         self.scenario = scenario
-        self._tracker = Tracker(track_steps, scenario.time_step)
+        self._tracker = Tracker(track_time, scenario.time_step)
         self._foresight = None
         if predictor != STRAIGHT:
             found = find_predictor(predictor, scenario.time_step, field)
-            self._foresight = Foresight(found, steps)
+            self._foresight = Foresight(found, scenario.steps(horizon))
         self._begin(0)
 
     def _begin(self, worlds: int) -> None:

@@ -28,20 +28,20 @@ _ROUNDING = np.float32(1e-3)
 class Plans:
     """A set of plans, and what they cost.
 
-    A plan drives in one direction at one speed for `hold` steps and then towards the goal. The set
+    A plan drives in one direction at one speed for a while and then towards the goal. The set
     is fixed, not random, so a decision is a function of what is known.
     """
 
-    horizon: int = required(1, 200)  # steps looked ahead
+    horizon: float = required(0.01, 100.0)  # looked ahead, s
     directions: int = required(1, 360)
     speeds: int = required(1, 20)
     holds: int = required(1, 20)  # for how long: the whole horizon, a half, a third, ...
     human_margin: float = required(0.0, 5.0)  # added to the radius of humans, m
     robot_margin: float = required(0.0, 5.0)  # added to the radius of robots, m
     comfort: float = required(0.0, 5.0)  # distance that costs nothing, m
-    comfort_weight: float = required(0.0, 1e6)  # per step at contact
+    comfort_weight: float = required(0.0, 1e6)  # per second at contact
     collision_weight: float = required(0.0, 1e6)
-    collision_discount: float = required(0.0, 1.0)  # per step: a late collision may not happen
+    collision_discount: float = required(0.0, 1.0)  # per second: a late collision may not happen
 
 
 def first_action(
@@ -62,16 +62,16 @@ def first_action(
         *known,
         aside,
         scenario.parameters(),
-        plans.horizon,
+        max(1, scenario.steps(plans.horizon)),
         plans.directions,
         plans.speeds,
         plans.holds,
         np.float32(plans.human_margin),
         np.float32(plans.robot_margin),
         np.float32(plans.comfort),
-        np.float32(plans.comfort_weight),
+        np.float32(plans.comfort_weight * scenario.time_step),
         np.float32(plans.collision_weight),
-        np.float32(plans.collision_discount),
+        np.float32(plans.collision_discount**scenario.time_step),
         action,
     )
     return action

@@ -29,7 +29,7 @@ DIRECTIONS = 16  # of the ways of going on: at full speed, at half, and turning 
 WAYS = 1 + 3 * DIRECTIONS
 ENOUGH = np.float32(0.3)  # no way is better for keeping further away than that, m
 HAIR = np.float32(1e-4)  # what is not for rounding, m
-UNSURE = 3  # for so many steps a team-mate may do otherwise; later than that is seen in time
+TEAM_MATE_UNCERTAIN = 0.75  # s in which a team-mate may change its plans; later is seen in time
 PROGRESS = np.float32(0.3)  # distance that is given for a metre nearer to the goal, m
 
 _ZERO = np.float32(0.0)
@@ -43,10 +43,10 @@ _TWO_PI = np.float32(2.0 * math.pi)
 class Shield:
     """The numbers of the shield; chosen on validation cases."""
 
-    steps: int = number(8, 1, 200)  # so far ahead actions are checked
+    horizon: float = number(2.0, 0.0, 100.0, above=True)  # actions are checked so far ahead, s
     human_margin: float = number(0.05, 0.0, 5.0)  # added to the radius of humans, m
     robot_margin: float = number(0.1, 0.0, 5.0)  # added to the radius of robots, m
-    track_steps: int = number(24, 0, 1000)  # for how long those out of view are remembered
+    track_time: float = number(6.0, 0.0, 1000.0)  # those out of view are remembered so long, s
     predictor: str = STRAIGHT  # of the people in view: a name or a file of weights
 
     def __post_init__(self) -> None:
@@ -75,7 +75,8 @@ def shielded(
     checked = np.array(action, np.float32)
     margins = np.float32(shield.human_margin), np.float32(shield.robot_margin)
     aside = straight_on(known[2]) if aside is None else aside
-    _check(len(checked), *known[:5], aside, scenario.parameters(), shield.steps, *margins, checked)
+    steps = max(1, scenario.steps(shield.horizon)), scenario.steps(TEAM_MATE_UNCERTAIN)
+    _check(len(checked), *known[:5], aside, scenario.parameters(), *steps, *margins, checked)
     return checked
 
 
@@ -90,6 +91,7 @@ def _check(
     aside,
     p,
     steps,
+    uncertain_steps,
     human_margin,
     robot_margin,
     action,
@@ -118,12 +120,32 @@ def _check(
                 mates = gather_aside(humans_known[e, i], aside[e, i], bends)
                 _allow_for_nearness(rows, count, p)
                 if not _passes(
-                    rows, bends, count, mates, goal_x, goal_y, steps, action[e, i], attempt, p
+                    rows,
+                    bends,
+                    count,
+                    mates,
+                    goal_x,
+                    goal_y,
+                    steps,
+                    uncertain_steps,
+                    action[e, i],
+                    attempt,
+                    p,
                 ):
                     _escape(
-                        rows, bends, count, mates, goal_x, goal_y, steps, action[e, i], first,
-                        attempt, p,
-                    )  # fmt: skip
+                        rows,
+                        bends,
+                        count,
+                        mates,
+                        goal_x,
+                        goal_y,
+                        steps,
+                        uncertain_steps,
+                        action[e, i],
+                        first,
+                        attempt,
+                        p,
+                    )
 
 
 @function
@@ -136,14 +158,27 @@ def _allow_for_nearness(rows, count, p):
 
 
 @function
-def _passes(rows, bends, count, mates, goal_x, goal_y, steps, action, attempt, p):
+def _passes(rows, bends, count, mates, goal_x, goal_y, steps, uncertain_steps, action, attempt, p):
     """Whether some way of going on after `action` stays clear."""
     for way in range(WAYS):
         vx, vy, sharp = _way(way, goal_x, goal_y, p)
         for k in range(action.shape[0]):
             attempt[k] = action[k]
         clear, _, _ = _outlook(
-            rows, bends, count, mates, goal_x, goal_y, vx, vy, sharp, steps, attempt, False, p
+            rows,
+            bends,
+            count,
+            mates,
+            goal_x,
+            goal_y,
+            vx,
+            vy,
+            sharp,
+            steps,
+            uncertain_steps,
+            attempt,
+            False,
+            p,
         )
         if clear >= steps:
             return True
@@ -151,7 +186,9 @@ def _passes(rows, bends, count, mates, goal_x, goal_y, steps, action, attempt, p
 
 
 @function
-def _escape(rows, bends, count, mates, goal_x, goal_y, steps, action, first, attempt, p):
+def _escape(
+    rows, bends, count, mates, goal_x, goal_y, steps, uncertain_steps, action, first, attempt, p
+):
     """Write the first action of the best way."""
     speed = math.sqrt(rows[0, 2] * rows[0, 2] + rows[0, 3] * rows[0, 3])
     longest, best = -_ONE, _ZERO
@@ -161,7 +198,20 @@ def _escape(rows, bends, count, mates, goal_x, goal_y, steps, action, first, att
         for k in range(action.shape[0]):
             attempt[k] = first[k]
         clear, gap, left = _outlook(
-            rows, bends, count, mates, goal_x, goal_y, vx, vy, sharp, steps, attempt, True, p
+            rows,
+            bends,
+            count,
+            mates,
+            goal_x,
+            goal_y,
+            vx,
+            vy,
+            sharp,
+            steps,
+            uncertain_steps,
+            attempt,
+            True,
+            p,
         )
         merit = min(gap, ENOUGH) - PROGRESS * left
         if clear > longest or (clear == longest and merit > best + HAIR):
@@ -192,7 +242,20 @@ def _way(way, goal_x, goal_y, p):
 
 @function
 def _outlook(
-    rows, bends, count, mates, goal_x, goal_y, wanted_x, wanted_y, sharp, steps, action, judged, p
+    rows,
+    bends,
+    count,
+    mates,
+    goal_x,
+    goal_y,
+    wanted_x,
+    wanted_y,
+    sharp,
+    steps,
+    uncertain_steps,
+    action,
+    judged,
+    p,
 ):
     """What comes of taking `action`, which is overwritten, and then driving at a velocity.
 
@@ -208,7 +271,7 @@ def _outlook(
         if k > 0:
             steer(vx, vy, heading, wanted_x, wanted_y, action, p, sharp)
         new_x, new_y, vx, vy, heading = move(x, y, vx, vy, heading, action, p)
-        gap = _least_gap(rows, bends, count, mates, x, y, new_x, new_y, k, p)
+        gap = _least_gap(rows, bends, count, mates, x, y, new_x, new_y, k, uncertain_steps, p)
         if gap < _ZERO:
             return np.float32(k) + max(_ONE + gap, _ZERO), _ZERO, left
         least = min(least, gap)
@@ -222,7 +285,7 @@ def _outlook(
 
 
 @function
-def _least_gap(rows, bends, count, mates, x, y, new_x, new_y, step, p):
+def _least_gap(rows, bends, count, mates, x, y, new_x, new_y, step, uncertain_steps, p):
     """The smallest surface distance while driving straight from (x, y) in one step.
 
     Everybody goes on at constant velocity, but for what `bends` adds to it. A team-mate may also
@@ -242,7 +305,7 @@ def _least_gap(rows, bends, count, mates, x, y, new_x, new_y, step, p):
             px + vx * end + bends[j, then, 0] - new_x,
             py + vy * end + bends[j, then, 1] - new_y,
         )
-        if j >= mates and step < UNSURE:
+        if j >= mates and step < uncertain_steps:
             still = min(begin, stopped)
             distance = min(
                 distance,

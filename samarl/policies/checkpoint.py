@@ -33,7 +33,7 @@ from samarl.policies import (  # noqa: F401 (makes them known)
 )
 from samarl.policies.policy import POLICIES, Policy
 
-FORMAT = 2
+FORMAT = 3
 
 
 @dataclass

@@ -51,7 +51,7 @@ class PolicyConfig:
 
     actors: int = required(1, 16)  # sets of parameters: 1 for all robots, or one for each
     hidden: int = required(8, 4096)  # of the heads
-    track_steps: int = required(0, 1000)  # for how long those out of view are remembered
+    track_time: float = required(0.0, 1000.0)  # those out of view are remembered so long, s
     round_below: float = required(0.0, 360.0)  # a narrower view goes round the crowd, degrees ...
     round_radius: float = required(0.1, 1000.0)  # ... on a circle about the origin, m
     encoder: dict[str, Any] = needed()  # its name and numbers
@@ -229,7 +229,7 @@ class Policy(nn.Module, ABC):
         n, m, sets = scenario.robots, scenario.humans, len(self.networks)
         example = no_frames(worlds * n // sets, n, m, self.device)
         return {
-            "tracks": Tracker(self.config.track_steps, scenario.time_step).initial(worlds, n, m),
+            "tracks": Tracker(self.config.track_time, scenario.time_step).initial(worlds, n, m),
             "noise": torch.zeros(worlds, n, self.action_size),
             "encoder": tuple(net.encoder.initial_state(example) for net in self.networks),
         }
@@ -427,7 +427,7 @@ class Policy(nn.Module, ABC):
         scenario: Scenario,
     ) -> tuple[Tracks, Frames]:  # fmt: skip
         """What all robots know now, and the same as the encoders are given it; see `act`."""
-        tracker = Tracker(self.config.track_steps, scenario.time_step)
+        tracker = Tracker(self.config.track_time, scenario.time_step)
         tracks = tracker.update(observation, state["tracks"], is_init)
         return tracks, frames_of(tracks, scenario, self.config.known_origin).to(self.device)
 

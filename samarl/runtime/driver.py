@@ -47,9 +47,9 @@ class Driver:
         if network.looks_ahead:
             sizes = Commands(**{f.name: policy[f.name] for f in fields(Commands)})
             self._commands = command_set(sizes, s.kinematics)
-        steps = {policy["track_steps"]} | ({self._shield.track_steps} if self._shield else set())
-        self._trackers = {number: Tracker(number, s.time_step) for number in sorted(steps)}
-        self._keep = max(steps) * s.time_step
+        times = {policy["track_time"]} | ({self._shield.track_time} if self._shield else set())
+        self._trackers = {seconds: Tracker(seconds, s.time_step) for seconds in sorted(times)}
+        self._keep = max(times)
         self.reset()
 
     @classmethod
@@ -112,10 +112,10 @@ class Driver:
             number: tracker.update(seen, self._memories[number], np.array([begins]), elapsed)
             for number, tracker in self._trackers.items()
         }
-        wanted = self._decided(known[self.description.policy["track_steps"]])
+        wanted = self._decided(known[self.description.policy["track_time"]])
         action = wanted
         if self._shield:
-            tracks = known[self._shield.track_steps]
+            tracks = known[self._shield.track_time]
             action = shielded(tracks, wanted, self.scenario, self._shield)
         return self._command(seen.ego, action, own.heading, bool((action != wanted).any()))
 

@@ -113,8 +113,11 @@ def _detection(path: str, value: Any) -> Detection:
 def _number(name: str, value: Any) -> float:
     """Return a finite number as a float; booleans, arrays and strings are not numbers."""
     if isinstance(value, Real) and not isinstance(value, bool):
-        number = float(value) if abs(value) < LARGEST else math.nan  # of huge integers no float
-        if math.isfinite(number):
+        try:
+            number = float(value)
+        except OverflowError:  # an integer or fraction beyond any float
+            number = math.inf
+        if abs(number) <= LARGEST:
             return number
     raise InputError(f"{name} is {_shown(value)}; it must be a number within +-{LARGEST:g}")
 

@@ -245,7 +245,7 @@ def drive(
 ) -> tuple[np.ndarray, float]:
     """Velocity and heading after one action (SAMARL, Eq. 2-3, or the simpler models)."""
     dt, top = scenario.time_step, scenario.robot_speed
-    most = math.radians(scenario.max_turn_degrees)
+    most = math.radians(scenario.max_turn_rate * scenario.time_step)
     if scenario.kinematics is Kinematics.holonomic:
         wanted = action * top / max(1.0, math.hypot(*action))
         turned = heading + (math.atan2(action[1], action[0]) if action.any() else 0.0)

@@ -45,7 +45,7 @@ def test_eq_3_holds_for_every_action(max_acceleration: float, turn_in_place: boo
         turn_in_place=turn_in_place,
         time_limit=1000.0,
     )
-    dt, max_turn = scenario.time_step, math.radians(scenario.max_turn_degrees)
+    dt, max_turn = scenario.time_step, math.radians(scenario.max_turn_rate * scenario.time_step)
     tightest = greatest = standing_turns = 0.0
     for (p, v, heading), (p2, v2, heading2) in drive(scenario):
         speed, speed2 = np.hypot(*v.T), np.hypot(*v2.T)
@@ -72,7 +72,7 @@ def test_eq_3_holds_for_every_action(max_acceleration: float, turn_in_place: boo
 def test_longitudinal_and_lateral_acceleration_share_one_disc() -> None:
     """Full ahead and full left is a_max at 45 degrees: dv = 0.4 * 0.25 / sqrt(2) each."""
     scenario = Scenario(
-        robots=1, humans=0, max_acceleration=0.4, min_turning_radius=0.001, max_turn_degrees=180
+        robots=1, humans=0, max_acceleration=0.4, min_turning_radius=0.001, max_turn_rate=720
     )
     world = World(scenario)
     world.reset([0])

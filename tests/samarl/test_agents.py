@@ -199,5 +199,5 @@ def test_a_policy_says_among_whom_it_was_trained(tmp_path: Path) -> None:
     fields = {**CONFIGS["samarl_flat"], "checkpoint": str(tmp_path / "known.safetensors")}
     for recording, known in (("theirs/walk.txt", True), ("mine/run.txt", False), (None, False)):
         scenario = Scenario(crowd=Crowd.recorded, recording=recording)
-        caution = build_agent(fields, scenario).caution()
-        assert (caution or "").endswith("was trained among the people of walk.txt") == known
+        warning = build_agent(fields, scenario).scope_warning()
+        assert (warning or "").endswith("was trained among the people of walk.txt") == known

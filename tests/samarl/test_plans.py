@@ -14,9 +14,9 @@ from samarl.planning.sampling import _cost
 from samarl.planning.tracking import gather, track_velocity
 
 PLANS = {
-    "horizon": 8, "directions": 7, "speeds": 2, "holds": 2, "human_margin": 0.05,
-    "robot_margin": 0.15, "comfort": 1.0, "comfort_weight": 3.0, "collision_weight": 100.0,
-    "collision_discount": 0.9,
+    "horizon": 2.0, "directions": 7, "speeds": 2, "holds": 2, "human_margin": 0.05,
+    "robot_margin": 0.15, "comfort": 1.0, "comfort_weight": 12.0, "collision_weight": 100.0,
+    "collision_discount": 0.6561,
 }  # fmt: skip
 TWO_PI = np.float32(2.0 * math.pi)
 
@@ -24,7 +24,7 @@ TWO_PI = np.float32(2.0 * math.pi)
 @pytest.mark.parametrize("kinematics", list(Kinematics))
 @pytest.mark.parametrize("numbers", [
     {}, {"collision_discount": 0.0}, {"collision_discount": 1.0},
-    {"collision_weight": 2.0, "comfort_weight": 30.0}, {"collision_weight": 0.0},
+    {"collision_weight": 2.0, "comfort_weight": 120.0}, {"collision_weight": 0.0},
 ])  # fmt: skip
 def test_the_cheapest_plan_is_the_cheapest_of_all(
     kinematics: Kinematics, numbers: dict[str, float]
@@ -34,8 +34,12 @@ def test_the_cheapest_plan_is_the_cheapest_of_all(
     plans: dict[str, Any] = {**PLANS, **numbers}
     planner = ModelPredictive(scenario, **plans)
     p, best = scenario.parameters(), np.empty(scenario.action_size, np.float32)
-    sizes = tuple(plans[name] for name in ("horizon", "directions", "speeds", "holds"))
-    costs = tuple(np.float32(value) for value in list(plans.values())[4:])
+    sizes = (8, *(plans[name] for name in ("directions", "speeds", "holds")))  # 2 s: 8 steps
+    per_step = {
+        **plans, "comfort_weight": plans["comfort_weight"] / 4,
+        "collision_discount": plans["collision_discount"] ** 0.25,
+    }  # fmt: skip
+    costs = tuple(np.float32(value) for value in list(per_step.values())[4:])
     world = World(scenario, 4, auto_reset=True)
     observation = world.reset(range(4))
     for _ in range(25):

@@ -194,7 +194,7 @@ class Sideways(ConstantVelocity):
 def test_what_is_foreseen_is_in_the_body_frame_and_of_those_in_view() -> None:
     scenario = Scenario(robots=2, humans=6, fov_degrees=180.0)
     world, foresight = World(scenario, 4), Foresight(Sideways(DT), 5)
-    tracker = Tracker(24, DT)
+    tracker = Tracker(24 * DT, DT)
     memory = tracker.initial(4, 2, 6)
     foresight.begin(4, 2, 6)
     observation, is_init = world.reset(np.arange(4)), np.ones(4, np.bool_)

@@ -37,7 +37,7 @@ def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     save_policy(folder / "policy.safetensors", policy, "flat", {})
     scenario = Scenario(humans=3, robots=2)
     agent = Learned(scenario, str(folder / "policy.safetensors"))
-    shielded = Shielded(scenario, agent, Shield(track_steps=8))
+    shielded = Shielded(scenario, agent, Shield(track_time=2.0))
     export_agent(folder / "policy.onnx", shielded, "mine")
     return folder / "policy.onnx"
 

@@ -65,7 +65,7 @@ def test_who_has_arrived_is_left_alone() -> None:
 @pytest.mark.parametrize(
     ("shield", "message"),
     [
-        ({"steps": 0}, r"agent.shield.steps is 0; .* in \[1, 200\]"),
+        ({"horizon": 0.0}, r"agent.shield.horizon is 0.0; .* in \(0, 100\]"),
         ({"step": 4}, r"agent.shield.step: Key 'step' not in 'Shield'"),
         ("yes", r"agent.shield is 'yes'; it must be true, false or the numbers"),
     ],
@@ -117,7 +117,7 @@ def pushing(observation: Observation, scenario: Scenario) -> np.ndarray:
     bearing = np.arctan2(goal[..., 1], goal[..., 0])
     action = np.zeros((*goal.shape[:2], scenario.action_size), np.float32)
     action[..., 0] = 1.0
-    action[..., -1] = np.clip(bearing / np.radians(scenario.max_turn_degrees), -1, 1)
+    action[..., -1] = np.clip(bearing / scenario.max_turn, -1, 1)
     return action
 
 

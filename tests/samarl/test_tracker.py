@@ -11,7 +11,7 @@ from tests.staging import stage
 def test_a_person_who_leaves_the_view_is_coasted_and_then_forgotten() -> None:
     # The robot drives along x and looks 90 degrees wide; the person walks across, behind it.
     world = stage([[0, 0, 0, 1, 9, 0]], [[1.65, 0.9, 0, 0.4]], fov_degrees=90.0, time_limit=10.0)
-    tracker = Tracker(steps=3, time_step=0.25)
+    tracker = Tracker(track_time=0.75, time_step=0.25)
     memory, begins = tracker.initial(1, 1, 1), np.ones(1, np.bool_)
     tracks = tracker.update(world.observe(), memory, begins)
     ages = []
@@ -32,7 +32,7 @@ def test_a_person_who_leaves_the_view_is_coasted_and_then_forgotten() -> None:
 
 def test_memory_survives_turning_and_ends_with_the_episode() -> None:
     world = World(Scenario(fov_degrees=90.0), worlds=4)
-    tracker = Tracker(steps=100, time_step=0.25)
+    tracker = Tracker(track_time=25.0, time_step=0.25)
     memory, every = tracker.initial(4, 3, 10), np.ones(4, np.bool_)
     known = tracker.update(world.reset([0, 1, 2, 3]), memory, every).humans_known.sum((1, 2))
     for _ in range(12):  # a full half-turn on the spot
@@ -49,7 +49,7 @@ def test_memory_survives_turning_and_ends_with_the_episode() -> None:
 def test_without_memory_it_is_the_sensor() -> None:
     world = World(Scenario(fov_degrees=120.0), worlds=3)
     observation = world.reset([5, 6, 7])
-    tracker = Tracker(steps=0, time_step=0.25)
+    tracker = Tracker(track_time=0.0, time_step=0.25)
     memory = tracker.initial(3, 3, 10)
     for step in range(20):
         tracks = tracker.update(observation, memory, np.full(3, step == 0))

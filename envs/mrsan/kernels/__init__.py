@@ -21,7 +21,7 @@ from typing import Any
 
 import numba
 
-from mrsan.threads import kernel_threads
+from mrsan.threads import kernel_threads, parallel_kernels
 
 # IEEE arithmetic (no fastmath): a case gives the same bits on any number of worlds or threads.
 _inlined = partial(numba.njit, error_model="numpy", forceinline=True)
@@ -39,9 +39,9 @@ _CORE_SOURCES = [
 class kernel:
     """Compile a loop over worlds in a serial and a parallel version and pick by the batch.
 
-    One world runs serially: that is faster, and a process that never ran a parallel kernel may
-    still fork (Gymnasium's `AsyncVectorEnv`). The first argument of a kernel is the number of
-    pieces its parallel loop is cut into.
+    One world runs serially, which is faster. So do all worlds in a process that was forked after
+    parallel kernels had run; elsewhere any thread may call kernels, and they take turns. The first
+    argument of a kernel is the number of pieces its parallel loop is cut into.
     """
 
     def __init__(self, source: Callable[..., Any]) -> None:
@@ -51,9 +51,11 @@ class kernel:
 
     def __call__(self, worlds: int, *arguments: Any) -> Any:
         """Run over `worlds` worlds, the other arguments as the kernel's source declares them."""
-        if worlds == 1:
+        lock = parallel_kernels()
+        if worlds == 1 or lock is None:
             return self.serial(1, *arguments)
-        return self.parallel(min(worlds, 8 * kernel_threads()), *arguments)
+        with lock:
+            return self.parallel(min(worlds, 8 * kernel_threads()), *arguments)
 
 
 def _compile(source: Callable[..., Any], variant: str, parallel: bool) -> Any:

@@ -12,12 +12,10 @@ RECORDED = 3  # the crowd
 NOT_ASSIGNED = -1
 _ZERO = np.float32(0.0)
 _FAR = np.float32(np.inf)
-_CALM = 8  # steps after the start in which nobody walks through it: a robot needs time to drive off
 _STANDS = np.float32(1.0)  # who does not get further than that while the episode lasts, m
 _TRIES = 64  # tries after which less room is asked for
 _DIRECT = 1024  # attempts after which the length of a route is drawn before its ends
 _LEAST_ROOM = 10  # ... and after so many times that, none
-_REST = 24  # steps before a slot is given to another person: robots must have forgotten the first
 
 
 @function
@@ -49,7 +47,7 @@ def draw_recorded_way(start, goal, key, i, attempt, begin, recording, p):
         there = _place(recording, q, first)
         then = _place(recording, q, last)
         stands = math.hypot(then[0] - there[0], then[1] - there[1]) < _STANDS
-        for step in range(first, min(last, begin + _CALM) + 1):
+        for step in range(first, min(last, begin + p.recorded_start_clear_steps) + 1):
             x, y = _place(recording, q, step)
             if math.hypot(x - start[0], y - start[1]) < gap:
                 return False
@@ -68,7 +66,8 @@ def follow(state, e, recording, p):
     free = 0
     for j in range(present.shape[0]):
         if present[j] and now >= recording.last[track[j]]:
-            present[j], track[j], entry[j] = False, NOT_ASSIGNED, step + _REST
+            present[j], track[j] = False, NOT_ASSIGNED
+            entry[j] = step + p.recorded_slot_rest_steps  # robots forget the person by then
         free += not present[j] and entry[j] <= step
     for j in range(present.shape[0]):
         if free == 0:

@@ -29,7 +29,7 @@ class ModelPredictive(Plans, Agent):
         self._lookout = None
         if self.predictor != STRAIGHT:
             field = "agent.predictor"
-            self._lookout = Lookout(self.scenario, 0, self.predictor, self.horizon, field)
+            self._lookout = Lookout(self.scenario, 0.0, self.predictor, self.horizon, field)
 
     def reset(self, worlds: NDArray[np.bool_]) -> None:
         """Forget where people were in the worlds [E] in which an episode begins."""
