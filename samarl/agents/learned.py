@@ -18,7 +18,6 @@ from samarl.policies.explanation import Explanation
 from samarl.policies.hierarchical import HierarchicalPolicy, Waypoints
 from samarl.policies.policy import Decision, Policy
 
-
 # Fields of a scenario outside of whose trained values a policy may fail, with label and unit.
 _SCOPE = {
     "fov_degrees": ("view", "degrees"),

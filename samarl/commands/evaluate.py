@@ -13,7 +13,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from mrsan import Episodes, Outcome, Scenario, social_score
 from samarl.agents import build_agent
-from samarl.commands.cli import chosen_agent, command_line, run_command, print_scope_warning
+from samarl.commands.cli import chosen_agent, command_line, print_scope_warning, run_command
 from samarl.configuration import evaluation_in, load_scenario, scenario_in
 from samarl.evaluation.runner import Evaluation, run_cases
 from samarl.evaluation.summary import Row, summarise

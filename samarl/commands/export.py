@@ -12,7 +12,7 @@ from omegaconf import MISSING, DictConfig
 
 from mrsan import ConfigurationError
 from samarl.agents import build_agent
-from samarl.commands.cli import chosen_agent, run_command, print_scope_warning
+from samarl.commands.cli import chosen_agent, print_scope_warning, run_command
 from samarl.configuration import scenario_in
 from samarl.files import check_writable
 

@@ -14,7 +14,7 @@ from mrsan import ConfigurationError, Split
 from mrsan.cases import CASES_PER_SPLIT
 from mrsan.scenario import check_numbers, number
 from samarl.agents import build_agent
-from samarl.commands.cli import chosen_agent, run_command, print_scope_warning
+from samarl.commands.cli import chosen_agent, print_scope_warning, run_command
 from samarl.configuration import load_agent, scenario_in
 from samarl.evaluation.recording import Recording, record_episode
 from samarl.files import check_writable
