@@ -1,0 +1,103 @@
+"""Durations and rates mean the same at every time step."""
+
+import numpy as np
+import pytest
+
+from mrsan import Crowd, Scenario, World
+from samarl.agents import build_agent
+from samarl.configuration import load_agent
+from samarl.observations.tracker import Tracker
+from samarl.planning.shield import Shield, shielded
+from tests.scenes import scene_of
+from tests.staging import stage
+
+TIME_STEPS = [0.05, 0.1, 0.25, 0.5]
+
+
+@pytest.mark.parametrize("time_step", TIME_STEPS)
+def test_a_robot_turns_by_so_much_in_a_second(time_step: float) -> None:
+    world = World(Scenario(robots=1, humans=0, time_step=time_step, max_turn_rate=60.0))
+    world.reset([0])
+    heading = float(world.state.robot_heading[0, 0])
+    for _ in range(round(1.0 / time_step)):
+        world.step(np.float32([[[-1.0, 0.0, 1.0]]]))  # it stands and turns
+    turned = np.degrees(world.state.robot_heading[0, 0] - heading) % 360
+    assert turned == pytest.approx(60.0, abs=1e-3)
+
+
+@pytest.mark.parametrize("time_step", TIME_STEPS)
+def test_who_is_out_of_view_is_remembered_for_six_seconds(time_step: float) -> None:
+    tracker = Tracker(6.0, time_step)
+    memory = tracker.initial(1, 1, 1)
+    visible = stage([[0, 0, 0, 0, 9, 0]], [[2, 0, 0, 0]], time_step=time_step).observe()
+    hidden = visible._replace(humans_visible=np.zeros((1, 1, 1), np.bool_))
+    tracker.update(visible, memory, np.array([True]))
+    steps = 0
+    while tracker.update(hidden, memory, np.array([False])).humans_known.any():
+        steps += 1
+    assert steps * time_step == pytest.approx(6.0)
+
+
+@pytest.mark.parametrize("time_step", TIME_STEPS)
+@pytest.mark.parametrize(("gap", "replaced"), [(2.0, False), (0.6, True)])
+def test_the_shield_looks_two_seconds_ahead(time_step: float, gap: float, replaced: bool) -> None:
+    """Inside a ring of people a robot at 1 m/s needs 1.7 s and 0.83 m to stop at 0.6 m/s^2."""
+    scenario = Scenario(
+        robots=1, humans=40, time_step=time_step, max_acceleration=0.6, min_turning_radius=10.0
+    )
+    bearings = np.linspace(0.0, 2.0 * np.pi, 40, endpoint=False)
+    distance = 0.3 + 0.3 + gap
+    ring = [[distance * np.cos(b), distance * np.sin(b), -1.0, 0.0, 0.3] for b in bearings]
+    action = np.float32([[[0.0, 0.0, 0.0]]])
+    checked = shielded(scene_of(ring, (9.0, 0.0), 1.0, scenario), action, scenario, Shield())
+    assert bool((checked != action).any()) == replaced
+
+
+def test_every_duration_of_a_scenario_is_converted_once() -> None:
+    scenario = Scenario(
+        time_step=0.1, time_limit=30.0, team_delay=0.5, late_time=12.0, goal_change_interval=5.0,
+        recorded_start_clear=2.0, recorded_slot_rest=6.0,
+    )  # fmt: skip
+    p = scenario.parameters()
+    assert (p.time_limit_steps, p.team_delay_steps, p.late_steps) == (300, 5, 120)
+    assert (p.goal_change_steps, p.recorded_start_clear_steps) == (50, 20)
+    assert p.recorded_slot_rest_steps == 60
+
+
+@pytest.mark.parametrize("time_step", [0.1, 0.25])
+def test_a_slot_rests_for_so_long_before_another_person_has_it(time_step: float) -> None:
+    scenario = Scenario(
+        robots=1, humans=2, crowd=Crowd.recorded, time_step=time_step, recorded_slot_rest=3.0
+    )
+    world = World(scenario, 20)
+    world.reset(np.arange(20))
+    since = np.full((20, 2), np.inf)  # how long ago somebody was last in the slot, s
+    before, shortest = world.state.human_track.copy(), np.inf
+    for _ in range(round(20.0 / time_step)):
+        world.step(np.zeros((20, 1, 3)))
+        now = world.state.human_track
+        came = (now >= 0) & (before < 0)
+        shortest = min(shortest, since[came].min(initial=np.inf))
+        since = np.where(now >= 0, 0.0, since + time_step)
+        before = now.copy()
+    assert 3.0 - 1e-6 <= shortest < np.inf
+
+
+@pytest.mark.parametrize(
+    ("fields", "trained", "here"),
+    [
+        ({"time_step": 0.1}, "a time step of 0.25 s", "0.1 s"),
+        ({"robot_speed": 1.5}, "a robot speed of 1 m/s", "1.5 m/s"),
+        ({"robot_radius": 0.5}, "a robot radius of 0.3 m", "0.5 m"),
+        ({"fov_degrees": 90.0}, "a view of 360 degrees", "90 degrees"),
+        ({"fov_degrees": 90.0, "time_step": 0.5}, "a view of 360 degrees and a time step of 0.25 s",
+         "90 degrees and 0.5 s"),
+    ],
+)  # fmt: skip
+def test_a_policy_names_what_it_was_not_trained_for(
+    fields: dict[str, float], trained: str, here: str
+) -> None:
+    config = load_agent("samarl_flat")
+    assert build_agent(config, Scenario()).scope_warning() is None
+    warning = build_agent(config, Scenario(**fields)).scope_warning()
+    assert warning == f"samarl_flat was trained for {trained}; here it is {here}"
