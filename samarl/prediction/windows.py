@@ -45,7 +45,7 @@ def watch(scenario: Scenario, cases: NDArray[np.int64], training: Training) -> W
 
 
 def watch_recording(
-    path: Path, frame_seconds: float, time_step: float, training: Training
+    path: Path, frame_seconds: float | None, time_step: float, training: Training
 ) -> Windows:
     """People of a recording, without the first and the last 3 s of each, which are continued.
 
