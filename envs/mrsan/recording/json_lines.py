@@ -60,7 +60,7 @@ def _parsed(line: str, number: int) -> tuple[str, dict[str, Any]]:
     try:
         content = json.loads(line)
     except (ValueError, RecursionError):
-        raise RecordingError(f"line {number}: {line[:_SHOWN]!r} is not a JSON object") from None
+        raise RecordingError(f"line {number}: {line[:_SHOWN]!r} must be a JSON object") from None
     for kind in ("scene", "track"):
         if isinstance(content, dict) and isinstance(content.get(kind), dict):
             return kind, content[kind]

@@ -157,7 +157,7 @@ def _separator(line: str) -> str | None:
     cells = [cell.strip() for cell in line.split(",")]
     # Decimal commas between columns of white space are none: "0 6 6,80 12,44".
     spaced = any(character.isspace() for cell in cells[:2] for character in cell)
-    return "," if len(cells) >= 4 and not spaced else None
+    return "," if len(cells) >= 3 and not spaced else None
 
 
 def _split(line: str, separator: str | None) -> list[str]:
@@ -180,21 +180,26 @@ def _cells(rows: Sequence[tuple[int, str]], separator: str | None) -> Any:
         )
     except pd.errors.ParserError as error:
         _refuse_ragged(rows, separator)
-        raise RecordingError(f"it is not a table ({str(error).strip()})") from None
+        raise RecordingError(f"it must be a table ({str(error).strip()})") from None
     if (cells == "").to_numpy().any():
         _refuse_ragged(rows, separator)
     if len(cells) != len(rows):
-        raise RecordingError("it is not a table; a quotation mark is not closed")
+        raise RecordingError("quotation marks enclose whole lines; they must enclose cells")
     if separator != "," and "," in text:
         cells = cells.apply(lambda column: column.str.replace(",", "."))
     return cells
 
 
 def _refuse_ragged(rows: Sequence[tuple[int, str]], separator: str | None) -> None:
-    """Name the first line that has another number of cells than most."""
+    """Name the first line that has another number of cells than most, or an open quotation."""
     widths = [len(_split(line, separator)) for _, line in rows]
     usual = Counter(widths).most_common(1)[0][0]
     for (number, line), width in zip(rows, widths, strict=True):
+        if line.count('"') % 2:
+            raise RecordingError(
+                f"line {number}: {line[:_SHOWN]!r} has a quotation mark that is not closed; it "
+                "must be closed"
+            )
         if width != usual:
             raise RecordingError(
                 f"line {number}: {line[:_SHOWN]!r} has {width} values; it must have {usual}, as "
