@@ -147,6 +147,7 @@ check-wheel: wheel ## Install the wheel into an environment of its own and run i
 	cd "$$folder"; PATH="$$folder/venv/bin:$$PATH"; export PATH; \
 	samarl-evaluate agent=orca evaluation.cases=5; \
 	samarl-predictor predictor=recurrent validation_cases=5; \
+	samarl-recording "$$(python -c 'import mrsan.recording as r; print(r.SAMPLE)')" --figure people.png; \
 	samarl-bench agents='[straight]' evaluation.cases=5 output=bench > bench.txt; \
 	python -c "import os, mrsan, samarl; from samarl.files import find_folder; \
 	home = os.path.realpath('venv') + os.sep; \

@@ -235,19 +235,41 @@ def cell(r: random.Random, good: Good) -> Item:
 
 
 def recording(r: random.Random, good: Good) -> Item:
-    """Recorded people."""
-    lines = SAMPLE.read_text().splitlines()[: r.choice([1, 2, 30, 300])]
-    strange = ["nan", "inf", "-1", "1e308", "1e12", "abc", "", "1e-320", "99999999999", "{", "\x00"]
+    """Recorded people in one of many formats, with wrong cells or damaged bytes."""
+    rows = [line.split() for line in SAMPLE.read_text().splitlines()]
+    header, separator, lines = r.choice(RECORDINGS)(rows[: r.choice([1, 2, 30, 300, len(rows)])])
+    strange = ["nan", "inf", "-1", "1e308", "1e12", "abc", "", "1e-320", "99999999999", "{", "\x00",
+               "?", "'", '"', "#", "1,5", "1;5", "9" * 5000]  # fmt: skip
     for _ in range(r.randint(0, 3)):
         number = r.randrange(len(lines))
-        cells = lines[number].split() or [""]
+        cells = lines[number].split(separator)
         cells[r.randrange(len(cells))] = r.choice(strange)
-        lines[number] = " ".join(cells)
-    content = "\n".join(lines).encode()
+        lines[number] = separator.join(cells)
+    content = "\n".join([*header, *lines]).encode(r.choice(["utf-8", "utf-8-sig", "utf-16"]))
     path = Path("people.txt")
     path.write_bytes(damaged_bytes(r, content) if r.random() < 0.4 else content)
-    command = ["evaluate", "scenario=recorded", f"scenario.recording={path}", "evaluation.cases=1"]
-    return Item("recording", lambda: load_recording(path, 0.04, 0.25), command, (path.name,))
+    words = ["evaluate", "scenario=recorded", f"scenario.recording={path}", "evaluation.cases=1"]
+    command = r.choice([words, ["recording", str(path)]])
+    return Item("recording", lambda: load_recording(path, None, 0.25), command, (path.name,))
+
+
+Rows = list[list[str]]  # frame, id, x and y
+RECORDINGS: list[Callable[[Rows], tuple[list[str], str, list[str]]]] = [  # header, separator, lines
+    lambda rows: ([], " ", [" ".join(row) for row in rows]),
+    lambda rows: (["frame,id,x,y"], ",", [",".join(row) for row in rows]),
+    lambda rows: ([], ";", [";".join(row).replace(".", ",") for row in rows]),
+    lambda rows: (
+        ["# framerate: 25", "# id frame x/m y/m"], "\t",
+        [f"{p}\t{f}\t{x}\t{y}" for f, p, x, y in rows],
+    ),
+    lambda rows: ([], " ", [f"{f} {p} {x} 0 {y} 1 0 1" for f, p, x, y in rows]),
+    lambda rows: ([], " ", [f'{p} {x} {y} {x} {y} {f} 0 0 0 "Pedestrian"' for f, p, x, y in rows]),
+    lambda rows: ([], ",", [",".join(row) for row in zip(*rows, strict=True)]),
+    lambda rows: (
+        ['{"scene": {"id": 0, "fps": 2.5}}'], ": ",
+        [f'{{"track": {{"f": {f}, "p": {p}, "x": {x}, "y": {y}}}}}' for f, p, x, y in rows],
+    ),
+]  # fmt: skip
 
 
 def curve(r: random.Random, good: Good) -> Item:

@@ -15,7 +15,9 @@ def _run(command: str) -> None:
         sys.exit(130)
 
 
-evaluate, bench, render, train, report, predictor, export = (
+evaluate, bench, render, train, report, predictor, export, recording = (
     partial(_run, command)
-    for command in ("evaluate", "bench", "render", "train", "report", "predictor", "export")
-)
+    for command in (
+        "evaluate", "bench", "render", "train", "report", "predictor", "export", "recording"
+    )
+)  # fmt: skip

@@ -202,10 +202,16 @@ class Scenario:
 
     # The people.
     crowd: Crowd = Crowd.orca
-    recording: str | None = None  # a file of "frame id x y"; null: a synthetic one that ships
-    frame_seconds: float = number(0.04, 1e-4, 100.0)  # from one of its frame numbers to the next, s
     recorded_start_clear: float = number(2.0, 0.0, 100.0)  # nobody crosses a start so early, s
     recorded_slot_rest: float = number(6.0, 0.0, 1000.0)  # before a slot holds another person, s
+    recording: str | None = None  # a file of recorded people; null: a synthetic one that ships
+    frame_seconds: float | None = number(
+        None, 1e-4, 100.0
+    )  # from one of its frame numbers to the next, s; null: what the file states, else 0.04
+    recording_scale: float | None = number(
+        None, 1e-6, 1e6
+    )  # metres per unit of its positions; null: what the file states, else 1
+    recording_check: bool = True  # refuse a file that is implausible of people who walk
     robots_visible: bool = False  # do people make way for robots?
     human_radius_min: float = number(0.3, 0.05, 2.0)  # drawn per person, m
     human_radius_max: float = number(0.3, 0.05, 2.0)
@@ -331,13 +337,16 @@ class Scenario:
         """The recorded people, on the clock of the scenario; nobody for other crowds.
 
         Raises:
-            ConfigurationError: the file cannot be read, or a line of it is wrong; or its floor is
-                too small for `robot_way_min`.
+            ConfigurationError: the file cannot be read, a line of it is wrong, it is implausible,
+                or its floor is too small for `robot_way_min`.
         """
         if self.crowd is not Crowd.recorded:
             return NOBODY
         try:
-            recording = load_recording(self.recording, self.frame_seconds, self.time_step)
+            recording = load_recording(
+                self.recording, self.frame_seconds, self.time_step, self.recording_scale,
+                self.recording_check,
+            )  # fmt: skip
         except RecordingError as error:
             raise ConfigurationError(f"scenario.{error}") from None
         diagonal = 2.0 * float(np.linalg.norm(recording.half_size))

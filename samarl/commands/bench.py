@@ -163,7 +163,7 @@ def _recorded_columns(config: DictConfig) -> list[dict[str, Any]]:
             **config.recorded,
             "crowd": "recorded",
             "recording": str(file),
-            "frame_seconds": config.frame_seconds.get(file.stem, Scenario().frame_seconds),
+            "frame_seconds": config.frame_seconds.get(file.stem),
         }
         for file in files
     ]

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from omegaconf import MISSING, DictConfig, OmegaConf
 
-from mrsan import ConfigurationError, Scenario, Split
+from mrsan import ConfigurationError, Split
 from mrsan.prediction import find_predictor
 from mrsan.scenario import check_numbers, number
 from samarl.commands.cli import command_line, run_command
@@ -95,8 +95,8 @@ def predictor(config: DictConfig) -> None:
     print(f"written to {output}")
 
 
-def _recordings(config: DictConfig) -> dict[Path, float]:
-    """The recordings in a folder, each with the time from one frame number to the next, s."""
+def _recordings(config: DictConfig) -> dict[Path, float | None]:
+    """The recordings in a folder, each with `scenario.frame_seconds` for it."""
     if config.recordings is None:
         return {}
     files = sorted(Path(config.recordings).glob("*.txt"))
@@ -104,8 +104,7 @@ def _recordings(config: DictConfig) -> dict[Path, float]:
         raise ConfigurationError(
             f"recordings is {config.recordings!r}; it must be a folder with *.txt files in it"
         )
-    default = Scenario().frame_seconds
-    return {file: config.frame_seconds.get(file.stem, default) for file in files}
+    return {file: config.frame_seconds.get(file.stem) for file in files}
 
 
 if __name__ == "__main__":

@@ -106,7 +106,7 @@ def _changes(scenario: Scenario, named: Scenario) -> str:
 
     A name tells of the number of people and robots and of their views as well.
     """
-    told = {"name", "frame_seconds", "reward", "collisions_end"}
+    told = {"name", "frame_seconds", "recording_scale", "reward", "collisions_end"}
     if scenario.name == Scenario.name:
         told |= {*Column._fields}
     if scenario.crowd is Crowd.recorded:

@@ -45,7 +45,7 @@ def watch(scenario: Scenario, cases: NDArray[np.int64], training: Training) -> W
 
 
 def watch_recording(
-    path: Path, frame_seconds: float, time_step: float, training: Training
+    path: Path, frame_seconds: float | None, time_step: float, training: Training
 ) -> Windows:
     """People of a recording, without the first and the last 3 s of each, which are continued.
 
@@ -55,7 +55,8 @@ def watch_recording(
     try:
         recording = load_recording(path, frame_seconds, time_step)
     except RecordingError as error:
-        raise ConfigurationError(f"recordings: {error}") from None
+        reason = str(error).replace("scenario.frame_seconds", f"frame_seconds.{path.stem}")
+        raise ConfigurationError(f"recordings: {reason}") from None
     added = round(COAST / time_step)  # before and after, where nobody was seen
     found = []
     for first, last, row in zip(recording.first, recording.last, recording.row, strict=True):

@@ -1,5 +1,6 @@
 """Recorded people: files in, ways out, and nobody reacts to a robot."""
 
+import itertools
 import re
 from pathlib import Path
 
@@ -8,7 +9,13 @@ import pytest
 
 from benchmarks.synthetic_recording import recording as synthetic
 from mrsan import ConfigurationError, Crowd, Scenario, World
-from mrsan.recording import SAMPLE, load_recording
+from mrsan.recording import (
+    SAMPLE,
+    find_problem,
+    load_recording,
+    read_people,
+    summarize,
+)
 
 CASES = np.arange(20)
 RECORDED = Path(__file__).parents[2].parent / "shared/data/eth_ucy"
@@ -50,11 +57,37 @@ def test_people_are_where_they_were_between_frames_too(tmp_path: Path) -> None:
 
 def test_people_go_on_for_three_seconds_before_and_after(tmp_path: Path) -> None:
     """Person 3 is annotated from 4.0 to 4.8 s, at 2 m/s along y, of 20 s."""
-    text = "0 1 0 0\n500 1 10 10\n" + "".join(f"{100 + 10 * k} 3 5 {0.8 * k}\n" for k in range(3))
+    text = "".join(f"{10 * k} 1 {0.2 * k} 10\n" for k in range(51))
+    text += "".join(f"{100 + 10 * k} 3 5 {0.8 * k}\n" for k in range(3))
     way = load_recording(written(tmp_path, text), 0.04, 0.25)
     assert (way.first[1], way.last[1]) == (4, 31)  # 1.0 and 7.75 s
     y = way.position[way.row[1] : way.row[1] + 28, 1]
     np.testing.assert_allclose(y, 2.0 * (np.arange(4, 32) * 0.25 - 4.0) - 5.0, atol=1e-5)
+
+
+@pytest.mark.parametrize(("pause", "tracks"), [(2.8, 1), (3.2, 2), (5.0, 2), (20.0, 2)])
+def test_a_long_gap_begins_another_track(tmp_path: Path, pause: float, tracks: int) -> None:
+    """Person 1 walks at 1 m/s for 8 s, is not seen for a while, and walks on from there."""
+    times = [0.4 * k for k in range(21)]
+    times += [8.0 + pause + 0.4 * k for k in range(21)]
+    text = "".join(
+        f"{t / 0.04:.0f} 1 {t:.2f} 0\n{t / 0.04:.0f} 2 9 {7 - t / 9:.3f}\n" for t in times
+    )
+    way = load_recording(written(tmp_path, text), 0.04, 0.2)
+    paths = [
+        (first, last, way.position[row : row + last - first + 1])
+        for first, last, row in zip(way.first, way.last, way.row, strict=True)
+    ]
+    walker = [path for path in paths if np.ptp(path[2][:, 1]) < 1e-4]
+    assert len(walker) == tracks
+    for (_, last, _), (first, _, _) in itertools.pairwise(walker):
+        seconds = (first - last) * 0.2
+        assert seconds > 0  # the person is never there twice
+        assert seconds == pytest.approx(max(pause - 6.0, 0.2), abs=0.2)
+    for first, last, path in walker:  # and coasts as it walks
+        np.testing.assert_allclose(
+            path[:, 0] - walker[0][2][0, 0], np.arange(first, last + 1) * 0.2, atol=1e-4
+        )
 
 
 @pytest.mark.parametrize("text", [TWO.replace(" ", "\t"), TWO.replace(" ", ", ")])
@@ -81,12 +114,17 @@ def test_trajnet_lines_are_read(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("", "is empty; it must have lines of 'frame id x y'"),
-        ("0 1 2 3\n0 2 2\n", "line 2: '0 2 2'; it must be four numbers, 'frame id x y'"),
-        ("0 1 2 3\n\n10 1 x 3\n", "line 3: '10 1 x 3'; it must be four numbers"),
-        ("0 1 nan 3\n", "line 1: '0 1 nan 3'; it must be four numbers"),
-        ("0 1 2 3\n0 1 2 4\n", "line 2: person 1 is in frame 0 a second time (line 1)"),
-        ('{"track": {"f": 1}}\n', "line 1: "),
+        ("", "is empty; it must have a row 'frame id x y'"),
+        ("0 1 2 3\n0 2 2\n0 3 2 3\n", "line 2: '0 2 2' has 3 values; it must have 4"),
+        ("0 1 2 3\n\n10 1 x 3\n", "line 3: x is 'x'; it must be a finite number"),
+        ("0 1 nan 3\n", "line 1: x is 'nan'; it must be a finite number"),
+        ("0 1 2 inf\n", "line 1: y is 'inf'; it must be a finite number"),
+        ("0 1 2 3\n1e12 1 2 3\n", "line 2: the frame number is 1e+12"),
+        ("0 1 2 3\n10 1 1e12 3\n", "line 2: a position is 1e+12"),
+        ("0 1.5 2 3\n", "line 1: the id of a person is 1.5; it must be a whole number"),
+        ("0 1 2 3\n0 1 2 4\n", "person 1 is in frame 0 twice, at (2, 3) in line 1 and at (2, 4)"),
+        ('{"track": {"f": 1, "p": 1, "x": 0}}\n', "line 1: y is None; it must be a number"),
+        ('{"trak": {}}\n', "line 1: '{\"trak\": {}}' is neither a scene nor a track"),
     ],
 )
 def test_a_malformed_line_is_named(tmp_path: Path, text: str, said: str) -> None:
@@ -209,8 +247,19 @@ def test_an_episode_does_not_depend_on_the_batch() -> None:
 
 
 @pytest.mark.skipif(not RECORDED.is_dir(), reason="the recordings belong to their authors")
-@pytest.mark.parametrize(("name", "seconds"), [("biwi_eth", 0.0667), ("students001", 0.04)])
-def test_the_fields_own_recordings_are_read(name: str, seconds: float) -> None:
+@pytest.mark.parametrize("path", sorted(RECORDED.glob("*.txt")), ids=lambda path: path.stem)
+def test_the_fields_own_recordings_are_plausible(path: Path) -> None:
+    people = read_people(path, 0.0667 if path.stem == "biwi_eth" else None)
+    assert find_problem(people) is None
+    summary = summarize(people)
+    assert summary.speed_largest < 3.9
+    assert summary.longest_gap < 0.7
+    assert summary.tracks == summary.people
+
+
+@pytest.mark.skipif(not RECORDED.is_dir(), reason="the recordings belong to their authors")
+@pytest.mark.parametrize(("name", "seconds"), [("biwi_eth", 0.0667), ("students001", None)])
+def test_the_fields_own_recordings_are_read(name: str, seconds: float | None) -> None:
     scenario = recorded(str(RECORDED / f"{name}.txt"), frame_seconds=seconds)
     world = World(scenario, len(CASES))
     world.reset(CASES)

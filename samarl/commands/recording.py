@@ -1,0 +1,184 @@
+"""`samarl-recording`: what a file of recorded people holds, as a summary, a picture, a table."""
+
+from __future__ import annotations
+
+import argparse
+import io
+import os
+import sys
+from pathlib import Path
+from typing import NoReturn
+
+import numpy as np
+
+import samarl
+from mrsan import ConfigurationError, Crowd, Scenario
+from mrsan.recording import People, RecordingError, Summary, find_problem, read_people, summarize
+from mrsan.recording.rows import FRAME_SECONDS, MAX_GAP
+from samarl.files import check_writable, write_atomically
+
+_PICTURES = (".png", ".svg", ".pdf")
+_DECIMALS = 6  # of positions that are written, m
+_OPTIONS = {  # what settings in messages are here
+    "scenario.frame_seconds": "--frame-seconds",
+    "scenario.recording_scale": "--scale",
+    "scenario.recording_check=false": "--no-check",
+}
+
+
+class _Parser(argparse.ArgumentParser):
+    """Ends in one line, as other commands do."""
+
+    def error(self, message: str) -> NoReturn:
+        _fail(message)
+
+
+def main() -> None:
+    """Entry point."""
+    for stream in (sys.stdout, sys.stderr):  # a terminal may know only ASCII
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
+    arguments = _parser().parse_args()
+    try:
+        _describe(arguments)
+        sys.stdout.flush()
+    except (ConfigurationError, RecordingError) as error:
+        _fail(str(error))
+    except BrokenPipeError:  # the reader of what is printed, `head` for example, has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(1)
+
+
+def _fail(message: str) -> NoReturn:
+    for setting, option in _OPTIONS.items():
+        message = message.replace(setting, option)
+    print(f"error: {' '.join(message.split())}", file=sys.stderr)
+    sys.exit(2)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = _Parser(
+        prog="samarl-recording",
+        description="Say what a file of recorded people holds and whether it is plausible; draw "
+        "and convert it. --frame-seconds and --scale are scenario.frame_seconds and "
+        "scenario.recording_scale of other commands.",
+        allow_abbrev=False,
+    )
+    parser.add_argument("file", metavar="FILE", type=Path, help="of recorded people")
+    parser.add_argument(
+        "--frame-seconds", type=float, metavar="S",
+        help=f"from one frame number to the next (default: as the file states, or {FRAME_SECONDS})",
+    )  # fmt: skip
+    parser.add_argument(
+        "--scale", type=float, metavar="M",
+        help="metres per unit of the positions (default: as the file states, or 1)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--figure", type=Path, metavar="PICTURE", help=f"draw the tracks ({', '.join(_PICTURES)})"
+    )
+    parser.add_argument(
+        "--output", type=Path, metavar="TABLE",
+        help=f"write 'frame id x y' in metres, frames {FRAME_SECONDS} s apart; with commas and a "
+        "header if it ends in .csv",
+    )  # fmt: skip
+    parser.add_argument(
+        "--no-check", action="store_true", help="accept what is implausible of people who walk"
+    )
+    parser.add_argument("--version", action="version", version=f"samarl {samarl.__version__}")
+    return parser
+
+
+def _describe(arguments: argparse.Namespace) -> None:
+    """Print the summary; draw and convert.
+
+    Raises:
+        ConfigurationError: an option is wrong.
+        RecordingError: the file cannot be read, or is implausible.
+    """
+    path: Path = arguments.file
+    _check_options(arguments)
+    people = read_people(path, arguments.frame_seconds, arguments.scale)
+    summary = summarize(people)
+    problem = find_problem(people, summary)
+    print("\n".join(_lines(arguments, people, summary, problem)))
+    if arguments.figure is not None:
+        from samarl.report.tracks import save_tracks  # matplotlib, which takes a second
+
+        name = path.name.encode("utf-8", "replace").decode()
+        measured = f"{summary.people} people, {summary.seconds:.0f} s, median speed"
+        title = f"{name}\n{measured} {summary.speed_median:.2f} m/s"
+        save_tracks(people, title, arguments.figure)
+        print(f"written to {arguments.figure}")
+    if problem and not arguments.no_check:
+        raise RecordingError(f"{problem}; scenario.recording_check=false uses it anyway")
+    if arguments.output is not None:
+        write_atomically(arguments.output, _as_table(people, arguments.output.suffix == ".csv"))
+        print(f"written to {arguments.output}")
+
+
+def _check_options(arguments: argparse.Namespace) -> None:
+    Scenario(
+        crowd=Crowd.recorded,
+        frame_seconds=arguments.frame_seconds,
+        recording_scale=arguments.scale,
+    )
+    figure, output = arguments.figure, arguments.output
+    if figure is not None and figure.suffix not in _PICTURES:
+        raise ConfigurationError(
+            f"--figure is {str(figure)!r}; it must end in {', '.join(_PICTURES)}"
+        )
+    for name, path in (("--figure", figure), ("--output", output)):
+        if path is None:
+            continue
+        if path.exists() and path.samefile(arguments.file):
+            raise ConfigurationError(f"{name} is {str(path)!r}, the recording; it must be another")
+        check_writable(path, name)
+
+
+def _lines(
+    arguments: argparse.Namespace, people: People, summary: Summary, problem: str | None
+) -> list[str]:
+    """The summary, a quantity a line."""
+    rows, s = people.rows, summary
+    gaps = f", as gaps of more than {MAX_GAP:g} s begin another" if s.tracks > s.people else ""
+    table = [
+        ("format", rows.format),
+        ("people", f"{s.people}, at most {s.people_at_once} at once"),
+        ("tracks", f"{s.tracks}{gaps}"),
+        ("rows", f"{s.rows}"),
+        ("duration", f"{s.seconds:.1f} s"),
+        ("clock", f"{people.frame_seconds:.4g} s from one frame number to the next "
+                  f"({_origin(arguments.frame_seconds, rows.frame_seconds)})"),
+        ("unit", f"{people.metres:.4g} m ({_origin(arguments.scale, rows.metres)})"),
+        ("floor", f"{s.floor[0]:.1f} x {s.floor[1]:.1f} m"),
+        ("speeds", f"median {s.speed_median:.2f}, 95 % below {s.speed_95:.2f}, largest "
+                   f"{s.speed_largest:.2f} m/s"),
+        ("longest gap", f"{s.longest_gap:.2f} s"),
+        *(("note", note) for note in rows.notes),
+        ("verdict", "implausible" if problem else "plausible"),
+    ]  # fmt: skip
+    return [f"{name:<12} {value}" for name, value in table]
+
+
+def _origin(option: float | None, stated: float | None) -> str:
+    """Where a number comes from."""
+    if option is not None:
+        return "as given"
+    return "assumed" if stated is None else "as the file states"
+
+
+def _as_table(people: People, commas: bool) -> str:
+    """`frame id x y` in metres, with frames on the usual clock."""
+    frames = people.rows.frame * (people.frame_seconds / FRAME_SECONDS)
+    positions = people.position.round(_DECIMALS)
+    separator = "," if commas else " "
+    lines = ["frame,id,x,y"] if commas else []
+    for k in np.lexsort((people.rows.person, frames)):
+        x, y = positions[k].tolist()
+        cells = (f"{frames[k]:.10g}", str(people.rows.person[k]), repr(x), repr(y))
+        lines.append(separator.join(cells))
+    return "\n".join(lines) + "\n"
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,245 @@
+"""One recording in the formats and with the faults of public files: read rightly, or refused."""
+
+import contextlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mrsan import ConfigurationError, Crowd, Scenario
+from mrsan.recording import People, RecordingError, load_recording, read_people, summarize
+from mrsan.recording.formats import read_rows
+
+CASES = Path(__file__).parents[1] / "data/recordings"
+TRUTH = CASES / "plain.txt"  # 40 people at 1.2 m/s on 14 x 14 m, 25 frames/s, every tenth
+
+# What is refused: what the error must name, and settings that make it right.
+REFUSED: dict[str, tuple[str, dict[str, float]]] = {
+    "centimetres.txt": ("centimetres? then set scenario.recording_scale=0.01", {"scale": 0.01}),
+    "pixels_four_columns.txt": ("pixels? then set scenario.recording_scale", {"scale": 0.037}),
+    "sdd_annotations.txt": ("pixels; set scenario.recording_scale", {"scale": 0.037}),
+    "renumbered_2_5_fps.txt": ("scenario.frame_seconds=0.4", {"frame_seconds": 0.4}),
+    "seconds.txt": ("scenario.frame_seconds=1", {"frame_seconds": 1.0}),
+    "only_once_each.txt": ("must have the same id in every frame", {}),
+    "five_seconds.txt": ("lasts 4.4 s; it must last at least 6 s", {}),
+}
+FORMATS = {  # that must be recognised; others are plain tables
+    "header.csv": "table with named columns",
+    "indented_comment.txt": "table with named columns",
+    "obsmat8.txt": "obsmat.txt of ETH",
+    "pandas_index.csv": "table with named columns",
+    "pedpy_id_first.txt": "PedPy or JuPedSim",
+    "sdd_annotations.txt": "SDD",
+    "semicolon_comment.txt": "table with named columns",
+    "trajnet.ndjson": "TrajNet++",
+    "trajnet_compact.ndjson": "TrajNet++",
+    "trajnet_predictions.ndjson": "TrajNet++ predictions",
+    "trajnet_spaced.ndjson": "TrajNet++",
+    "true_pos_.csv": "transposed",
+}
+
+
+def load(path: Path, scale: float | None = None, frame_seconds: float | None = None) -> People:
+    """Read a file as an environment does, with the check."""
+    load_recording(path, frame_seconds, 0.25, scale)
+    return read_people(path, frame_seconds, scale)
+
+
+def assert_is_the_truth(people: People) -> None:
+    summary = summarize(people)
+    assert summary.people == 40
+    assert summary.speed_median == pytest.approx(1.2, abs=0.02)
+    assert summary.floor == pytest.approx((14.4, 14.4), abs=0.25)
+
+
+@pytest.mark.parametrize("path", sorted(CASES.iterdir()), ids=lambda path: path.name)
+def test_a_recording_is_the_same_people_or_is_refused(path: Path) -> None:
+    if path.name not in REFUSED:
+        assert_is_the_truth(load(path))
+    else:
+        words, remedy = REFUSED[path.name]
+        with pytest.raises(RecordingError) as error:
+            load(path)
+        assert words in str(error.value)
+        assert path.name in str(error.value)
+        if remedy:
+            assert_is_the_truth(load(path, **remedy))
+
+
+@pytest.mark.parametrize("path", sorted(CASES.iterdir()), ids=lambda path: path.name)
+def test_the_format_is_recognised(path: Path) -> None:
+    assert read_rows(path).format.startswith(FORMATS.get(path.name, "plain table"))
+
+
+@pytest.mark.parametrize("name", [
+    "bom.txt", "crlf.txt", "decimal_comma.csv", "exact_duplicates.txt", "header.csv",
+    "indented_comment.txt", "pedpy_id_first.txt", "semicolon_comment.txt", "unsorted.txt",
+    "utf16.txt",
+])  # fmt: skip
+def test_what_is_only_written_differently_is_the_same_to_the_last_bit(name: str) -> None:
+    truth, other = (load_recording(path, None, 0.25) for path in (TRUTH, CASES / name))
+    for one, two in zip(truth, other, strict=True):
+        np.testing.assert_array_equal(one, two)
+
+
+def test_a_scenario_names_its_field() -> None:
+    path = CASES / "renumbered_2_5_fps.txt"
+    scenario = Scenario(crowd=Crowd.recorded, recording=str(path))
+    with pytest.raises(ConfigurationError, match=r"scenario\.recording is .*frame_seconds=0\.4"):
+        scenario.load_recording()
+    fast = Scenario(crowd=Crowd.recorded, recording=str(path), recording_check=False)
+    assert fast.load_recording().steps == 35  # 223 frames of 0.04 s: 8.92 s
+
+
+ROWS = np.array([(10 * k, person, person + 0.48 * k, 2.5 * person - 0.1 * k)
+                 for k in range(20) for person in (1, 2, 30)])  # fmt: skip
+
+
+def written(tmp_path: Path, text: str | bytes) -> Path:
+    path = tmp_path / "people"
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return path
+
+
+def lines(*columns: np.ndarray, separator: str = " ") -> str:
+    rows = np.column_stack(columns)
+    return "".join(separator.join(f"{value:.15g}" for value in row) + "\n" for row in rows)
+
+
+def test_the_clock_and_the_unit_that_a_file_states_are_used_and_checked(tmp_path: Path) -> None:
+    frame, person, x, y = ROWS.T
+    zero = np.zeros_like(frame)
+    files = {
+        # Time in s since 1970, id, x, y and z in mm, velocity, two angles.
+        "ATC": lines(
+            1351037270 + 0.04 * frame, person, 1e3 * x, 1e3 * y, 1.7e3 + zero, zero, zero, zero,
+            separator=",",
+        ),
+        "PedPy": f"# framerate: 16 fps\n# id frame x/cm y/cm z/cm\n"
+        f"{lines(person, frame, 1e2 * x, 1e2 * y, zero)}",
+        "PedPy without names": f"#framerate: 16\n{lines(person, frame, x, y, zero)}",
+        "named": "time[ms];id;x[mm];y[mm]\n"
+        f"{lines(40 * frame, person, 1e3 * x, 1e3 * y, separator=';')}",
+        # 10 frames in 0.667 s at 0.72 and -0.15 m/s.
+        "obsmat": lines(frame, person, x, zero, y, zero + 0.72, zero, zero - 0.15),
+        "TrajNet++": '{"scene": {"fps": 2.0}}\n' + "".join(
+            f'{{"track": {{"f": {f:g}, "p": {p:g}, "x": {a}, "y": {b}}}}}\n' for f, p, a, b in ROWS
+        ),
+    }  # fmt: skip
+    clocks = {"ATC": 0.04, "PedPy": 1 / 16, "PedPy without names": 1 / 16, "named": 0.04,
+              "obsmat": 0.0667, "TrajNet++": 0.05}  # fmt: skip
+    for name, text in files.items():
+        path = written(tmp_path, text)
+        people = load(path)
+        assert people.seconds.max() == pytest.approx(190 * clocks[name], rel=1e-4), name
+        np.testing.assert_allclose(people.position, ROWS[:, 2:], atol=1e-6)
+        with pytest.raises(RecordingError, match=r"frame_seconds is 0\.03, but the file states"):
+            load(path, frame_seconds=0.03)
+    with pytest.raises(RecordingError, match=r"recording_scale is 1, but the file states 0\.001"):
+        load(written(tmp_path, files["ATC"]), scale=1.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("0 1 2 3 4\n", "rows have 5 values and no header names them; it must have 4"),
+        ("0 1 2 3 4 5 6 7\n1 1 2 9 4 5 6 7\n", "rows have 8 values, but neither those of ETH"),
+        ("frame,id,x\n0,1,2\n", "'frame,id,x' has no column named y"),
+        ("frame,who,x,y\n0,1,2,3\n", "'frame,who,x,y' has no column named id"),
+        ("frame,id,x,y\n0,1,2,5,3,5\n", "does not name 6 columns"),
+        ("recorded in May\n0 1 2 3\n", "line 1: 'recorded in May' is neither a row of numbers"),
+        ("a b c d\n", "line 1: 'a b c d' is not a row of numbers"),
+        ("x/m y/cm id frame\n0 1 2 3\n", "x is in m and y in cm; both must be in the same unit"),
+        ("0 1 ? ?\n10 1 ? ?\n", "every position is '?'; some must be known"),
+        ("12 - the number of splines\n", "splines of UCY"),
+        ("[1, 2]\n", "a JSON document"),
+        ("<xml>\n", "an XML document"),
+        ('{"track": {"f": 0, "p": 1.5, "x": 0, "y": 0}}\n', "p is 1.5; it must be a whole number"),
+        ('{"track": \n', "line 1: '{\"track\": ' must be a JSON object"),
+        ('{"scene": {"id": 0}}\n', "has no tracks"),
+        ('1 2 3 4 5 6 0 0 0 "Biker"\n', "of a visible Pedestrian"),
+        (
+            "0,0,0,0,0\n1,1,1,1,1\n0,.1,.2,.3,.4\n0,.1,.2,.3,.4\n",
+            "divided by the width and the height of a picture",
+        ),
+        ('0 1 "2 3\n', "has a quotation mark that is not closed"),
+        (b"\x1f\x8b\x08", "compressed; unpack it first"),
+        (b"PK\x03\x04", "Excel"),
+        (b"SQLite format 3\0", "SQLite"),
+        (bytes(range(256)), "cannot be read as text"),
+    ],
+)
+def test_a_refusal_says_what_is_wrong_with_this_file(
+    tmp_path: Path, text: str | bytes, words: str
+) -> None:
+    path = written(tmp_path, text)
+    with pytest.raises(RecordingError) as error:
+        load(path)
+    assert words in str(error.value)
+    assert (
+        "must" in str(error.value) or "unpack" in str(error.value) or "export" in str(error.value)
+    )
+
+
+def test_boxes_of_people_in_the_picture_are_used(tmp_path: Path) -> None:
+    """Of SDD: the middle of a box, of pedestrians that are not lost."""
+    rows = [f'{id} {x} 0 {x + 20} 40 {10 * k} {lost} 0 0 "{label}"\n' for k in range(20)
+            for id, x, lost, label in ((1, 12 * k, 0, "Pedestrian"), (2, 12 * k, 0, "Cart"),
+                                       (3, 12 * k, 1, "Pedestrian"))]  # fmt: skip
+    people = load(written(tmp_path, "".join(rows)), scale=0.04)
+    np.testing.assert_allclose(
+        people.position, [[0.04 * (12 * k + 10), 0.8] for k in range(20)], atol=1e-9
+    )
+    assert [note.split()[0] for note in people.rows.notes] == ["20", "20"]
+
+
+HEADERS = {
+    "frame": ["frame", "frame_id", "Frame Number", "fr"],
+    "id": ["id", "ped_id", "trackId", "PersID"],
+    "x": ["x", "pos_x", "x[m]", "xCenter", "x/m"],
+    "y": ["y", "pos_y", "y[m]", "yCenter", "y/m"],
+    "z": ["z", "heading", "note"],
+}
+
+
+@st.composite
+def tables(draw: st.DrawFn) -> bytes:
+    """`ROWS` with named columns in any order, with any separator, order of lines and encoding."""
+    separator = draw(st.sampled_from([",", ";", "\t", ", ", "; "]))
+    comma = separator not in (",", ", ") and draw(st.booleans())
+    unit = draw(st.integers(0, 4))
+    names = {role: options[min(unit, len(options) - 1)] for role, options in HEADERS.items()}
+    if separator == "\t":
+        names = {role: name.replace(" ", "_") for role, name in names.items()}
+    roles = draw(st.permutations(["frame", "id", "x", "y", "z"]))
+    columns = dict(zip(("frame", "id", "x", "y"), ROWS.T, strict=True)) | {"z": ROWS[:, 0] * 0.0}
+    order = draw(st.permutations(range(len(ROWS))))
+    text = draw(st.sampled_from(["", "# "])) + separator.join(names[role] for role in roles) + "\n"
+    for k in order:
+        cells = [repr(float(columns[role][k])) for role in roles]
+        text += separator.join(cell.replace(".", ",") if comma else cell for cell in cells) + "\n"
+    text = text.replace("\n", draw(st.sampled_from(["\n", "\r\n", "\n\n"])))
+    return text.encode(draw(st.sampled_from(["utf-8", "utf-8-sig", "utf-16"])))
+
+
+@given(tables())
+@settings(max_examples=60, deadline=None)
+def test_names_separators_orders_and_encodings_do_not_matter(
+    tmp_path_factory: pytest.TempPathFactory, content: bytes
+) -> None:
+    people = load(written(tmp_path_factory.mktemp("table"), content))
+    order = np.lexsort((people.rows.person, people.rows.frame))
+    read = np.column_stack([people.rows.frame, people.rows.person, people.position])[order]
+    np.testing.assert_array_equal(read, ROWS)
+
+
+@given(st.lists(st.text(st.sampled_from("0123456789.-,;?# \t\"'{}[]:efx\u00fc"), max_size=30)))
+@settings(max_examples=200, deadline=None)
+def test_any_text_is_read_or_refused(
+    tmp_path_factory: pytest.TempPathFactory, content: list[str]
+) -> None:
+    path = written(tmp_path_factory.mktemp("text"), "\n".join(content))
+    with contextlib.suppress(RecordingError):  # and no other error
+        load_recording(path, None, 0.25, check=False)

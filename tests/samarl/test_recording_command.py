@@ -1,0 +1,156 @@
+"""`samarl-recording`: a user looks at a file, draws it and converts it."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from mrsan.recording import load_recording
+from samarl.commands import recording as command
+
+CASES = Path(__file__).parents[1] / "data/recordings"
+NAMES = [
+    "my data (1)/p.txt",
+    "Zürich.txt",
+    "a=b.txt",
+    "it's.txt",
+    "x,y.txt",
+    "$x^2$ 人.txt",
+    "[1]{2}",
+]
+
+
+@pytest.fixture
+def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
+    """Run the command; returns its exit code, and what it printed and said of errors."""
+
+    def call(*words: object) -> tuple[int, str, str]:
+        monkeypatch.setattr("sys.argv", ["samarl-recording", *map(str, words)])
+        code = 0
+        try:
+            command.main()
+        except SystemExit as stop:
+            code = int(stop.code or 0)
+        printed = capsys.readouterr()
+        return code, printed.out, printed.err
+
+    return call
+
+
+@pytest.fixture(autouse=True)
+def _here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+def test_a_summary(run) -> None:
+    code, printed, error = run(CASES / "pedpy_id_first.txt")
+    assert (code, error) == (0, "")
+    summary = dict(re.split("  +", line, maxsplit=1) for line in printed.splitlines())
+    assert summary["format"].startswith("PedPy")
+    assert summary["people"] == "40, at most 9 at once"
+    assert summary["duration"] == "89.2 s"  # 2230 frames of 0.04 s
+    assert summary["clock"].endswith("(as the file states)")
+    assert summary["floor"] == "14.4 x 14.4 m"
+    assert summary["speeds"].startswith("median 1.20")
+    assert summary["verdict"] == "plausible"
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_any_path_is_a_path(run, name: str) -> None:
+    path = Path(name)
+    path.parent.mkdir(exist_ok=True)
+    path.write_bytes((CASES / "plain.txt").read_bytes())
+    picture = path.with_name(f"{path.name}.png")
+    code, _, error = run(path, "--figure", picture, "--output", path.with_name(f"{path.name} new"))
+    assert (code, error) == (0, "")
+    with Image.open(picture) as image:
+        assert min(image.size) > 400
+        assert len(image.getcolors(1000) or []) > 40  # tracks have the colours of their times
+
+
+@pytest.mark.parametrize(
+    ("name", "frame_seconds", "scale"),
+    [
+        ("plain.txt", None, None),
+        ("trajnet_predictions.ndjson", None, None),
+        ("epoch_seconds.txt", None, None),
+        ("milliseconds_epoch.txt", None, None),
+        ("obsmat8.txt", None, None),
+        ("true_pos_.csv", None, None),
+        ("centimetres.txt", None, 0.01),
+        ("seconds.txt", 1.0, None),
+        ("renumbered_2_5_fps.txt", 0.4, None),
+    ],
+)
+@pytest.mark.parametrize("ending", ["txt", "csv"])
+def test_what_is_converted_needs_no_settings(
+    run, name: str, frame_seconds: float | None, scale: float | None, ending: str
+) -> None:
+    options = [f"--frame-seconds={frame_seconds}"] * (frame_seconds is not None)
+    options += [f"--scale={scale}"] * (scale is not None)
+    code, _, error = run(CASES / name, *options, "--output", f"new.{ending}")
+    assert (code, error) == (0, "")
+    truth = load_recording(CASES / name, frame_seconds, 0.25, scale)
+    again = load_recording(f"new.{ending}", None, 0.25)
+    np.testing.assert_array_equal(again.first, truth.first)
+    np.testing.assert_array_equal(again.last, truth.last)
+    np.testing.assert_allclose(again.position, truth.position, atol=2e-5)
+
+
+def test_what_is_converted_is_plain(run) -> None:
+    run(CASES / "pedpy_id_first.txt", "--output", "new.txt")
+    rows = np.loadtxt("new.txt")
+    truth = np.loadtxt(CASES / "plain.txt")
+    np.testing.assert_array_equal(rows, truth[np.lexsort((truth[:, 1], truth[:, 0]))])
+    run(CASES / "pedpy_id_first.txt", "--output", "new.csv")
+    assert Path("new.csv").read_text().splitlines()[:2] == ["frame,id,x,y", "0,6,6.8002,12.4359"]
+
+
+def test_what_is_implausible_is_drawn_but_not_converted(run) -> None:
+    words = [CASES / "renumbered_2_5_fps.txt", "--figure", "new.png", "--output", "new.txt"]
+    code, printed, error = run(*words)
+    assert code == 2
+    assert re.search(r"verdict +implausible", printed)
+    assert error.startswith("error: ")
+    assert "--frame-seconds=0.4" in error
+    assert error.count("\n") == 1
+    assert sorted(path.name for path in Path().iterdir()) == ["new.png"]
+    assert run(*words, "--no-check")[0] == 0
+    assert Path("new.txt").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ([], "FILE"),
+        (["nowhere.txt"], "'nowhere.txt'"),
+        (["."], "'.'"),
+        (
+            [CASES / "plain.txt", "--scale", "0"],
+            r"--scale is 0\.0; it must lie in \[1e-06, ",
+        ),
+        ([CASES / "plain.txt", "--frame-seconds", "x"], "--frame-seconds.*'x'"),
+        ([CASES / "plain.txt", "--figure", "a.bmp"], r"--figure is 'a\.bmp'; it must end in \.png"),
+        ([CASES / "plain.txt", "--output", "/dev/null/a"], "--output is '/dev/null/a'"),
+        (
+            [CASES / "plain.txt", "--output", CASES / "plain.txt"],
+            "it must be another",
+        ),
+        ([CASES / "sdd_annotations.txt"], "--scale to the metres per pixel"),
+        ([CASES / "plain.txt", "--nothing"], "--nothing"),
+    ],
+)
+def test_a_mistake_ends_in_one_line(run, words: list, message: str) -> None:
+    code, _, error = run(*words)
+    assert code == 2
+    assert re.fullmatch(f"error: .*{message}.*\n", error)
+
+
+def test_help_and_version(run) -> None:
+    code, printed, _ = run("--help")
+    assert code == 0
+    for option in ("FILE", "--frame-seconds", "--scale", "--figure", "--output", "--no-check"):
+        assert option in printed
+    assert run("--version")[1].startswith("samarl ")
