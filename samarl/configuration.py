@@ -21,6 +21,7 @@ from omegaconf.errors import OmegaConfBaseException
 from mrsan import ConfigurationError, Scenario
 from samarl.evaluation.runner import Evaluation
 from samarl.files import find_folder
+from samarl.messages import choice_hint, describe
 
 T = TypeVar("T")
 
@@ -129,11 +130,20 @@ def available_agents() -> list[str]:
         return sorted(loader.get_group_options("agent"))
 
 
-def load_agent(name: str) -> dict[str, Any]:
-    """The configuration of an agent of `conf/agent/`."""
-    if name not in available_agents():
-        choices = ", ".join(available_agents())
-        raise ConfigurationError(f"{name!r} is not an agent; it must be among {choices}")
+def load_agent(name: str, field: str = "agent") -> dict[str, Any]:
+    """Return the configuration of an agent of `conf/agent/`.
+
+    Args:
+        name: of its file.
+        field: the setting that holds the name, for the error.
+
+    Raises:
+        ConfigurationError: there is no such agent.
+    """
+    names = available_agents()
+    if name not in names:
+        hint = choice_hint(name, names, "samarl-evaluate --help lists them")
+        raise ConfigurationError(f"{field}: there is no agent {name!r}; {hint}")
     with _hydra():
         config = OmegaConf.to_container(compose("config", [f"agent={name}"]).agent)
     assert isinstance(config, dict)
@@ -153,13 +163,21 @@ def _hydra() -> Iterator[ConfigLoader]:
 
 
 @cache
-def load_scenario(name: str) -> Scenario:
-    """The scenario of a file of `conf/scenario/`, or of that of `--config-dir`."""
+def load_scenario(name: str, field: str = "scenario") -> Scenario:
+    """Return the scenario of a file of `conf/scenario/`, or of that of `--config-dir`.
+
+    Args:
+        name: of the file.
+        field: the setting that holds the name, for the error.
+
+    Raises:
+        ConfigurationError: there is no such scenario.
+    """
     with _hydra() as loader:
         choices = sorted(set(loader.get_group_options("scenario")) - {"schema"})
         if name not in choices:
             raise ConfigurationError(
-                f"{name!r} is not a scenario; it must be among {', '.join(choices)}"
+                f"{field}: there is no scenario {name!r}; {choice_hint(name, choices)}"
             )
         scenario = OmegaConf.to_object(compose("config", [f"scenario={name}"]).scenario)
     assert isinstance(scenario, Scenario)
@@ -176,11 +194,14 @@ def scenario_of(column: Any, field: str = "columns") -> Scenario:
             f"{field} has {column!r:.60}; it must be fields of a scenario with their values"
         )
     fields = dict(column)
-    named = load_scenario(str(fields.pop("scenario", Scenario.name)))
+    named = load_scenario(str(fields.pop("scenario", Scenario.name)), field)
     try:
         scenario = OmegaConf.to_object(OmegaConf.merge(OmegaConf.structured(named), fields))
-    except (OmegaConfBaseException, OverflowError) as error:  # a whole number beyond any float
-        reason = str(error).splitlines()[0]
-        raise ConfigurationError(f"{field} has {column}: {reason}") from error
+    except OmegaConfBaseException as error:
+        raise ConfigurationError(describe(error, f"{field}: ")) from error
+    except OverflowError:
+        raise ConfigurationError(
+            f"{field} has a number that is too large for a float: {fields!r:.60}"
+        ) from None
     assert isinstance(scenario, Scenario)
     return scenario

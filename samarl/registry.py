@@ -11,6 +11,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from mrsan import ConfigurationError
 from mrsan.scenario import check_numbers
+from samarl.messages import describe
 
 T = TypeVar("T")
 C = TypeVar("C", bound=type)
@@ -35,7 +36,16 @@ def _check_named(values: Any, path: str) -> None:
 
 
 def checked_fields(schema: Any, values: Any, path: str) -> dict[str, Any]:
-    """The fields of a dataclass from `values`, which must fit their names and types."""
+    """Return the fields of a dataclass from `values`, which must fit their names and types.
+
+    Args:
+        schema: the dataclass.
+        values: names with their values.
+        path: prefix of the fields in errors, such as `agent`.
+
+    Raises:
+        ConfigurationError: names the field that is unknown, missing or wrong.
+    """
     _check_named(values, path)
     try:
         merged = OmegaConf.merge(OmegaConf.structured(schema), values)
@@ -43,9 +53,7 @@ def checked_fields(schema: Any, values: Any, path: str) -> dict[str, Any]:
     except OverflowError:
         raise ConfigurationError(f"{path} has a number that is too large for a float") from None
     except OmegaConfBaseException as error:
-        reason = str(error).splitlines()[0]
-        name = getattr(error, "full_key", "")
-        raise ConfigurationError(f"{path}.{name}: {reason}") from error
+        raise ConfigurationError(describe(error, f"{path}.")) from error
     assert isinstance(fields, dict)
     return {str(key): value for key, value in fields.items()}
 

@@ -83,7 +83,7 @@ def check_numbers(config: Any, path: str) -> None:
 
     Args:
         config: a dataclass instance.
-        path: what its fields are called in messages, such as `scenario`.
+        path: prefix of its fields in messages, such as `scenario`; may be empty.
 
     Raises:
         ConfigurationError: names the first field that is wrong, its value and its range.
@@ -91,6 +91,7 @@ def check_numbers(config: Any, path: str) -> None:
     hints = get_type_hints(type(config))
     for f in dataclasses.fields(config):
         name, value, hint = f"{path}.{f.name}", getattr(config, f.name), hints[f.name]
+        name = name.removeprefix(".")
         if isinstance(hint, type) and issubclass(hint, Enum):
             if isinstance(value, str) and value in hint.__members__:
                 setattr(config, f.name, hint[value])
@@ -251,21 +252,28 @@ class Scenario:
         if not isinstance(self.reward, Reward):
             raise ConfigurationError(f"scenario.reward is {self.reward!r}; it must be a Reward")
         check_numbers(self.reward, "scenario.reward")
-        for low, high in (
-            ("humans_min", "humans"),
-            ("human_radius_min", "human_radius_max"),
-            ("human_speed_min", "human_speed_max"),
-            ("hurry_speed_min", "hurry_speed_max"),
-            ("robot_way_min", "robot_way_max"),
-            ("robot_way_min", "floor_size"),
-            ("crossing_width", "floor_size"),
-            ("opposite_width", "floor_size"),
-            ("time_step", "time_limit"),
-            ("goal_distance", "circle_radius"),
-            ("goal_change_probability", "goal_change_probability_max"),
-        ):
+        simulated = self.crowd is not Crowd.recorded
+        circle, crossing, opposite, square = (
+            simulated and self.layout in (layout, Layout.mixed)
+            for layout in (Layout.circle, Layout.crossing, Layout.opposite, Layout.square)
+        )
+        floor = crossing or opposite or square
+        for low, high, applies in (
+            ("humans_min", "humans", simulated),
+            ("human_radius_min", "human_radius_max", True),
+            ("human_speed_min", "human_speed_max", simulated),
+            ("hurry_speed_min", "hurry_speed_max", simulated and self.hurry_probability > 0.0),
+            ("robot_way_min", "robot_way_max", floor or not simulated),
+            ("robot_way_min", "floor_size", floor),
+            ("crossing_width", "floor_size", crossing),
+            ("opposite_width", "floor_size", opposite),
+            ("time_step", "time_limit", True),
+            ("goal_distance", "circle_radius", circle and self.crowd is not Crowd.still),
+            ("goal_change_probability", "goal_change_probability_max",
+             simulated and self.crowd is not Crowd.still),
+        ):  # fmt: skip
             smallest, largest = getattr(self, low), getattr(self, high)
-            if None not in (smallest, largest) and smallest > largest:
+            if applies and None not in (smallest, largest) and smallest > largest:
                 raise ConfigurationError(
                     f"scenario.{low} is {smallest}; it must not exceed scenario.{high} ({largest})"
                 )
@@ -279,7 +287,7 @@ class Scenario:
                 "scenario.crowd is recorded; then scenario.robots_visible must be false and "
                 "scenario.arena_radius null: nobody in a recording knows of robots or walls"
             )
-        if self.arena_radius is not None and self.layout is not Layout.circle:
+        if self.arena_radius is not None and floor:
             needed = self.floor_size / math.sqrt(2.0) + self.robot_radius
             if self.arena_radius < needed:
                 raise ConfigurationError(
@@ -287,9 +295,9 @@ class Scenario:
                     f"{needed:.2f}, so that the corners of the floor lie inside"
                 )
         if self.arena_radius is not None:
-            jitter = math.sqrt(2.0) * self.spawn_jitter * self.robot_speed
+            jitter = math.sqrt(2.0) * self.spawn_jitter * self.robot_speed if circle else 0.0
             needed = self.circle_radius + jitter + self.robot_radius
-            if self.arena_radius < needed:
+            if circle and self.arena_radius < needed:
                 raise ConfigurationError(
                     f"scenario.arena_radius is {self.arena_radius}; it must be null or at least "
                     f"{needed:.2f}, so that every start and goal lies inside"

@@ -41,7 +41,7 @@ def build_agent(config: Mapping[str, Any], scenario: Scenario) -> Agent:
     hints = get_type_hints(agent_class)
     knobs = [f for f in dataclasses.fields(agent_class) if f.init and f.name != "scenario"]
     schema = dataclasses.make_dataclass(
-        agent_class.__name__, [(f.name, hints[f.name], _default(f)) for f in knobs]
+        agent_class.__name__, [(f.name, hints[f.name], _schema_field(f)) for f in knobs]
     )
     agent: Agent = agent_class(scenario=scenario, **checked_fields(schema, values, "agent"))
     return agent if shield is None else Shielded(scenario, agent, shield)
@@ -58,12 +58,12 @@ def _shield(config: Any) -> Shield | None:
     return Shield() if config else None
 
 
-def _default(field: dataclasses.Field) -> Any:
-    """The same default for the schema; what has none must be in the YAML file."""
+def _schema_field(field: dataclasses.Field) -> Any:
+    """Return the same field for the schema; without a default it must be in the YAML file."""
     if field.default_factory is not dataclasses.MISSING:
-        return dataclasses.field(default_factory=field.default_factory)
-    missing = field.default is dataclasses.MISSING
-    return dataclasses.field(default=MISSING if missing else field.default)
+        return dataclasses.field(default_factory=field.default_factory, metadata=field.metadata)
+    default = MISSING if field.default is dataclasses.MISSING else field.default
+    return dataclasses.field(default=default, metadata=field.metadata)
 
 
 def find_class(target: Any) -> Any:

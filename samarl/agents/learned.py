@@ -104,8 +104,8 @@ class Learned(Agent):
             if not self.track_velocity:
                 raise ConfigurationError(
                     f"scenario.kinematics is {here.name}; {self.checkpoint} drives "
-                    f"{' or '.join(sorted(known))} (agent.track_velocity=true: its velocities are "
-                    "tracked)"
+                    f"{' or '.join(sorted(known))} robots (with agent.track_velocity=true others "
+                    "track its velocities)"
                 )
             self._own = replace(self.scenario, kinematics=Kinematics[min(known)])
         self._deployed = Deployed(self.policy, self._own, self.waypoints)

@@ -17,6 +17,7 @@ from tqdm import tqdm
 from mrsan import ActionError, ConfigurationError, Scenario
 from samarl.agents import build_agent
 from samarl.commands.cli import run_command
+from samarl.commands.recordings import recordings_in
 from samarl.configuration import (
     available_agents,
     evaluation_in,
@@ -92,8 +93,7 @@ def bench(config: DictConfig) -> None:
     everybody = [name for name in available_agents() if name not in config.leave_out]
     names = everybody if config.agents is None else list(config.agents)
     columns = [OmegaConf.to_container(column) for column in config.columns]
-    if config.recordings is not None:
-        columns += _recorded_columns(config)
+    columns += _recorded_columns(config)
     scenarios = [scenario_of(column) for column in columns]
     if not names or not scenarios:
         raise ConfigurationError("agents and columns are empty; name at least one of each")
@@ -107,7 +107,7 @@ def bench(config: DictConfig) -> None:
     check_writable(output / f"{config.name}.json", "output")
     commit = code_version()
     plugins = list(config.plugins)
-    agents = [(name, load_agent(name)) for name in names]
+    agents = [(name, load_agent(name, "agents")) for name in names]
     tasks, coming = [], []
     left_out: dict[str, str] = {}
     for scenario in scenarios:
@@ -152,20 +152,15 @@ def bench(config: DictConfig) -> None:
 
 
 def _recorded_columns(config: DictConfig) -> list[dict[str, Any]]:
-    """A column for every recording in a folder."""
-    files = sorted(Path(config.recordings).glob("*.txt"))
-    if not files:
-        raise ConfigurationError(
-            f"recordings is {config.recordings!r}; it must be a folder with *.txt files in it"
-        )
+    """Return a column for every recording in a folder."""
     return [
         {
             **config.recorded,
             "crowd": "recorded",
             "recording": str(file),
-            "frame_seconds": config.frame_seconds.get(file.stem),
+            "frame_seconds": frame_seconds,
         }
-        for file in files
+        for file, frame_seconds in recordings_in(config.recordings, config.frame_seconds).items()
     ]
 
 

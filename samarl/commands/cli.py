@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import difflib
 import functools
 import hashlib
 import io
@@ -14,7 +13,8 @@ import shlex
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any, NoReturn
 
 import hydra
@@ -24,73 +24,98 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.errors import HydraException
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
-from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
+from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
 import samarl
 from mrsan import ActionError, ConfigurationError
-from samarl.agents import Agent
-from samarl.commands.help import help_text, own_folder
+from samarl.commands.composition import compose_cells
+from samarl.commands.errors import explain
+from samarl.commands.help import help_text
+from samarl.commands.overrides import CommandLine
 from samarl.configuration import first, import_plugins, refuse_bombs, register_schemas
 from samarl.files import find_folder
 from samarl.launch import launcher, rank
+from samarl.messages import unknown_field
 
 _WAIT_FOR_FIRST = 5.0  # s, for the first process to say what is wrong
 
 
-def chosen_agent(config: DictConfig) -> DictConfig:
-    """The configuration of the agent, with the checkpoint that was asked for."""
-    agent: DictConfig = config.agent
-    if config.checkpoint is not None:
-        if "checkpoint" not in agent:
-            raise ConfigurationError(
-                f"checkpoint is {config.checkpoint!r}; it must be null for an agent without one "
-                "(agent=samarl has one)"
-            )
-        agent.checkpoint = config.checkpoint
-    return agent
-
-
-def print_scope_warning(agent: Agent) -> None:
-    """Say what a user should know of an agent in its scenario, if there is anything."""
-    if warning := agent.scope_warning():
-        print(f"note: {warning}", file=sys.stderr)
-
-
-def run_command(task: Callable[[DictConfig], Any], config_name: str, **schemas: type) -> None:
+def run_command(
+    task: Callable[[DictConfig], Any],
+    config_name: str,
+    check: Callable[[DictConfig], Any] | None = None,
+    **schemas: type,
+) -> None:
     """Run a Hydra task; a mistake of the user's ends in one line and exit code 2.
 
     Args:
         task: what to do with the composed configuration.
         config_name: the primary file in `conf/`.
+        check: what to do with the configuration of every cell of a sweep before the first is run,
+            to find mistakes early.
         **schemas: dataclasses that the configuration names in its defaults.
     """
-    if "--version" in sys.argv[1:]:
+    words = sys.argv[1:]
+    if "--version" in words:
         print(f"samarl {samarl.__version__}")
         return
-    os.environ["SAMARL_SWEEP"] = _sweep_name(sys.argv[1:])
+    _prepare_process(words)
+    for name, schema in schemas.items():
+        ConfigStore.instance().store(name=name, node=schema)
+    try:
+        command = CommandLine.parse(words)
+    except ConfigurationError as error:
+        _fail(error)
+    try:
+        _check_folder(command.folder)
+        command = command.quoted()
+        if {"--help", "-h"} & set(words):
+            print(help_text(config_name, command))
+            return
+        if command.is_sweep:
+            for config in compose_cells(config_name, command):
+                _check_plugins_and_keys(config)
+                if check is not None:
+                    check(config)
+    except KeyboardInterrupt:
+        _stop("interrupted")
+    except _MISTAKES as error:
+        _fail(error, command.folder)
+    sys.argv = [sys.argv[0], *command.words()]
+    _run_hydra(task, config_name, command.folder)
+
+
+# What a user's mistake raises in a command or while Hydra composes; other errors are bugs.
+_MISTAKES = (
+    ConfigurationError, ActionError, HydraException, OmegaConfBaseException, YAMLError, OSError,
+    MemoryError, UnicodeError,
+)  # fmt: skip
+
+
+def _prepare_process(words: Sequence[str]) -> None:
+    os.environ["SAMARL_SWEEP"] = _sweep_name(words)
     for stream in (sys.stdout, sys.stderr):  # a terminal may know only ASCII
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
-    os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra raises instead of printing; it is said below.
+    os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra raises instead of printing; see `_fail`
     if os.getcwd() not in sys.path:
         sys.path.append(os.getcwd())  # a user's own agents live where the command is run
     OmegaConf.register_new_resolver("first", first, replace=True)
     register_schemas()
-    for name, schema in schemas.items():
-        ConfigStore.instance().store(name=name, node=schema)
-    try:
-        if own := own_folder(sys.argv[1:]):
-            refuse_bombs(own)
-    except ConfigurationError as error:
-        _fail(error)
-    if {"--help", "-h"} & set(sys.argv[1:]):
-        try:
-            print(help_text(config_name, sys.argv[1:]))
-        except (HydraException, OmegaConfBaseException, ConfigurationError) as error:
-            _fail(error)
-        return
-    begun = False
+
+
+def _check_folder(folder: Path | None) -> None:
+    """Check the user's `--config-dir`, if there is one."""
+    if folder is not None:
+        if not folder.is_dir():
+            raise ConfigurationError(f"--config-dir is {str(folder)!r}; it must be a folder")
+        refuse_bombs(folder)
+
+
+def _run_hydra(task: Callable[[DictConfig], Any], config_name: str, folder: Path | None) -> None:
+    """Let Hydra compose the configuration from `sys.argv` and run `task` with it."""
+    has_started = False
     decorate = hydra.main(
         version_base="1.3", config_path=str(find_folder("conf")), config_name=config_name
     )
@@ -98,12 +123,11 @@ def run_command(task: Callable[[DictConfig], Any], config_name: str, **schemas: 
     @functools.wraps(task)
     def checked(config: DictConfig) -> Any:
         # Reported here, not outside: Hydra would print a second line about the failed job.
-        nonlocal begun
-        begun = True
+        nonlocal has_started
+        has_started = True
         try:
             _take_threads()
-            _refuse_unknown_keys(config, "")
-            import_plugins(config.plugins)
+            _check_plugins_and_keys(config)
             result = task(config)
             sys.stdout.flush()
             return result
@@ -113,7 +137,7 @@ def run_command(task: Callable[[DictConfig], Any], config_name: str, **schemas: 
             ConfigurationError, ActionError, OmegaConfBaseException, OSError, MemoryError
         ) as error:  # fmt: skip
             _remove_empty_folder()
-            _fail(error)
+            _fail(error, folder)
         except KeyboardInterrupt:
             _remove_empty_folder()
             raise
@@ -122,19 +146,20 @@ def run_command(task: Callable[[DictConfig], Any], config_name: str, **schemas: 
         decorate(checked)()
     except BrokenPipeError:
         _leave_quietly()
-    except (HydraException, OmegaConfBaseException, YAMLError, OSError) as error:
-        _fail(error)
     except KeyboardInterrupt as interruption:
-        if rank() == 0:
-            print("; ".join(["interrupted", *map(str, interruption.args)]), file=sys.stderr)
-        sys.exit(130)
+        _stop("; ".join(["interrupted", *map(str, interruption.args)]))
+    except (HydraException, OmegaConfBaseException, YAMLError, OSError) as error:
+        _fail(error, folder)
     except Exception as error:
-        if type(error).__module__.startswith("submitit"):  # of a cell that ran elsewhere
-            _fail(error)
-        if begun:
+        if has_started and not type(error).__module__.startswith("submitit"):  # a cell elsewhere
             raise
         # Hydra, OmegaConf and PyYAML raise whatever they come across while they compose.
-        _fail(ConfigurationError(f"the configuration cannot be read ({error})"))
+        _fail(error, folder)
+
+
+def _check_plugins_and_keys(config: DictConfig) -> None:
+    _refuse_unknown_keys(config, "")
+    import_plugins(config.plugins)
 
 
 def _take_threads() -> None:
@@ -172,34 +197,10 @@ def _refuse_unknown_keys(config: DictConfig, path: str) -> None:
     known = {f.name for f in dataclasses.fields(kind)} if dataclasses.is_dataclass(kind) else None
     for key in map(str, config):
         if known is not None and key not in known:
-            raise ConfigurationError(_not_known(path, key, known))
+            raise ConfigurationError(unknown_field(path, key, known))
         node = config._get_node(key)
         if isinstance(node, DictConfig) and not node._is_none():
             _refuse_unknown_keys(node, f"{path}{key}.")
-
-
-def _not_known(path: str, key: str, known: Iterable[str]) -> str:
-    """What to say of a field that is not there: the one that is probably meant, or all."""
-    names = sorted(name for name in known if not name.startswith("_"))
-    meant = [name for name in names if name.startswith(key)]
-    meant += [name for name in names if "".join(word[:1] for word in name.split("_")) == key]
-    meant += difflib.get_close_matches(key, names)
-    if meant:
-        return f"{path}{key} is not known; did you mean {path}{meant[0]}?"
-    return f"{path}{key} is not known; it must be one of {', '.join(names)}"
-
-
-def _unknown_key(error: BaseException | None) -> str | None:
-    """The same, where the error comes from a field that Hydra or OmegaConf does not find."""
-    while error is not None:
-        parent = getattr(error, "parent_node", None)
-        if isinstance(error, ConfigKeyError | ConfigAttributeError) and isinstance(
-            parent, DictConfig
-        ):
-            path = str(error.full_key).rpartition(".")[0]
-            return _not_known(f"{path}." if path else "", str(error.key), map(str, parent))
-        error = error.__cause__
-    return None
 
 
 def _remove_empty_folder() -> None:
@@ -216,25 +217,24 @@ def _leave_quietly() -> NoReturn:
     sys.exit(1)
 
 
-def _fail(error: Exception) -> NoReturn:
+def _stop(message: str) -> NoReturn:
+    """End an interrupted command; of several processes only the first says so."""
+    if rank() == 0:
+        print(message, file=sys.stderr)
+    sys.exit(130)
+
+
+def _fail(error: Exception, folder: Path | None = None) -> NoReturn:
     """Say in one line what is wrong and leave with exit code 2.
 
     Of several processes only one should say it. The others wait first: their launcher ends them.
+
+    Args:
+        error: the user's mistake.
+        folder: the user's `--config-dir`.
     """
     if rank() > 0:
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
         time.sleep(_WAIT_FOR_FIRST)
-    if unknown := _unknown_key(error):
-        print(f"error: {unknown}", file=sys.stderr)
-        sys.exit(2)
-    message = str(error).split("Config search path:")[0] or type(error).__name__
-    if isinstance(error, OSError) and error.errno and error.filename is None:  # of Hydra, say
-        message = f"a file below {os.getcwd()} cannot be written ({error.strerror})"
-    if error.__cause__ and str(error.__cause__) not in message:
-        message += f"\n{error.__cause__}"
-    key = getattr(error, "full_key", None)
-    if key and key not in message:
-        message = f"{key}: {message}"
-    lines = [line.strip().removesuffix(":") for line in message.splitlines() if line.strip()]
-    print("error: " + "; ".join(lines), file=sys.stderr)
+    print(f"error: {explain(error, folder)}", file=sys.stderr)
     sys.exit(2)

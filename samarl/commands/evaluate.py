@@ -13,7 +13,8 @@ from omegaconf import DictConfig, OmegaConf
 
 from mrsan import Episodes, Outcome, Scenario, social_score
 from samarl.agents import build_agent
-from samarl.commands.cli import chosen_agent, command_line, print_scope_warning, run_command
+from samarl.commands.agents import check_agent, chosen_agent, print_scope_warning
+from samarl.commands.cli import command_line, run_command
 from samarl.configuration import evaluation_in, load_scenario, scenario_in
 from samarl.evaluation.runner import Evaluation, run_cases
 from samarl.evaluation.summary import Row, summarise
@@ -30,7 +31,7 @@ _PER_ROBOT = [
 
 def main() -> None:
     """Entry point."""
-    run_command(evaluate, "config")
+    run_command(evaluate, "config", check_cell)
 
 
 def evaluate(config: DictConfig) -> Row:
@@ -62,6 +63,12 @@ def evaluate(config: DictConfig) -> Row:
     print(rows_as_markdown([row]))
     print(f"written to {folder}")
     return row
+
+
+def check_cell(config: DictConfig) -> None:
+    """Check a cell of a sweep without playing it."""
+    evaluation_in(config)
+    check_agent(config)
 
 
 def objects(config: DictConfig) -> tuple[Scenario, Evaluation]:

@@ -12,7 +12,8 @@ from omegaconf import MISSING, DictConfig
 
 from mrsan import ConfigurationError
 from samarl.agents import build_agent
-from samarl.commands.cli import chosen_agent, print_scope_warning, run_command
+from samarl.commands.agents import check_agent, chosen_agent, print_scope_warning
+from samarl.commands.cli import run_command
 from samarl.configuration import scenario_in
 from samarl.files import check_writable
 
@@ -30,14 +31,14 @@ class Export:
 
 def main() -> None:
     """Entry point."""
-    run_command(export, "export", export_schema=Export)
+    run_command(export, "export", check_agent, export_schema=Export)
 
 
 def export(config: DictConfig) -> None:
     """Write the file."""
     scenario = scenario_in(config)
     path = Path(config.output)
-    if path.suffix != ".onnx":
+    if path.suffix.lower() != ".onnx":
         raise ConfigurationError(f"output is {config.output!r}; it must end in .onnx")
     if not (find_spec("onnx") and find_spec("onnxruntime")):
         raise ConfigurationError("onnx is not installed: pip install 'samarl[export]'")

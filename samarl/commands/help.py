@@ -6,24 +6,24 @@ from the comments in `conf/`.
 
 from __future__ import annotations
 
-import argparse
 import ast
 import dataclasses
 import inspect
 import io
 import re
 import tokenize
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from enum import Enum
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
-from hydra import compose, initialize_config_dir
-from hydra.core.global_hydra import GlobalHydra
+from hydra import compose
 from omegaconf import DictConfig, OmegaConf
 
 from mrsan import Reward, Scenario
 from samarl.agents.build import find_class
+from samarl.commands.composition import config_loader
+from samarl.commands.overrides import CommandLine
 from samarl.evaluation.runner import Evaluation
 from samarl.files import find_folder
 from samarl.prediction.training import Training
@@ -33,30 +33,17 @@ _GROUPS = "Groups (choose with group=name; help of a choice: group=name --help):
 Meanings = dict[str, str]  # by the path of a setting, such as scenario.reward.arrival
 
 
-def own_folder(words: Sequence[str]) -> Path | None:
-    """The user's `--config-dir` on a command line."""
-    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
-    parser.add_argument("--config-dir", "-cd", type=Path)
-    try:
-        return cast("Path | None", parser.parse_known_args(words)[0].config_dir)
-    except argparse.ArgumentError:
-        return None  # without a value: Hydra says so
-
-
-def help_text(config_name: str, words: Sequence[str]) -> str:
-    """What `--help` prints.
+def help_text(config_name: str, command: CommandLine) -> str:
+    """Return what `--help` prints.
 
     Args:
         config_name: the primary file in `conf/`.
-        words: the command line; settings on it are composed, so that help is of what they choose.
+        command: its settings are composed, so that the help describes what they choose.
     """
     folder = find_folder("conf").resolve()
-    settings = [word for word in words if re.match(r"[\w.+~/@]+=", word)]
-    if own := own_folder(words):
-        settings.append(f"hydra.searchpath=[file://{own.resolve()}]")
-    with initialize_config_dir(str(folder), version_base="1.3"):
+    with config_loader(command.folder) as (loader, search_path):
+        settings = [*command.settings, *search_path]
         config = compose(config_name, settings, return_hydra_config=True)
-        loader = GlobalHydra.instance().config_loader()
         choices = {
             group: str(choice) for group, choice in config.hydra.runtime.choices.items()
             if not group.startswith("hydra/")

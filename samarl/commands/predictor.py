@@ -13,6 +13,7 @@ from mrsan import ConfigurationError, Split
 from mrsan.prediction import find_predictor
 from mrsan.scenario import check_numbers, number
 from samarl.commands.cli import command_line, run_command
+from samarl.commands.recordings import recordings_in
 from samarl.configuration import scenario_of
 from samarl.files import check_writable, code_version, write_atomically, write_json
 from samarl.prediction.training import Training
@@ -52,7 +53,7 @@ def predictor(config: DictConfig) -> None:
 
     training = Training(**checked_fields(Training, config.training, "training"))
     numbers = Predictor(validation_cases=config.validation_cases, shown_steps=config.shown_steps)
-    check_numbers(numbers, "predictor")
+    check_numbers(numbers, "")
     if config.shown_steps > training.steps:
         raise ConfigurationError(
             f"shown_steps is {config.shown_steps}; it must be at most training.steps "
@@ -62,6 +63,7 @@ def predictor(config: DictConfig) -> None:
     if not crowds:
         raise ConfigurationError("crowds is empty; name at least one")
     time_step = next(iter(crowds.values())).time_step
+    recordings = recordings_in(config.recordings, config.frame_seconds)
     output = Path(config.output)
     check_writable(output / WEIGHTS, "output")
     made: dict[str, Any] = {
@@ -71,7 +73,7 @@ def predictor(config: DictConfig) -> None:
     measured: dict[str, Windows] = {
         name: watch(scenario, cases, training) for name, scenario in crowds.items()
     }
-    for path, frame_seconds in _recordings(config).items():
+    for path, frame_seconds in recordings.items():
         measured[path.stem] = watch_recording(path, frame_seconds, time_step, training)
     if config.predictor is not None:
         found = find_predictor(config.predictor, time_step)
@@ -93,18 +95,6 @@ def predictor(config: DictConfig) -> None:
     write_atomically(output / "prediction.md", text)
     print(text)
     print(f"written to {output}")
-
-
-def _recordings(config: DictConfig) -> dict[Path, float | None]:
-    """The recordings in a folder, each with `scenario.frame_seconds` for it."""
-    if config.recordings is None:
-        return {}
-    files = sorted(Path(config.recordings).glob("*.txt"))
-    if not files:
-        raise ConfigurationError(
-            f"recordings is {config.recordings!r}; it must be a folder with *.txt files in it"
-        )
-    return {file: config.frame_seconds.get(file.stem) for file in files}
 
 
 if __name__ == "__main__":

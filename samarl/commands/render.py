@@ -14,7 +14,8 @@ from mrsan import ConfigurationError, Split
 from mrsan.cases import CASES_PER_SPLIT
 from mrsan.scenario import check_numbers, number
 from samarl.agents import build_agent
-from samarl.commands.cli import chosen_agent, print_scope_warning, run_command
+from samarl.commands.agents import check_agent, chosen_agent, print_scope_warning
+from samarl.commands.cli import run_command
 from samarl.configuration import load_agent, scenario_in
 from samarl.evaluation.recording import Recording, record_episode
 from samarl.files import check_writable
@@ -36,13 +37,13 @@ class Render:
 
 def main() -> None:
     """Entry point."""
-    run_command(render, "render", render_schema=Render)
+    run_command(render, "render", check_agent, render_schema=Render)
 
 
 def render(config: DictConfig) -> None:
     """Play one case and draw it."""
     scenario = scenario_in(config)
-    check_numbers(Render(case=config.case, split=config.split), "render")
+    check_numbers(Render(case=config.case, split=config.split), "")
     split, index = config.split, config.case
     if index >= CASES_PER_SPLIT:  # a number as episodes.jsonl has it
         split, index = Split.of(index)
@@ -53,7 +54,7 @@ def render(config: DictConfig) -> None:
         (HydraConfig.get().runtime.choices.agent, chosen_agent(config))
     ]
     if config.against is not None:
-        agents.append((config.against, load_agent(config.against)))
+        agents.append((config.against, load_agent(config.against, "against")))
     recordings = []
     for name, agent_config in agents:
         agent = build_agent(agent_config, scenario)
@@ -69,15 +70,16 @@ def render(config: DictConfig) -> None:
 
 
 def _writer(path: Path) -> Callable[[Sequence[tuple[Recording, str]], Path], None]:
-    """What draws a file with this ending."""
-    if path.suffix in (".png", ".svg", ".pdf"):
+    """Return what draws a file with this extension."""
+    extension = path.suffix.lower()
+    if extension in (".png", ".svg", ".pdf"):
         from samarl.report.trajectories import save_trajectories
 
         return save_trajectories
-    if path.suffix in (".gif", ".mp4"):
+    if extension in (".gif", ".mp4"):
         from samarl.report.animation import save_animation, video_encoder
 
-        if path.suffix == ".mp4":
+        if extension == ".mp4":
             video_encoder()  # said before the case is played
         return save_animation
     raise ConfigurationError(

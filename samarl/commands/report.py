@@ -69,7 +69,10 @@ def _methods(names: list[str] | None, results: Path) -> dict[str, dict[str, Any]
 
     A policy that no agent names is driven as the first agent with a checkpoint says.
     """
-    configs = {name: load_agent(name) for name in (available_agents() if names is None else names)}
+    configs = {
+        name: load_agent(name, "agents")
+        for name in (available_agents() if names is None else names)
+    }
     learned = [config for config in configs.values() if "checkpoint" in config]
     found = sorted((results / "checkpoints").glob("*.safetensors"))
     shipped = {path.stem: str(path) for path in found if without_seed(path.stem) == path.stem}

@@ -7,19 +7,20 @@ import shlex
 import signal
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import MISSING, DictConfig, OmegaConf
 
 from mrsan import ConfigurationError
+from mrsan.scenario import check_numbers
 from samarl.commands.cli import command_line, run_command
 from samarl.launch import launcher, rank
 from samarl.registry import checked_fields
 from samarl.training.curriculum import CurriculumStage, check_stages
 
 if TYPE_CHECKING:
-    from samarl.training.trainer import Trainer
+    from samarl.training.trainer import Trainer, TrainerConfig
 
 
 @dataclass
@@ -46,7 +47,7 @@ class Train:
 
 def main() -> None:
     """Entry point."""
-    run_command(train, "train", train_schema=Train)
+    run_command(train, "train", check_training, train_schema=Train)
 
 
 def train(config: DictConfig) -> None:
@@ -109,8 +110,52 @@ def build_trainer(config: DictConfig, command: str) -> Trainer:
     Raises:
         ConfigurationError: a number is wrong, or the folder holds another run.
     """
+    from samarl.training.trainer import Trainer
+
+    settings = settings_in(config)
+    return Trainer(
+        Path(config.run_dir), settings.trainer, settings.policy, settings.algorithm,
+        settings.stages, command, settings.init_from,
+    )  # fmt: skip
+
+
+def check_training(config: DictConfig) -> None:
+    """Check the settings of one training of several without beginning it.
+
+    Raises:
+        ConfigurationError: names what is wrong.
+    """
+    from samarl.algorithms import ALGORITHMS
+    from samarl.policies.checkpoint import make_policy
+
+    if config.resume is not None:
+        config = begun_as(config)
+    settings = settings_in(config)
+    sizes = {key: value for key, value in settings.policy.items() if key != "name"}
+    make_policy(settings.policy["name"], sizes, settings.stages[0].scenario.action_size)
+    for stage in settings.stages:
+        stage.scenario.load_recording()
+    ALGORITHMS.config(settings.algorithm)
+
+
+class Settings(NamedTuple):
+    """The settings of a training run."""
+
+    stages: list[CurriculumStage]
+    trainer: TrainerConfig
+    policy: dict[str, Any]  # with `name`
+    algorithm: dict[str, Any]  # with `name`
+    init_from: Path | None
+
+
+def settings_in(config: DictConfig) -> Settings:
+    """Return the checked settings of a composed `conf/train.yaml`.
+
+    Raises:
+        ConfigurationError: names the setting that is wrong.
+    """
     from samarl.policies.checkpoint import find_policy
-    from samarl.training.trainer import Trainer, TrainerConfig
+    from samarl.training.trainer import TrainerConfig
 
     stages: list[CurriculumStage] = OmegaConf.to_object(
         OmegaConf.merge(OmegaConf.structured(Curriculum), config.curriculum)
@@ -120,10 +165,9 @@ def build_trainer(config: DictConfig, command: str) -> Trainer:
     policy, algorithm = (
         OmegaConf.to_container(config[name], resolve=True) for name in ("policy", "algorithm")
     )
+    check_numbers(trainer, "trainer")
     init_from = None if config.init_from is None else find_policy(config.init_from, "init_from")
-    return Trainer(
-        Path(config.run_dir), trainer, policy, algorithm, stages, command, init_from,  # type: ignore[arg-type]
-    )  # fmt: skip
+    return Settings(stages, trainer, policy, algorithm, init_from)  # type: ignore[arg-type]
 
 
 if __name__ == "__main__":

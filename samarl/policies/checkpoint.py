@@ -25,6 +25,7 @@ from torch.utils._pytree import tree_flatten, tree_leaves, tree_unflatten
 from mrsan import ConfigurationError
 from mrsan.scenario import ACTION_SIZE
 from samarl.files import find_folder, read_json, unfinished, write_json
+from samarl.messages import choice_hint
 from samarl.policies import (  # noqa: F401 (makes them known)
     flat,
     hierarchical,
@@ -83,22 +84,23 @@ def make_policy(name: str, config: Mapping[str, Any], action_size: int) -> Polic
 
 
 def find_policy(name: str, field: str = "checkpoint") -> Path:
-    """The file of a policy.
+    """Return the file of a policy.
 
     Args:
         name: a path, or the name of a shipped policy.
-        field: that holds it, for the error.
+        field: the setting that holds it, for the error.
 
     Raises:
-        ConfigurationError: it is neither.
+        ConfigurationError: there is neither such a file nor such a shipped policy.
     """
     shipped = find_folder("results") / "checkpoints"
     for path in (Path(name), shipped / f"{name}.safetensors"):
         if path.is_file():
             return path
-    names = ", ".join(sorted(path.stem for path in shipped.glob("*.safetensors"))) or "(none)"
+    names = [path.stem for path in shipped.glob("*.safetensors")]
     raise ConfigurationError(
-        f"{field} is {name!r}; it must be a .safetensors file or one of the shipped: {names}"
+        f"{field} is {name!r}, which does not exist; it must be a .safetensors file or the name of "
+        f"a shipped policy; {choice_hint(name, names, 'samarl is one')}"
     )
 
 
@@ -109,14 +111,7 @@ def load_policy(path: Path) -> tuple[Policy, PolicyCard]:
         ConfigurationError: a file is missing, damaged, foreign or of another format; or a weight
             is no finite number.
     """
-    card_path = path.with_suffix(".json")
-    for needed in (path, card_path):
-        if not needed.is_file():
-            raise ConfigurationError(
-                f"there is no file {needed}; a policy is a .safetensors file and, beside it, a "
-                ".json file of the same name"
-            )
-    card = _read_card(card_path)
+    card, card_path = read_card(path), path.with_suffix(".json")
     if hashlib.sha256(path.read_bytes()).hexdigest() != card.sha256:
         raise ConfigurationError(
             f"{path} is damaged: it is not the file that {card_path} describes"
@@ -164,7 +159,20 @@ def check_finite(path: Path, tensors: Mapping[str, Tensor]) -> None:
             )
 
 
-def _read_card(path: Path) -> PolicyCard:
+def read_card(weights: Path) -> PolicyCard:
+    """Read the card beside a file of weights.
+
+    Raises:
+        ConfigurationError: one of both files is missing, or the card is damaged or of another
+            format.
+    """
+    path = weights.with_suffix(".json")
+    for file in (weights, path):
+        if not file.is_file():
+            raise ConfigurationError(
+                f"there is no file {file}; a policy is a .safetensors file and, beside it, a "
+                ".json file of the same name"
+            )
     try:
         content = read_json(path)
         version = content.pop("format")

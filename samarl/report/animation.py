@@ -26,7 +26,7 @@ from samarl.report.style import COLOURS, CONTACT, INK, MUTED, STYLE
 
 _GIF_COLOURS = 64
 _DPI = {".gif": 80, ".mp4": 140}
-_FRAMES_PER_SECOND = {".gif": 10.0, ".mp4": 20.0}  # at least
+_FRAMES_PER_SECOND = {".gif": 10.0, ".mp4": 20.0}  # at least, and less than twice that
 _HOLD_SECONDS = 1.5  # the last frame stays
 
 
@@ -40,17 +40,38 @@ def save_animation(recordings: Sequence[tuple[Recording, str]], path: Path) -> N
     Raises:
         ConfigurationError: there is no encoder for .mp4.
     """
-    write = {".gif": _write_gif, ".mp4": _write_mp4}[path.suffix]
-    seconds = recordings[0][0].scenario.time_step
-    between = math.ceil(_FRAMES_PER_SECOND[path.suffix] * seconds)  # frames for each step
-    figure = Figure(figsize=(6.0 * len(recordings), 6.4), dpi=_DPI[path.suffix],
+    kind = path.suffix.lower()
+    write = {".gif": _write_gif, ".mp4": _write_mp4}[kind]
+    figure = Figure(figsize=(6.0 * len(recordings), 6.4), dpi=_DPI[kind],
                     layout="constrained")  # fmt: skip
     steps = max(len(recording.robot_position) for recording, _ in recordings) - 1
-    times = np.arange(steps * between + 1) / between
+    time_step = recordings[0][0].scenario.time_step
+    times, seconds = frame_times(steps, time_step, _FRAMES_PER_SECOND[kind])
     pictures = tqdm(_frames(figure, recordings, times), total=len(times), desc=path.name,
                     unit="frame", disable=None)  # fmt: skip
     with unfinished(path) as part:
-        write(part, iter(pictures), seconds / between)
+        write(part, iter(pictures), seconds)
+
+
+def frame_times(steps: int, time_step: float, rate: float) -> tuple[NDArray[np.float64], float]:
+    """Choose the moments of an episode that become frames.
+
+    Long steps are divided into several frames; of short ones only every so many becomes a frame,
+    so that the rate stays below twice the `rate` however short they are.
+
+    Args:
+        steps: of the episode.
+        time_step: s.
+        rate: frames per second that suffice.
+
+    Returns:
+        The times in steps, from the first state to the last, and the seconds between two of them.
+    """
+    stride = int(1.0 / (rate * time_step) + 1e-9)  # steps from frame to frame
+    if stride > 1:
+        return np.append(np.arange(0.0, steps, stride), float(steps)), stride * time_step
+    per_step = math.ceil(rate * time_step)
+    return np.arange(steps * per_step + 1) / per_step, time_step / per_step
 
 
 def video_encoder() -> Any:

@@ -54,8 +54,8 @@ STYLE: Any = {
 
 
 def save_figure(figure: Figure, path: Path) -> None:
-    """Write a figure in the format of the file's ending, atomically."""
-    kind = path.suffix.removeprefix(".")
+    """Write a figure in the format that the file extension names, atomically."""
+    kind = path.suffix.removeprefix(".").lower()
     dateless = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(kind)
     with unfinished(path) as part, rc_context(STYLE):
         figure.savefig(part, format=kind, metadata=dateless, transparent=kind == "svg")

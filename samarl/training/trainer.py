@@ -41,7 +41,9 @@ from samarl.policies.policy import Policy
 from samarl.rollout import Rollout
 from samarl.training.collector import RolloutCollector
 from samarl.training.curriculum import CurriculumStage
+from samarl.training.device import usable_device
 from samarl.training.logging import Logger
+from samarl.training.resume import check_same_run
 from samarl.training.run_dir import BEST, LAST, STATE, RunDir
 
 FREE = ("threads", "wandb")  # of `TrainerConfig`: a run may go on with others
@@ -109,7 +111,7 @@ class Trainer:
         if init_from is not None:
             self._begin_with(init_from)
         distributed.begin(config.device)
-        self.policy.to(_device(local_device(config.device)))
+        self.policy.to(usable_device(local_device(config.device)))
         self.policy.low_precision = config.bfloat16
         self.averaged = AveragedModel(
             self.policy, multi_avg_fn=get_ema_multi_avg_fn(config.ema_decay)
@@ -349,31 +351,15 @@ class Trainer:
         self._save_policy(LAST, {})
 
     def restore(self) -> None:
-        """Go on from the state in the folder.
+        """Resume from the state in the folder.
 
         Raises:
-            ConfigurationError: it is damaged, or of another configuration.
+            ConfigurationError: the state is damaged, or of a run with other settings.
         """
         path = self.run_dir.folder / STATE
         tensors, progress = self.run_dir.load()
         with blaming(path):
-            begun_by = progress.get("processes", 1)
-            begun_with = self.made.get("init_from", progress["made"].get("init_from"))
-            same = begun_with == progress["made"].get("init_from")
-            known = progress["configuration"]
-            steps = max(known["trainer"]["steps"], self.config.steps)  # more may be asked for
-            known = {**known, "trainer": {**known["trainer"], "steps": steps}}
-        if begun_by != processes():
-            raise ConfigurationError(
-                f"{self.run_dir.folder} holds a run of {begun_by} "
-                f"process{'es' if begun_by > 1 else ''}; it cannot go on with {processes()}"
-            )
-        if known != self.configuration or not same:
-            raise ConfigurationError(
-                f"{self.run_dir.folder} holds a run with another configuration; choose another "
-                f"run_dir, or go on with its own: resume={self.run_dir.folder}"
-            )
-        with blaming(path):
+            check_same_run(progress, self.configuration, self.made, self.run_dir.folder)
             self._take_over(path, tensors, progress)
 
     def _take_over(
@@ -454,15 +440,3 @@ def _keep_freed_memory() -> None:
         mallopt = ctypes.CDLL("libc.so.6").mallopt
         mallopt(mmap_threshold, most)
         mallopt(trim_threshold, most)
-
-
-def _device(name: str) -> torch.device:
-    try:
-        device = torch.device(name)
-        torch.empty(0, device=device)
-    except (RuntimeError, AssertionError) as error:
-        reason = str(error).splitlines()[0]
-        raise ConfigurationError(
-            f"trainer.device is {name!r}; it must be a torch device of this machine ({reason})"
-        ) from error
-    return device

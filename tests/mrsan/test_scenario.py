@@ -26,13 +26,6 @@ ROOM: dict[tuple[str, str], dict[str, Any]] = {
     ("human_speed_min", "high"): {"human_speed_max": 10.0},
     ("human_speed_max", "low"): {"human_speed_min": 0.05},
     ("goal_distance", "high"): {"circle_radius": 1000.0},
-    ("hurry_speed_min", "high"): {"hurry_speed_max": 10.0},
-    ("hurry_speed_max", "low"): {"hurry_speed_min": 0.05},
-    ("floor_size", "low"): {"crossing_width": 2.0, "opposite_width": 2.0},
-    ("crossing_width", "high"): {"floor_size": 1000.0},
-    ("opposite_width", "high"): {"floor_size": 1000.0},
-    ("robot_way_min", "high"): {"robot_way_max": 1000.0, "floor_size": 1000.0},
-    ("robot_way_max", "low"): {"robot_way_min": 0.1},
     ("goal_change_probability_max", "low"): {"goal_change_probability": 0.0},
 }
 PATH = {Scenario: "scenario", Reward: "scenario.reward", Evaluation: "evaluation"}
@@ -113,6 +106,64 @@ def test_contradictions_name_both_sides(fields: dict[str, Any], message: str) ->
     with pytest.raises(ConfigurationError) as error:
         Scenario(**fields)
     assert str(error.value).startswith(f"scenario.{message}")
+
+
+# Fields that contradict each other: where both are used, and where one of them is not.
+CONTRADICTIONS: list[tuple[dict[str, Any], list[dict[str, Any]], list[dict[str, Any]]]] = [
+    (
+        {"floor_size": 6.0, "crossing_width": 8.0, "opposite_width": 6.0},
+        [{"layout": Layout.crossing}, {"layout": Layout.mixed}],
+        [{}, {"layout": Layout.square}, {"layout": Layout.opposite}, {"crowd": Crowd.recorded}],
+    ),
+    (
+        {"floor_size": 6.0, "crossing_width": 6.0, "opposite_width": 8.0},
+        [{"layout": Layout.opposite}, {"layout": Layout.mixed}],
+        [{}, {"layout": Layout.square}, {"layout": Layout.crossing}, {"crowd": Crowd.recorded}],
+    ),
+    (
+        {"robot_way_min": 20.0, "robot_way_max": 30.0},
+        [{"layout": Layout.square}, {"layout": Layout.mixed}],
+        [{}, {"crowd": Crowd.recorded}],
+    ),
+    (
+        {"robot_way_max": 3.0},
+        [{"layout": Layout.square}, {"layout": Layout.mixed}, {"crowd": Crowd.recorded}],
+        [{}],
+    ),
+    (
+        {"circle_radius": 3.0},  # goal_distance is 4
+        [{}, {"layout": Layout.mixed}],
+        [{"layout": Layout.square}, {"crowd": Crowd.still}, {"crowd": Crowd.recorded}],
+    ),
+    (
+        {"arena_radius": 6.0, "circle_radius": 8.0, "floor_size": 8.0, "opposite_width": 6.0},
+        [{}, {"layout": Layout.mixed}],
+        [{"layout": Layout.square}, {"layout": Layout.crossing}],
+    ),
+    (
+        {"hurry_speed_min": 3.0},
+        [{"hurry_probability": 0.1}],
+        [{}, {"hurry_probability": 0.1, "crowd": Crowd.recorded}],
+    ),
+    (
+        {"goal_change_probability_max": 0.1},
+        [{}],
+        [{"crowd": Crowd.still}, {"crowd": Crowd.recorded}],
+    ),
+    ({"human_speed_min": 2.0}, [{}], [{"crowd": Crowd.recorded}]),
+    ({"humans_min": 20}, [{}], [{"crowd": Crowd.recorded}]),
+]
+
+
+@pytest.mark.parametrize(("fields", "used", "unused"), CONTRADICTIONS)
+def test_fields_may_contradict_each_other_where_one_of_them_is_not_used(
+    fields: dict[str, Any], used: list[dict[str, Any]], unused: list[dict[str, Any]]
+) -> None:
+    for place in used:
+        with pytest.raises(ConfigurationError, match=r"scenario\.\w+ is "):
+            Scenario(**fields, **place)
+    for place in unused:
+        assert Scenario(**fields, **place).parameters()
 
 
 def test_replacing_checks_again() -> None:

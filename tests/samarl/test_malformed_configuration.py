@@ -6,6 +6,7 @@ import dataclasses
 import gc
 import logging
 import random
+import re
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -39,6 +40,7 @@ KNOBS = {
     "model_predictive": ["horizon", "directions", "speeds", "holds", "collision_discount"],
 }
 WORDS = ["fov", "robot", "pedestrians", "seed", "speed", "noise", "lr", "gamma", "x", "Robots"]
+JARGON = re.compile(r"full_key|object_type|hydra\.cc|merging override|Exception|config group")
 HARMLESS = ["scenario.robots=2", "evaluation.batch=4", "scenario.occlusion=true", "agent=straight"]
 
 
@@ -221,6 +223,8 @@ def test_every_malformed_configuration_ends_in_one_line(
             code = "no complaint"
         said = capsys.readouterr().err
         lines = said.splitlines()
+        if JARGON.search(said):
+            failures.append(f"{' '.join(arguments)}\n    -> {said.strip()[-300:]}")
         if code != 2 or len(lines) != 1 or not lines[0].startswith("error: "):
             failures.append(f"{' '.join(arguments)}\n    -> {code!r}: {said.strip()[-300:]}")
     assert not failures, f"{len(failures)} of {CHUNK}:\n" + "\n".join(failures)
@@ -241,15 +245,35 @@ def test_every_malformed_configuration_ends_in_one_line(
         ),
         (
             ["agent=nobody"],
-            "error: In 'config': Could not find 'agent/nobody'; Available options in 'agent'; ",
+            "error: agent is 'nobody', which does not exist; ",
         ),
+        (["agent=samrl"], "agent is 'samrl', which does not exist; did you mean samarl, "),
+        (["agent=null"], "agent is 'null', which does not exist"),
+        (["scenario.robots=[1,2]"], "robots is [1, 2]; it must be a whole number in [1, 16]"),
+        (["scenario.robots=(1"], "scenario.robots is '(1'; it must be a whole number in [1, 16]"),
+        (["scenario.robots=null"], "scenario.robots is null; it must be a whole number in"),
+        (["scenario.robots=???"], "scenario.robots has no value"),
+        (["scenario.robots.x=1"], "scenario.robots.x is not known"),
+        (["scenario.occlusion=maybe"], "scenario.occlusion is 'maybe'; it must be true or false"),
+        (["agent.max_neighbors=2.5"], "agent.max_neighbors is 2.5; it must be a whole number in"),
+        (["plugins=abc"], "plugins is 'abc'; it must be a list"),
+        (["+scenario.robots=3"], "scenario.robots exists already; write it without +"),
+        (["agent.shield=true"], "agent.shield is not in the agent's file; write ++agent.shield="),
+        (["robots=3"], "robots is not known; did you mean scenario.robots?"),
+        (["scenario.human=5"], "scenario.human is not known; did you mean scenario.humans?"),
+        (["scenario.dt=0.1"], "scenario.dt is not known; did you mean scenario.time_step?"),
+        (["agent=samarl", "checkpoint=nobody"], "checkpoint is 'nobody', which does not exist"),
+        (["agent=samarl", "checkpoint=samarl_fla"], "; did you mean samarl_flat, "),
         (["scenario.robotz=3"], "scenario.robotz is not known; did you mean scenario.robots?"),
         (["scenario.fov=90"], "scenario.fov is not known; did you mean scenario.fov_degrees?"),
         (["+scenario.reward.progres=1"], "did you mean scenario.reward.progress?"),
         (["agent.max_neighbours=3"], "did you mean agent.max_neighbors?"),
         (["evaluation.case=1"], "evaluation.case is not known; did you mean evaluation.cases?"),
         (["agnt=orca"], "agnt is not known; did you mean agent?"),
-        (["scenario.crowd=orcas"], "expected one of [orca, social_force, still, recorded]"),
+        (
+            ["scenario.crowd=orcas"],
+            "scenario.crowd is 'orcas'; it must be one of orca, social_force, still, recorded",
+        ),
         (["scenario.reward.progress=inf"], "scenario.reward.progress is inf; it must lie in"),
     ],
 )
@@ -262,6 +286,78 @@ def test_the_line_names_the_field_the_value_and_what_is_right(
 ) -> None:
     assert run(arguments, monkeypatch) == 2
     assert message in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("agent/a.yaml", "# Zürich\n".encode("latin-1"), "agent/a.yaml is not UTF-8 text"),
+        ("agent/a.yaml", "_target_: x".encode("utf-16"), "agent/a.yaml is not UTF-8 text"),
+        ("agent/a.yaml", b"a: [1", "agent/a.yaml is not YAML: line 1: expected ',' or ']'"),
+        (
+            "scenario/a.yaml", b"defaults: [samarl]\nrobots: [1, 2]",
+            "scenario/a.yaml: scenario.robots is [1, 2]; it must be a whole number in [1, 16]",
+        ),
+        (
+            "scenario/a.yaml", b"defaults: [samarl]\nrobotz: 3",
+            "scenario/a.yaml: scenario.robotz is not known; did you mean scenario.robots?",
+        ),
+        (
+            "agent/a.yaml",
+            b"_target_: samarl.agents.planners.perimeter.Perimeter\nradius: [1]\n",
+            "agent.radius is [1]; it must lie in",
+        ),
+    ],
+)  # fmt: skip
+def test_a_file_of_the_users_that_is_wrong_is_named(
+    name: str, content: bytes, message: str, bare: None, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    path = Path("my conf (1)", name)
+    path.parent.mkdir(parents=True)
+    path.write_bytes(content)
+    other = Path("my conf (1)/agent/unused.yaml")  # is wrong as well, but is not read
+    other.parent.mkdir(exist_ok=True)
+    other.write_bytes(b"\xff")
+    group = path.parent.name
+    assert run(["--config-dir", "my conf (1)", f"{group}=a"], monkeypatch) == 2
+    said = capsys.readouterr().err
+    assert message in said
+    assert said.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("swept", "message"),
+    [
+        (["scenario.robots=1,99"], "scenario.robots is 99; it must be a whole number in [1, 16]"),
+        (["agent=straight,nobody"], "agent is 'nobody', which does not exist"),
+        (["agent=orca", "agent.max_neighbors=3,0"], "agent.max_neighbors is 0; it must be"),
+        (["scenario=recorded", "scenario.recording=null,no (1).txt"], "no (1).txt"),
+        (["scenario.time_limit=10,0.1"], "time_step is 0.25; it must not exceed"),
+        (["evaluation.cases=1,0"], "evaluation.cases is 0; it must be a whole number in"),
+        (["agent=samarl", "checkpoint=samarl_ppo,cadrl"], "checkpoint is 'cadrl', a lookahead"),
+    ],
+)
+def test_every_cell_of_a_sweep_is_checked_before_the_first_is_played(
+    swept: list[str], message: str, bare: None, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    monkeypatch.setattr(evaluate, "run_cases", lambda *_: pytest.fail("played", pytrace=False))
+    assert run(["-m", "agent=straight", *swept], monkeypatch) == 2
+    said = capsys.readouterr().err.splitlines()
+    assert message in said[-1]
+    assert not [line for line in said[:-1] if not line.startswith("Compiling")]
+    assert list(Path().iterdir()) == []
+
+
+def test_a_method_is_not_played_under_the_name_of_another(
+    bare: None, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for setting in ("checkpoint=samarl_flat", "agent.checkpoint=samarl_flat"):
+        assert run(["agent=cadrl", setting], monkeypatch) == 2
+        said = capsys.readouterr().err
+        assert "checkpoint is 'samarl_flat', a flat policy; agent=cadrl drives lookahead" in said
+        assert "agent=samarl_flat" in said
 
 
 @pytest.mark.parametrize("bomb", ["laughs", "holds itself"])

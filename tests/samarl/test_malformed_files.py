@@ -60,7 +60,7 @@ def test_a_policy_that_gives_no_numbers_or_claims_gigabytes_is_refused(tmp_path:
         (float("inf"), "crowds has inf; it must be fields of a scenario"),
         ("0x10", "crowds has '0x10'; it must be fields of a scenario"),
         ({"sensing_range": 10**400}, "crowds has .*too large"),
-        ({"scenario": [1]}, r"'\[1\]' is not a scenario; it must be among"),
+        ({"scenario": [1]}, r"crowds: there is no scenario '\[1\]'; it must be one of 10p3r,"),
     ],
 )
 def test_a_column_that_is_no_scenario_is_refused(column: object, message: str) -> None:

@@ -330,7 +330,7 @@ def test_an_agent_without_its_checkpoint_is_left_out(tmp_path: Path) -> None:
         ("results=broken", "broken/table.json is not JSON"),
         ("results=partial", "partial/table.json has no success_low in row 1; every row must have"),
         ("cases=[-1]", "cases has -1; each must be a whole number in [0, 1e+09)"),
-        ("agents=[nobody]", "'nobody' is not an agent; it must be among"),
+        ("agents=[nobody]", "agents: there is no agent 'nobody'; "),
     ],
 )
 def test_a_mistake_is_one_line(tmp_path: Path, argument: str, message: str) -> None:

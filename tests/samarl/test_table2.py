@@ -99,7 +99,7 @@ def test_a_command_of_a_named_scenario_says_only_what_is_changed() -> None:
     [
         (
             "{scenario: 7p3r}",
-            "'7p3r' is not a scenario; it must be among 10p3r, 20p3r, 5p3r, mixed",
+            "columns: there is no scenario '7p3r'; did you mean 5p3r, 20p3r or 10p3r?",
         ),
         ("{scenario: 5p3r, humens: 3}", "humens is not known; did you mean humans?"),
     ],

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -114,8 +115,21 @@ def test_a_folder_of_another_configuration_is_refused(tmp_path: Path) -> None:
     made = trainer(tmp_path)
     made.save()
     made.run_dir.release()
-    with pytest.raises(ConfigurationError, match="another configuration; choose another run_dir"):
+    with pytest.raises(ConfigurationError, match=r"^algorithm\.epochs is 2; .*run_dir"):
         trainer(tmp_path, algorithm={"epochs": 2})
+    stages = [replace(STAGES[0], worlds=7), *STAGES[1:]]
+    with pytest.raises(ConfigurationError, match=r"^curriculum\.stages\[0\]\.worlds is 7; .* 6 "):
+        trainer(tmp_path, stages)
+    fewer = r"^trainer\.steps is 1; it must be at least 1000000, .* 0 are done"
+    with pytest.raises(ConfigurationError, match=fewer):
+        trainer(tmp_path, steps=1)
+
+
+@pytest.mark.parametrize("device", ["meta", "mkldnn", "xla", "hpu", "cuda:99", "gpu", ""])
+def test_a_device_that_cannot_compute_is_refused(device: str, tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match=rf"^trainer\.device is '{device}'") as error:
+        trainer(tmp_path, device=device)
+    assert "\n" not in str(error.value)
 
 
 def test_the_saved_policy_is_the_mean_of_the_weights_after_each_update(tmp_path: Path) -> None:

@@ -1,0 +1,113 @@
+"""What Hydra, OmegaConf and YAML refuse, in the words of the commands."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+from hydra.errors import HydraException, MissingConfigException
+from omegaconf import DictConfig
+from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
+from yaml import MarkedYAMLError
+
+from mrsan import ConfigurationError
+from samarl.agents.build import find_class
+from samarl.messages import choice_hint, describe
+
+_JARGON = re.compile(r"(full_key|object_type|reference_type)\b|See https://hydra\.cc|\^$")
+# What Hydra says of `+`, `~` and `@`, and how the commands say it.
+_REWORDED = {
+    r"Could not append to config\. An item is already at '(.+?)'":
+        r"\1 exists already; write it without +",
+    r"Could not delete from config\. '(.+?)' does not exist":
+        r"~\1 deletes nothing: \1 is not known; see --help",
+    r"Could not delete from config\. The value of '(.+?)' is (.+) and not (.+)\.":
+        r"~\1 has the value \3; it must be \2, or be left out",
+    r"Error merging override ~([^=\n]+)":
+        r"~\1 deletes a field that must exist; set it instead",
+    r"Multiple values for (.+?)\. ":
+        r"\1 is chosen already; write \1=NAME without +",
+    r"Could not override '(.+?)'\.\nDid you mean to override (.+?)\?":
+        r"\1 is not known; did you mean \2?",
+}  # fmt: skip
+
+
+def explain(error: BaseException, folder: Path | None = None) -> str:
+    """Say in one line what is wrong: the field, its value and what would be right.
+
+    Args:
+        error: raised by a command, or by Hydra while it composes the configuration.
+        folder: the user's own configuration files, one of which may be the reason.
+    """
+    if isinstance(error, MissingConfigException) and error.missing_cfg_file:
+        group, _, name = error.missing_cfg_file.rpartition("/")
+        names = [option for option in error.options or () if option != "schema"]
+        file = re.match(r"In '(.+/.+)':", str(error))
+        where = f"{file[1]}.yaml: " if file else ""
+        return f"{where}{group} is {name!r}, which does not exist; {choice_hint(name, names)}"
+    if isinstance(error, MarkedYAMLError) and error.problem_mark:
+        mark = error.problem_mark
+        return f"{mark.name} is not YAML: line {mark.line + 1}: {error.problem}"
+    if isinstance(error, UnicodeDecodeError):
+        return _not_utf8(error, folder)
+    if isinstance(error, HydraException | OmegaConfBaseException):
+        for pattern, replacement in _REWORDED.items():
+            if match := re.match(pattern, str(error)):
+                return match.expand(replacement)
+        for cause in _chain(error):
+            if isinstance(cause, OmegaConfBaseException):
+                return _of_setting(cause, str(error))
+    message = str(error).split("Config search path:")[0] or type(error).__name__
+    if isinstance(error, OSError) and error.errno and error.filename is None:  # Hydra's, for one
+        message = f"a file below {os.getcwd()} cannot be written ({error.strerror})"
+    if error.__cause__ and not isinstance(error, ConfigurationError):
+        message += f"\n{error.__cause__}"
+    lines = [line.strip().removesuffix(":") for line in message.splitlines()]
+    return "; ".join(line for line in lines if line and not _JARGON.match(line))
+
+
+def _of_setting(cause: OmegaConfBaseException, message: str) -> str:
+    """Describe OmegaConf's error in the setting, or in the file, that Hydra's `message` names."""
+    if isinstance(cause, ConfigKeyError | ConfigAttributeError) and _is_in_class(cause):
+        return (
+            f"{cause.full_key} is not in the agent's file; write ++{cause.full_key}=... to add it"
+        )
+    if override := re.match(r"Error merging override \+*([^=]+)=(.*)", message, re.DOTALL):
+        key, value = override.groups()
+        if key.startswith(f"{cause.full_key}."):
+            return f"{key} is not known; {cause.full_key} has a single value"
+        if str(cause.full_key).startswith(key):
+            return describe(cause, value=value)
+        return describe(cause, f"{key}: " if cause.full_key else key, value)
+    if file := re.match(r"In '([^']+)':", message):
+        return describe(cause, f"{file[1]}.yaml: ")
+    return describe(cause)
+
+
+def _is_in_class(error: OmegaConfBaseException) -> bool:
+    """Whether the class of an agent has the field that its file does not have."""
+    parent = error.parent_node
+    if not isinstance(parent, DictConfig) or "_target_" not in parent:
+        return False
+    try:
+        fields = dataclasses.fields(find_class(parent["_target_"]))
+    except (ConfigurationError, TypeError):
+        return False
+    return error.key in {"shield", *(field.name for field in fields if field.init)} - {"scenario"}
+
+
+def _chain(error: BaseException | None) -> Iterator[BaseException]:
+    while error is not None:
+        yield error
+        error = error.__cause__ or error.__context__
+
+
+def _not_utf8(error: UnicodeDecodeError, folder: Path | None) -> str:
+    """Name the configuration file that cannot be decoded."""
+    for path in sorted(folder.rglob("*.yaml")) if folder else ():
+        if path.is_file() and error.object in path.read_bytes():
+            return f"{path} is not UTF-8 text ({error.reason}); save it as UTF-8"
+    return f"a configuration file is not UTF-8 text ({error.reason}); save it as UTF-8"

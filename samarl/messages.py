@@ -1,0 +1,143 @@
+"""Error messages for settings: the field, its value, and what would be right."""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import re
+from collections.abc import Iterable
+from typing import Any, get_type_hints
+
+from omegaconf import DictConfig
+from omegaconf.errors import (
+    ConfigAttributeError,
+    ConfigKeyError,
+    GrammarParseError,
+    InterpolationResolutionError,
+    MissingMandatoryValue,
+    OmegaConfBaseException,
+)
+
+from mrsan import ConfigurationError
+from mrsan.scenario import check_numbers
+
+_FEW = 12  # names that an error lists
+_SYNONYMS = {
+    "delta_t": "time_step", "dt": "time_step", "duration": "time_limit", "gamma": "discount",
+    "n_humans": "humans", "n_robots": "robots", "num_humans": "humans", "num_robots": "robots",
+    "pedestrians": "humans", "people": "humans", "agents": "robots", "max_steps": "time_limit",
+}  # fmt: skip
+# What OmegaConf says of a value of the wrong type, and what the value must be.
+_REQUIREMENTS = (
+    (r"converted to Integer", "a whole number"),
+    (r"converted to Float", "a number"),
+    (r"valid bool", "true or false"),
+    (r"to string", "a text"),
+    (r"is not Optional", "something else than null"),
+    (r"not a ListConfig|merge ListConfig", "a list such as [a,b]"),
+    (r"not a subclass|to Dict\[|merge DictConfig", "names with their values, as in {name: value}"),
+)
+
+
+def closest_names(name: str, names: Iterable[str], count: int = 3) -> list[str]:
+    """Return the names that `name` most probably stands for, the likeliest first."""
+    ordered = sorted(set(names), key=lambda other: (len(other), other))
+    close = difflib.get_close_matches(name, ordered, count, 0.8)
+    synonym = [other for other in ordered if other == _SYNONYMS.get(name)]
+    longer = [other for other in ordered if other.startswith(name)]
+    initials = [
+        other for other in ordered if "".join(word[:1] for word in other.split("_")) == name
+    ]
+    similar = difflib.get_close_matches(name, ordered, count)
+    return list(dict.fromkeys([*close, *synonym, *longer, *initials, *similar]))[:count]
+
+
+def choice_hint(name: str, names: Iterable[str], rest: str = "see --help") -> str:
+    """Say which of `names` is right instead of `name`: the closest three, or all of a few.
+
+    Args:
+        name: the unknown name.
+        names: the known ones.
+        rest: what to say if none is close and there are too many to list.
+    """
+    known = sorted(names)
+    if close := closest_names(name, known):
+        return f"did you mean {' or '.join(', '.join(close).rsplit(', ', 1))}?"
+    return f"it must be one of {', '.join(known)}" if 0 < len(known) <= _FEW else rest
+
+
+def unknown_field(path: str, key: str, known: Iterable[str]) -> str:
+    """Say that there is no field `key` at `path`, and which one is probably meant."""
+    names = [name for name in known if not name.startswith("_")]
+    if close := closest_names(key, names, 1):
+        return f"{path}{key} is not known; did you mean {path.rpartition(': ')[2]}{close[0]}?"
+    return f"{path}{key} is not known; {choice_hint(key, names, 'see --help for all fields')}"
+
+
+def describe(error: OmegaConfBaseException, path: str = "", value: Any = None) -> str:
+    """Say what is wrong with a setting that OmegaConf refuses.
+
+    Args:
+        error: raised by OmegaConf.
+        path: prefix of the fields of the configuration, such as `agent.`.
+        value: the setting's value, for errors that do not have it.
+
+    Returns:
+        One line that names the field, its value and what would be right.
+    """
+    name = f"{path}{error.full_key or ''}".removesuffix(".")
+    if isinstance(error, ConfigKeyError | ConfigAttributeError):
+        return _unknown_field(error, name)
+    if isinstance(error, MissingMandatoryValue):
+        return f"{name} has no value; set it with {name}=..."
+    reason = (error.msg or str(error)).splitlines()[0]
+    if isinstance(error, InterpolationResolutionError | GrammarParseError):
+        return f"{name} refers to a value that cannot be resolved ({reason})"
+    if "not Optional" in reason:
+        return f"{name} is null; {_range_of(error, None) or 'it must have a value'}"
+    value = value if error.value is None else error.value
+    return f"{name} is {value!r:.60}; {_range_of(error, value) or _requirement(reason)}"
+
+
+def _unknown_field(error: OmegaConfBaseException, name: str) -> str:
+    key, parent = str(error.key), error.parent_node
+    where = name.removesuffix(key)
+    if not isinstance(parent, DictConfig):
+        return unknown_field(where, key, [])
+    known = [str(other) for other in parent if other != "hydra"]
+    if not where and not closest_names(key, known):  # a field of a group, perhaps
+        paths: dict[str, str] = {}
+        for group in known:
+            node = parent._get_node(group)
+            if isinstance(node, DictConfig) and not node._is_none() and not node._is_missing():
+                paths |= {str(other): f"{group}.{other!s}" for other in node}
+        if close := closest_names(key, paths, 1):
+            return f"{key} is not known; did you mean {paths[close[0]]}?"
+    return unknown_field(where, key, known)
+
+
+def _range_of(error: OmegaConfBaseException, value: Any) -> str | None:
+    """Return what `check_numbers` demands of the field, if it refuses the value."""
+    owner, key = error.object_type, str(error.key)
+    if not (isinstance(owner, type) and dataclasses.is_dataclass(owner)):
+        return None
+    metadata = {field.name: field.metadata for field in dataclasses.fields(owner)}
+    if key not in metadata:
+        return None
+    field = dataclasses.field(metadata=metadata[key])
+    single = dataclasses.make_dataclass("Single", [(key, get_type_hints(owner)[key], field)])
+    try:
+        check_numbers(single(value), "")
+    except ConfigurationError as refusal:
+        return str(refusal).partition("; ")[2]
+    return None
+
+
+def _requirement(reason: str) -> str:
+    """Return the requirement that OmegaConf's `reason` speaks of, or the reason itself."""
+    if choices := re.search(r"expected one of \[(.*)\]", reason):
+        return f"it must be one of {choices[1]}"
+    for pattern, requirement in _REQUIREMENTS:
+        if re.search(pattern, reason):
+            return f"it must be {requirement}"
+    return reason

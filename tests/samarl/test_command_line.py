@@ -1,0 +1,143 @@
+"""What a shell hands to a command is read as it is: paths above all."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import shutil
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mrsan import ConfigurationError, Reward, Scenario
+from mrsan.recording import SAMPLE
+from samarl.agents.learned import Learned
+from samarl.agents.planners.model_predictive import ModelPredictive
+from samarl.commands import evaluate
+from samarl.commands.bench import Bench
+from samarl.commands.export import Export
+from samarl.commands.overrides import PATH_FIELDS, CommandLine
+from samarl.commands.predictor import Predictor
+from samarl.commands.render import Render
+from samarl.commands.report import Report
+from samarl.commands.train import Train
+from samarl.configuration import Config
+from samarl.planning.shield import Shield
+from samarl.training.trainer import TrainerConfig
+
+ODD = [
+    "my data (1)", "Zürich", "a=b", "it's", "x,y", "[a]", "{a: 1}", "1e3", "true", "~/x", "a\\,b",
+    "choice(a,b)", "ends in \\", '"', "a 'b' c", "100 % #1 & co; <x> | y!", "a:b@c", " a",
+]  # fmt: skip
+
+
+def value_of(word: str) -> Any:
+    """What Hydra reads."""
+    return OverridesParser.create().parse_override(word).value()
+
+
+@pytest.mark.parametrize("field", ["scenario.recording", "agent.checkpoint", "+hydra.run.dir"])
+@pytest.mark.parametrize("text", ODD)
+def test_a_path_is_what_stands_after_the_sign(field: str, text: str) -> None:
+    (word,) = CommandLine.parse([f"{field}={text}"]).quoted().words()
+    assert value_of(word) == text
+    sweep = CommandLine.parse(["-m", f"{field}={text}" if "," not in text else f'{field}="{text}"'])
+    (cell,) = sweep.quoted().cells(None)  # type: ignore[arg-type]
+    assert value_of(cell[0]) == text.strip()
+
+
+@given(st.text(min_size=1).filter(lambda text: text[0] not in "'\"" and "${" not in text))
+def test_any_text_is_a_path(text: str) -> None:
+    (word,) = CommandLine.parse([f"output={text}"]).quoted().words()
+    assert value_of(word) == (None if text.lower() == "null" else text)
+
+
+@pytest.mark.parametrize(
+    ("word", "value"),
+    [
+        ("output='a (1), b'", "a (1), b"),
+        ('output="a (1), b"', "a (1), b"),
+        ("checkpoint=null", None),
+        ("checkpoint='null'", "null"),
+        ("output=plain/x.png", "plain/x.png"),
+        ("hydra.run.dir=${now:%Y} (1)", "${now:%Y} (1)"),
+    ],
+)
+def test_quotes_null_and_references_mean_what_they_do_elsewhere(word: str, value: Any) -> None:
+    (quoted,) = CommandLine.parse([word]).quoted().words()
+    assert value_of(quoted) == value
+
+
+def test_a_sweep_takes_paths_between_commas() -> None:
+    words = ["checkpoint=a (1).x, it's,'b,c'", "-m", "agent=orca,straight"]
+    command = CommandLine.parse(words).quoted()
+    cells = [[value_of(word) for word in cell] for cell in command.cells(None)]  # type: ignore[arg-type]
+    expected = [
+        [path, agent] for path in ("a (1).x", "it's", "b,c") for agent in ("orca", "straight")
+    ]
+    assert cells == expected
+    (word,) = CommandLine.parse(["checkpoint=a,b"]).quoted().words()
+    assert value_of(word) == "a,b"
+
+
+def test_every_text_that_is_a_path_is_taken_as_one() -> None:
+    """A new field of text must be put among those that are paths, or here."""
+    owners = [Config, Bench, Export, Predictor, Render, Report, Train, Scenario, Reward, Learned,
+              ModelPredictive, Shield, TrainerConfig]  # fmt: skip
+    texts = {
+        field.name
+        for owner in owners
+        for field in dataclasses.fields(owner)
+        if field.type in ("str", "str | None", str)
+    }
+    assert texts - PATH_FIELDS == {"name", "about", "against", "device", "wandb"}
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--agent=orca"], "'--agent=orca' is no option"),
+        (["--config-dir"], "--config-dir has no value"),
+        (["orca"], "'orca' is no setting"),
+        (["=3"], "'=3' is no setting"),
+        (["agent=orca,straight"], "agent is 'orca,straight'; it takes one value"),
+        (["agents=[orca"], "agents is '[orca'; a list is written [a,b]"),
+    ],
+)
+def test_what_is_no_setting_is_refused(words: list[str], message: str) -> None:
+    with pytest.raises(ConfigurationError) as error:
+        CommandLine.parse(words).quoted()
+    assert str(error.value).startswith(message)
+    assert "\n" not in str(error.value)
+
+
+def test_options_may_stand_anywhere() -> None:
+    command = CommandLine.parse(
+        ["agent=orca", "--config-dir", "a=b (1)", "-m", "scenario.robots=1,2"]
+    )
+    assert command.folder == Path("a=b (1)")
+    assert command.is_sweep
+    assert command.quoted().words() == [
+        "--config-dir", "a=b (1)", "-m", "agent=orca", "scenario.robots=1,2",
+    ]  # fmt: skip
+
+
+def test_a_recording_is_played_wherever_it_lies(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    recording = Path("it's (1)/Zürich, a=b/people.TXT")
+    recording.parent.mkdir(parents=True)
+    shutil.copy(SAMPLE, recording)
+    words = ["agent=straight", "evaluation.cases=1", "scenario=recorded", "scenario.time_limit=1"]
+    words += [f"scenario.recording={recording}", "hydra.run.dir=rows (1), here"]
+    monkeypatch.setattr(sys, "argv", ["samarl-evaluate", *words])
+    evaluate.main()
+    saved = json.loads(Path("rows (1), here/row.json").read_text())
+    assert saved["config"]["scenario"]["recording"] == str(recording)
