@@ -30,7 +30,8 @@ from mrsan.scenario import Scenario
 from mrsan.torchrl_env import TorchRLEnv
 from samarl.files import write_json
 from samarl.observations.frames import Frames
-from samarl.policies.policy import LOCAL, Policy
+from samarl.policies.policy import LOCAL
+from samarl.policies.stochastic import StochasticPolicy
 from samarl.rollout import Rollout
 from samarl.training.collector import RolloutCollector
 from samarl.training.curriculum import CurriculumStage
@@ -46,6 +47,7 @@ def main() -> None:
     scenario = Scenario()
     with tempfile.TemporaryDirectory() as folder:
         policy = default_trainer(["policy=flat", f"run_dir={folder}"]).policy
+    assert isinstance(policy, StochasticPolicy)
     stage = CurriculumStage(WORLDS, scenario=scenario)
     ours = RolloutCollector(stage, policy, STEPS, 0, central=False)
     theirs = torchrl_rollouts(policy, scenario, WORLDS, STEPS, arguments.rounds + 1)
@@ -72,12 +74,12 @@ def main() -> None:
 class Actor(TensorDictModuleBase):
     """A policy as TorchRL drives one: it explores, and notes what a learner needs."""
 
-    def __init__(self, policy: Policy, scenario: Scenario, worlds: int) -> None:
+    def __init__(self, policy: StochasticPolicy, scenario: Scenario, worlds: int) -> None:
         super().__init__()
         self.policy, self.scenario = policy, scenario
         self.state = policy.initial_state(worlds, scenario)
         self.in_keys = [*SEEN, ("agents", "active_mask"), "is_init"]
-        noted = ("action", "chosen", "sample_log_prob", "noise", "target")
+        noted = ("action", "chosen", "sample_log_prob", "noise")
         self.out_keys = [*(("agents", name) for name in noted), *KNOWN]
 
     def forward(self, step: TensorDictBase) -> TensorDictBase:
@@ -92,14 +94,14 @@ class Actor(TensorDictModuleBase):
         level = decision.levels[LOCAL]
         step["agents", "action"] = torch.from_numpy(decision.action)  # what is driven
         step["agents", "chosen"], step["agents", "sample_log_prob"] = level.action, level.log_prob
-        step["agents", "noise"], step["agents", "target"] = decision.noise, decision.target
-        for key, tensor in zip(KNOWN, decision.frames, strict=True):
+        step["agents", "noise"] = decision.step.previous_noise
+        for key, tensor in zip(KNOWN, decision.features, strict=True):
             step[key] = tensor.view(*active.shape, *tensor.shape[2:])
         return step
 
 
 def torchrl_rollouts(
-    policy: Policy, scenario: Scenario, worlds: int, steps: int, total: int
+    policy: StochasticPolicy, scenario: Scenario, worlds: int, steps: int, total: int
 ) -> Iterator[Rollout]:
     """`total` rollouts of T steps in E worlds by TorchRL's collector, without the true state.
 
@@ -134,7 +136,11 @@ def _known(steps: TensorDictBase) -> tuple[Frames, Tensor]:
 
 
 def _rollout(
-    policy: Policy, scenario: Scenario, shown: TensorDictBase, steps: TensorDictBase, state: dict
+    policy: StochasticPolicy,
+    scenario: Scenario,
+    shown: TensorDictBase,
+    steps: TensorDictBase,
+    state: dict,
 ) -> Rollout:
     """Of all that is shown, [E, h + T + 1], and of the steps, [E, T + 1]."""
     paid = steps["next", "agents", "reward_parts"]
@@ -149,7 +155,6 @@ def _rollout(
             ("agents", "action"): agents["chosen"],
             ("agents", "sample_log_prob"): agents["sample_log_prob"],
             ("agents", "noise"): agents["noise"],
-            ("agents", "target"): agents["target"],
             ("agents", "speed"): agents["observation", "ego"][..., VELOCITY].norm(dim=-1),
             ("next", "done"): steps["next", "done"],
             ("next", "agents", "reward"): after["reward"][..., 0],

@@ -69,9 +69,13 @@ RUN = [
 ]  # fmt: skip
 ENCODER = {"name": "gru", "width": 8, "features": 8}
 POLICY = {
-    "actors": 1, "hidden": 8, "track_time": 1.0, "round_below": 180.0, "round_radius": 7.0,
+    "num_parameter_sets": 1,
+    "hidden": 8,
+    "track_time": 1.0,
+    "round_below": 180.0,
+    "round_radius": 7.0,
     "encoder": ENCODER,
-}  # fmt: skip
+}
 VALUES = [
     "1000000000", "-1", "0", "1e308", "nan", "inf", "-inf", "abc", "''", "[1,2]", "[]", "{a: 1}",
     "null", "???", "true", "2.5", "../x", "${nowhere}", "'${'", "${oc.env:NOWHERE}",

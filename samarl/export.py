@@ -25,7 +25,8 @@ from samarl.planning.lookahead import command_set
 from samarl.planning.shield import Shield
 from samarl.policies.hierarchical import Waypoints
 from samarl.policies.lookahead import LookaheadPolicy
-from samarl.policies.policy import Policy
+from samarl.policies.policy import Policy, PolicyState
+from samarl.policies.stochastic import StochasticPolicy
 from samarl.runtime.description import KEY, Description, robot_fields
 
 SAME = 1e-4  # a file may differ by so much from the policy, of the largest number
@@ -33,20 +34,24 @@ OPSET = 18  # the first with the smallest of scattered elements, which CADRL's m
 
 
 class Driving(nn.Module):
-    """A policy with a memory: what is known and remembered to what to do and to remember."""
+    """`StochasticPolicy.step` of one robot, from its tracks and memory."""
 
-    def __init__(self, policy: Policy, scenario: Scenario, memory: dict[str, Tensor]) -> None:
-        """For a robot that knows of so many others."""
+    def __init__(
+        self, policy: StochasticPolicy, scenario: Scenario, memory: dict[str, Tensor]
+    ) -> None:
+        """Prepare a policy for a robot that knows as many others as `scenario` has."""
         super().__init__()
         self.policy, self.scenario, self.names = policy, scenario, list(memory)
 
-    def forward(self, *given: Tensor) -> tuple[Tensor, ...]:
-        """See `Description`: tracks, `begins`, `aim`, the memory."""
-        tracks, begins, aim = Tracks(*given[:5]), given[5], given[6]  # type: ignore[arg-type]
-        memory = {name: kept.clone() for name, kept in zip(self.names, given[7:], strict=True)}
-        frames = frames_of(tracks, self.scenario, self.policy.config.known_origin)
-        mean = self.policy.drive_alone(frames, given[0][:, 0], aim, begins, memory)
-        return mean.clamp(-1.0, 1.0), *memory.values()
+    def forward(self, *inputs: Tensor) -> tuple[Tensor, ...]:
+        """See `Description`: tracks, `is_init`, `route`, the memory."""
+        tracks, is_init, route = Tracks(*inputs[:5]), inputs[5], inputs[6]  # type: ignore[arg-type]
+        features = frames_of(tracks, self.scenario, self.policy.config.known_origin)
+        memory = dict(zip(self.names, (tensor.clone() for tensor in inputs[7:]), strict=True))
+        pose = inputs[0][:, 0]
+        step, state = self.policy.step(features, pose, route, is_init, _state_of(memory))
+        following = _memory_of(state)
+        return step.action, *(following[name] for name in self.names)
 
 
 class Valuing(nn.Module):
@@ -97,10 +102,10 @@ def export_agent(path: Path, agent: Agent, name: str) -> None:
             f"scenario.kinematics is {scenario.kinematics.name}; it must be that of the robots "
             f"{name} was trained on to be exported"
         )
-    if policy.config.actors != 1:
+    if policy.config.num_parameter_sets != 1:
         raise ConfigurationError(
-            f"policy.actors is {policy.config.actors}; it must be 1 to be exported: a robot alone "
-            "does not know which of them it is"
+            f"policy.num_parameter_sets is {policy.config.num_parameter_sets}; it must be 1 to be "
+            "exported: a robot alone does not know which of them is its own"
         )
     # One place of each kind at least: no network is made for none.
     scenario = replace(scenario, humans=max(scenario.humans, 1), robots=max(scenario.robots, 2))
@@ -111,10 +116,11 @@ def export_agent(path: Path, agent: Agent, name: str) -> None:
         network: nn.Module = Valuing(policy, scenario)
         inputs, outputs = _tracks(rows, others, humans), ["value"]
     else:
-        memory = policy.memory_alone(others, humans)
+        assert isinstance(policy, StochasticPolicy)
+        memory = _memory_of(policy.initial_policy_state(1, scenario.robots, humans))
         network = Driving(policy, scenario, memory)
         inputs = _tracks(1, others, humans)
-        inputs |= {"begins": torch.ones(1, dtype=torch.bool), "aim": torch.ones(1, 2)}
+        inputs |= {"is_init": torch.ones(1, dtype=torch.bool), "route": torch.ones(1, 2)}
         inputs |= {f"state.{name}": kept for name, kept in memory.items()}
         outputs = ["action", *(f"next.{name}" for name in memory)]
     content = _traced(network.eval(), inputs, outputs)
@@ -124,6 +130,17 @@ def export_agent(path: Path, agent: Agent, name: str) -> None:
         None if shield is None else asdict(shield), _slots(policy, others, humans, memory),
     )  # fmt: skip
     _write(path, content, description)
+
+
+def _memory_of(state: PolicyState) -> dict[str, Tensor]:
+    """Return what a robot remembers, by name: of the encoder and of the levels."""
+    memory = {name: tensor for name, tensor in state.items() if name not in ("encoder", "noise")}
+    return {**state["encoder"][0], **memory}
+
+
+def _state_of(memory: dict[str, Tensor]) -> PolicyState:
+    """Return the policy state of a robot; every tensor is at hand for all parts of the policy."""
+    return {**memory, "encoder": (memory,), "noise": torch.zeros(())}
 
 
 def _tracks(rows: int, robots: int, humans: int) -> dict[str, Tensor]:
@@ -143,9 +160,9 @@ def _slots(
 ) -> dict[str, tuple[str, int]]:
     """Which axis of the memory has a place for every human or robot: that which grows by one."""
     found = {}
-    if memory:
-        one_robot = policy.memory_alone(robots + 1, humans)
-        one_human = policy.memory_alone(robots, humans + 1)
+    if isinstance(policy, StochasticPolicy):
+        one_robot = _memory_of(policy.initial_policy_state(1, robots + 2, humans))
+        one_human = _memory_of(policy.initial_policy_state(1, robots + 1, humans + 1))
         for name, kept in memory.items():
             for axis, size in enumerate(kept.shape):
                 grows = one_robot[name].shape[axis] > size, one_human[name].shape[axis] > size
@@ -182,8 +199,8 @@ def _check_same(content: bytes, network: nn.Module, inputs: dict[str, Tensor]) -
         for name in Tracks._fields:
             drawn = torch.randn(given[name].shape, generator=random)
             given[name] = drawn > 0.0 if given[name].dtype == torch.bool else drawn
-        if "begins" in given:
-            given["begins"] = torch.tensor([step == 0])
+        if "is_init" in given:
+            given["is_init"] = torch.tensor([step == 0])
         fed = {put.name: given[put.name].numpy() for put in session.get_inputs()}
         with torch.no_grad():
             right = network(*given.values())

@@ -12,7 +12,8 @@ from torch.utils._pytree import tree_map
 
 from mrsan import Episodes, Scenario
 from samarl.observations.frames import Frames
-from samarl.policies.policy import LOCAL, Sequences
+from samarl.policies.policy import LOCAL
+from samarl.policies.stochastic import Sequences
 
 
 def level_key(level: str) -> tuple[str, ...]:
@@ -29,15 +30,19 @@ class Rollout:
 
     `steps` is a TensorDict [S, T + 1] with TorchRL's names. Its last step was decided but not yet
     taken: values are bootstrapped from states in which something was decided, with what was decided
-    there. It is the first step of the next rollout. Keys: `mask` [S, T + 1, 1], False: padding;
-    `is_init`; `("agents", "active_mask")` [S, T + 1, N], the robot was on its way;
-    `("agents", "action")`, `("agents", "sample_log_prob")`, `("agents", "noise")` of the local
-    level; `("agents", "target")` [S, T + 1, N, TOLD], what it was told; `("agents", "speed")`;
-    for the macro level `("agents", "macro", ...)` with `action`, `sample_log_prob` and
-    `decision_mask`; `("next", "agents", "reward")` and `("next", "agents", "macro", "reward")`
-    [S, T + 1, N]; `("next", "agents", "team_reward")`, the part that pays for all having arrived;
-    `("next", "done")` [S, T + 1, 1]; `("next", "agents", "terminated")` [S, T + 1, N], else the
-    time limit or a team-mate's collision cut the robot's episode short.
+    there. It is the first step of the next rollout. Keys:
+
+    - `mask` [S, T + 1, 1], False: padding; `is_init` [S, T + 1, 1];
+    - `("agents", "active_mask")` [S, T + 1, N], the robot was on its way;
+    - `("agents", "speed")` [S, T + 1, N], m/s;
+    - `("agents", ...)` with `action`, `sample_log_prob` and `noise` (of the step before) of the
+      local level, and with a macro level `waypoint_features` [S, T + 1, N, 3];
+    - `("agents", "macro", ...)` with `action`, `sample_log_prob` and `decision_mask`;
+    - `("next", "agents", "reward")` and `("next", "agents", "macro", "reward")` [S, T + 1, N];
+    - `("next", "agents", "team_reward")`, the part that pays for all having arrived;
+    - `("next", "done")` [S, T + 1, 1];
+    - `("next", "agents", "terminated")` [S, T + 1, N]; where only `done` is set, the time limit or
+      a team-mate's collision cut the robot's episode short.
     """
 
     scenario: Scenario

@@ -13,7 +13,8 @@ from samarl.algorithms import ALGORITHMS
 from samarl.algorithms.advantages import streams
 from samarl.algorithms.ppo import PPO
 from samarl.policies.checkpoint import make_policy
-from samarl.policies.policy import LOCAL, Choice, Policy, Taken
+from samarl.policies.policy import LOCAL, Policy
+from samarl.policies.stochastic import ActionBatch, ActionEvaluation, StochasticPolicy
 from samarl.rollout import Rollout
 from samarl.training.collector import RolloutCollector
 from samarl.training.curriculum import CurriculumStage
@@ -49,7 +50,7 @@ POLICIES: dict[str, dict[str, Any]] = {
 PPO_NUMBERS: dict[str, Any] = {
     "learning_rate": 1e-3, "epochs": 1, "minibatches": 2, "discount": 0.9, "local_discount": 0.95,
     "gae_lambda": 0.8, "clip_epsilon": 0.2, "entropy_coefficient": 0.01, "critic_coefficient": 0.5,
-    "max_gradient_norm": 1.0, "kept_share": 1.0, "action_limit_penalty": 0.01,
+    "max_gradient_norm": 1.0, "advantage_filter_fraction": 1.0, "action_limit_penalty": 0.01,
     "action_limit_slack": 1.0, "std_start": 1.0, "std_end": 0.1, "critic_width": 8,
     "critic_heads": 2, "critic_features": 8, "shield_coefficient": 0.0,
     "path_penalty": 0.0, "macro_std": 0.0,
@@ -73,9 +74,13 @@ def policy_numbers(
 ) -> dict[str, Any]:  # fmt: skip
     """As of a YAML file."""
     shared = {
-        "actors": 1, "hidden": 16, "track_time": 2.0, "round_below": 180.0, "round_radius": 7.0,
+        "num_parameter_sets": 1,
+        "hidden": 16,
+        "track_time": 2.0,
+        "round_below": 180.0,
+        "round_radius": 7.0,
         "encoder": encoder_numbers or {"name": encoder, **ENCODERS[encoder]},
-    }  # fmt: skip
+    }
     return {"name": name, **shared, **POLICIES[name], **changes}
 
 
@@ -114,15 +119,18 @@ def crowded(**changes: Any) -> Scenario:
     return replace(SCENARIO, **{"humans": 10, "circle_radius": 4.0, **changes})
 
 
-def choices(of: Policy, rollout: Rollout) -> dict[str, tuple[Choice, Tensor, Tensor]]:
-    """What each level is found to have chosen, the stored log-probability and the sequence."""
+def choices(
+    of: StochasticPolicy, rollout: Rollout
+) -> dict[str, tuple[ActionEvaluation, Tensor, Tensor]]:
+    """The evaluation of what each level did, the stored log-probability and the sequence."""
     steps, n = rollout.steps, rollout.robots
     acts = streams(steps).acts.transpose(1, 2)
     length = acts.shape[2]
     flat = acts.reshape(-1, length).nonzero()
     row, step = flat[:, 0], flat[:, 1]
     at = (row // n, step, row % n)
-    taken, stored = {}, {}
+    actions, stored = {}, {}
+    waypoints = steps["agents"].get("waypoint_features")
     for level in of.levels:
         keys = ("agents",) if level == LOCAL else ("agents", level)
         where = torch.arange(len(row))
@@ -131,11 +139,11 @@ def choices(of: Policy, rollout: Rollout) -> dict[str, tuple[Choice, Tensor, Ten
         mine = tuple(index[where] for index in at)
         action = steps[(*keys, "action")][mine]
         noise = steps["agents", "noise"][mine] if level == LOCAL else action
-        taken[level] = Taken(where, action, noise)
+        actions[level] = ActionBatch(where, action, noise)
         stored[level] = (steps[(*keys, "sample_log_prob")][mine], mine[0])
     with torch.no_grad():
         found = of.evaluate(
             rollout.sequences(torch.arange(len(steps))), row * (length + 1) + step,
-            steps["agents", "target"][at], taken, rollout.correlation,
+            None if waypoints is None else waypoints[at], actions, rollout.correlation,
         )  # fmt: skip
     return {level: (found[level], *stored[level]) for level in of.levels}

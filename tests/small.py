@@ -12,7 +12,13 @@ ENCODERS: dict[str, dict[str, Any]] = {
     "gru": {"width": 8, "features": 8},
     "structural_rnn": {"embedding": 8, "edge": 8, "node": 8, "attention": 8, "features": 8},
 }
-SHARED = {"actors": 1, "hidden": 8, "track_time": 1.0, "round_below": 180.0, "round_radius": 7.0}
+SHARED = {
+    "num_parameter_sets": 1,
+    "hidden": 8,
+    "track_time": 1.0,
+    "round_below": 180.0,
+    "round_radius": 7.0,
+}
 WAYPOINTS = {
     "macro_steps": 4, "waypoint_ahead": 2.0, "waypoint_range": 2.0, "waypoint_progress": 1.5,
     "local_goal": True, "arrival_bonus": 5.0,

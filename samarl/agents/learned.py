@@ -43,7 +43,7 @@ class Deployed:
         """
         policy.check(scenario)
         if isinstance(policy, HierarchicalPolicy):
-            policy.waypoints = waypoints
+            policy.waypoint_source, policy.team_size = waypoints, scenario.robots
         elif waypoints is not Waypoints.learned:
             raise ConfigurationError(
                 f"agent.waypoints is {waypoints.name}; it must be learned for a policy without a "
@@ -78,7 +78,7 @@ class Deployed:
         """See `Policy.explain`."""
         if self._decision is None:
             return None
-        return self.policy.explain(self._decision, self._state)
+        return self.policy.explain(self._decision)
 
 
 @dataclass

@@ -18,9 +18,9 @@ class Algorithm(nn.Module, ABC):
     """Learns from rollouts; what it needs besides the policy (critics, say) are its submodules."""
 
     policy: Policy
-    central = False  # it needs the true state in the rollouts
-    taught = False  # it needs what the safety shield would do
-    averages = False  # its gradients, over processes: it can train in several
+    uses_global_state = False  # it needs the true state in the rollouts
+    uses_shield_targets = False  # it needs what the safety shield would do
+    supports_data_parallel = False  # its gradients, over processes: it can train in several
 
     def __init__(self, policy: Policy, config: Any) -> None:
         """Make critics and optimisers.

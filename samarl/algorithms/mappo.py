@@ -22,7 +22,7 @@ class MAPPOConfig(PPOConfig):
 class MAPPO(PPO):
     """The value of a robot is read from the state of everybody, as it lies around the robot."""
 
-    central = True
+    uses_global_state = True
 
     def _make_critic(self, config: Any) -> SetEncoder:
         sizes = config.critic_width, config.critic_heads, config.critic_features

@@ -18,6 +18,7 @@ from torch import Tensor, nn
 from torchrl.modules import ProbabilisticActor
 from torchrl.objectives import ClipPPOLoss
 
+from mrsan import ConfigurationError
 from mrsan.scenario import number, required
 from samarl.algorithms.action_limits import excess
 from samarl.algorithms.advantages import macro_advantages, step_advantages, streams
@@ -25,14 +26,16 @@ from samarl.algorithms.algorithm import Algorithm
 from samarl.algorithms.critics import PopArtHead, SetEncoder
 from samarl.distributed import average_gradients, exchanged, joined
 from samarl.observations.frames import Frames
-from samarl.policies.policy import LOCAL, MACRO, TOLD, Policy, Taken
+from samarl.policies.hierarchical import WAYPOINT_FEATURES
+from samarl.policies.policy import LOCAL, MACRO, Policy
+from samarl.policies.stochastic import ActionBatch, StochasticPolicy
 from samarl.rollout import Rollout, level_key
 
 MACRO_RISE = 0.3
 """Share of a training in which the macro level's least noise rises: first its waypoints stay put,
 so that the local level learns to drive to them."""
 
-AT_ONCE = 16384
+CHUNK_SIZE = 16384
 """Frames that the critics read at once when they learn nothing: thousands of worlds have more than
 is well in memory."""
 
@@ -51,7 +54,7 @@ class PPOConfig:
     entropy_coefficient: float = required(0.0, 10.0)
     critic_coefficient: float = required(0.0, 100.0)
     max_gradient_norm: float = required(0.0, 1e6)  # of the policy and of the critics, each
-    kept_share: float = required(0.01, 1.0)  # of the samples, those of the largest advantages
+    advantage_filter_fraction: float = required(0.01, 1.0)  # samples kept, largest advantages first
     action_limit_penalty: float = required(0.0, 10.0)  # of commands beyond the robots' limits ...
     action_limit_slack: float = required(0.0, 10.0)  # ... by more than so many deviations
     path_penalty: float = required(0.0, 100.0)  # off the reward per metre, falls linearly to 0
@@ -65,7 +68,7 @@ class PPOConfig:
     target_kl: float | None = number(None, 0.0, 1e6)  # no more epochs beyond it; None: all of them
 
 
-class Prepared(NamedTuple):
+class LevelBatch(NamedTuple):
     """What an update needs of one level of a rollout, [S, T, N] each."""
 
     where: Tensor  # the level decided something that counts
@@ -78,22 +81,35 @@ class Prepared(NamedTuple):
 class PPO(Algorithm):
     """Clipped PPO with TorchRL's loss, of all levels at once."""
 
+    policy: StochasticPolicy
     heads: Mapping[str, PopArtHead]
-    averages = True
+    supports_data_parallel = True
 
     def __init__(self, policy: Policy, config: Any) -> None:
-        """See `Algorithm`."""
+        """See `Algorithm`.
+
+        Raises:
+            ConfigurationError: the policy has no distribution of actions.
+        """
         super().__init__(policy, config)
+        if not isinstance(policy, StochasticPolicy):
+            raise ConfigurationError(
+                f"policy is a {type(policy).__name__}, which has no distribution of actions; "
+                "algorithm.name must be value_learning, or policy.name flat or hierarchical"
+            )
         self.encoder, features = self._make_critic(config), config.critic_features
-        # The local critic is told the waypoint, as its actor is.
+        # The local critic sees the waypoint, as its actor does.
+        waypoints = WAYPOINT_FEATURES if MACRO in policy.levels else 0
         self.heads = nn.ModuleDict(  # type: ignore[assignment]
             {
-                name: PopArtHead(features + (TOLD if name == LOCAL else 0), config.critic_features)
+                name: PopArtHead(
+                    features + (waypoints if name == LOCAL else 0), config.critic_features
+                )
                 for name in policy.levels
             }
         )
         self.loss = _torchrl_loss(config)
-        self.taught = config.shield_coefficient > 0.0
+        self.uses_shield_targets = config.shield_coefficient > 0.0
         self.path_penalty = config.path_penalty
         self.to(policy.device)
         self.optimiser = torch.optim.Adam(
@@ -138,7 +154,7 @@ class PPO(Algorithm):
         statistics: dict[str, list[float]] = defaultdict(list)
         prepared = self.prepare(rollouts, statistics)
         kept = self._kept(prepared)
-        if self.taught:
+        if self.uses_shield_targets:
             for rollout, data, keep in zip(rollouts, prepared, kept, strict=True):
                 keep |= data[LOCAL].where & rollout.steps["agents", "unsafe"][:, :-1]
         for epoch in range(1, self.config.epochs + 1):
@@ -176,20 +192,20 @@ class PPO(Algorithm):
     @torch.no_grad()
     def prepare(
         self, rollouts: list[Rollout], statistics: dict[str, list[float]]
-    ) -> list[dict[str, Prepared]]:
+    ) -> list[dict[str, LevelBatch]]:
         """Advantages and value targets of all levels; the value scales are updated once."""
-        out: list[dict[str, Prepared]] = [{} for _ in rollouts]
+        out: list[dict[str, LevelBatch]] = [{} for _ in rollouts]
         features = []
         for rollout in rollouts:
             given = Frames(*(x.flatten(0, 1) for x in self._critic_frames(rollout)))
-            read = torch.cat([self.encoder(part) for part in given.split(AT_ONCE)])
+            read = torch.cat([self.encoder(part) for part in given.split(CHUNK_SIZE)])
             shape = (len(rollout.steps), rollout.robots, -1, read.shape[-1])
             features.append(read.view(shape).transpose(1, 2))  # [S, T + 1, N, F]
         for name, head in self.heads.items():
             found = []
             for rollout, feature in zip(rollouts, features, strict=True):
-                told = rollout.steps["agents", "target"]
-                value = head.denormalise(head(_told(name, feature, told)))
+                waypoints = rollout.steps["agents"].get("waypoint_features")
+                value = head.denormalise(head(_critic_input(name, feature, waypoints)))
                 found.append((*self._advantages(name, rollout, value), value[:, :-1]))
             chosen = joined(torch.cat([advantage[where] for advantage, _, where, _, _ in found]))
             targets = joined(torch.cat([target[valued] for _, target, _, valued, _ in found]))
@@ -202,7 +218,7 @@ class PPO(Algorithm):
                 statistics[f"losses/{name}_explained_variance"].append(1.0 - float(unexplained))
                 head.update(targets)
             for data, (advantage, target, where, valued, value) in zip(out, found, strict=True):
-                data[name] = Prepared(
+                data[name] = LevelBatch(
                     where, valued, (advantage - mean) / std, head.normalise(target),
                     head.normalise(value),
                 )  # fmt: skip
@@ -222,7 +238,7 @@ class PPO(Algorithm):
         )
         return advantage, target, where & decided, where
 
-    def _kept(self, prepared: list[dict[str, Prepared]]) -> list[Tensor]:
+    def _kept(self, prepared: list[dict[str, LevelBatch]]) -> list[Tensor]:
         """Which samples [S, T, N] the policy learns from: those whose advantages are largest.
 
         Most steps are as good as expected and teach nothing (Cusumano-Towner et al., Robust
@@ -235,15 +251,16 @@ class PPO(Algorithm):
                 size = torch.where(level.where, torch.maximum(size, level.advantage.abs()), size)
             sizes.append(size)
         acts = [data[LOCAL].where for data in prepared]
-        if self.config.kept_share >= 1.0:
+        if self.config.advantage_filter_fraction >= 1.0:
             return acts
         every = joined(torch.cat([size[where] for size, where in zip(sizes, acts, strict=True)]))
-        least = every.kthvalue(max(int((1.0 - self.config.kept_share) * len(every)), 1)).values
+        dropped = int((1.0 - self.config.advantage_filter_fraction) * len(every))
+        least = every.kthvalue(max(dropped, 1)).values
         # Not `>=`: what is not a number must be kept, and stop the run.
         return [where & ~(size < least) for size, where in zip(sizes, acts, strict=True)]
 
     def _loss(
-        self, rollout: Rollout, data: dict[str, Prepared], kept: Tensor, sequences: Tensor,
+        self, rollout: Rollout, data: dict[str, LevelBatch], kept: Tensor, sequences: Tensor,
         statistics: dict[str, list[float]], divergence: list[float],
     ) -> Tensor:  # fmt: skip
         steps, n = rollout.steps[sequences], rollout.robots
@@ -253,16 +270,17 @@ class PPO(Algorithm):
         samples = flat[:, 0] * (t + 1) + flat[:, 1]
         world, robot, step = flat[:, 0] // n, flat[:, 0] % n, flat[:, 1]
         at = (world, step, robot)
-        taken, of_level = {}, {}
+        actions, of_level = {}, {}
+        waypoints = steps["agents"].get("waypoint_features")
         for name in data:
             where = data[name].where[sequences][at].nonzero().squeeze(1)
             of_level[name] = tuple(index[where] for index in at)
             action = steps[(*level_key(name), "action")][of_level[name]]
             noise = steps["agents", "noise"][of_level[name]] if name == LOCAL else action
-            taken[name] = Taken(where, action, noise)
+            actions[name] = ActionBatch(where, action, noise)
         choices = self.policy.evaluate(
-            rollout.sequences(sequences), samples, steps["agents", "target"][at], taken,
-            rollout.correlation,
+            rollout.sequences(sequences), samples, None if waypoints is None else waypoints[at],
+            actions, rollout.correlation,
         )  # fmt: skip
         total = torch.zeros((), device=samples.device)
         for name, choice in choices.items():
@@ -274,7 +292,7 @@ class PPO(Algorithm):
                         {
                             "new_log_prob": choice.log_prob,
                             "entropy_of": choice.entropy,
-                            "action": taken[name].action,
+                            "action": actions[name].action,
                             "action_log_prob": before,
                             "advantage": level.advantage[sequences][decided].unsqueeze(-1),
                         },
@@ -297,7 +315,7 @@ class PPO(Algorithm):
                 ).mean()
                 total = total + self.config.action_limit_penalty * beyond
                 statistics["losses/action_limit_penalty"].append(float(beyond.detach()))
-            if name == LOCAL and len(decided[0]) > 0 and self.taught:
+            if name == LOCAL and len(decided[0]) > 0 and self.uses_shield_targets:
                 unsafe = steps["agents", "unsafe"][decided]
                 error = choice.mean - steps["agents", "safe_action"][decided]
                 wrong = (error.square().sum(-1) * unsafe).mean()
@@ -307,7 +325,7 @@ class PPO(Algorithm):
         return total + self._critic_loss(rollout, data, sequences, chosen, statistics)
 
     def _critic_loss(
-        self, rollout: Rollout, data: dict[str, Prepared], sequences: Tensor, chosen: Tensor,
+        self, rollout: Rollout, data: dict[str, LevelBatch], sequences: Tensor, chosen: Tensor,
         statistics: dict[str, list[float]],
     ) -> Tensor:  # fmt: skip
         """Of the samples that the policy learns from, and of those that wait for the team."""
@@ -317,13 +335,14 @@ class PPO(Algorithm):
         at = (sequences[world], step, robot)
         row = sequences[world] * rollout.robots + robot
         features = self.encoder(Frames(*(x[row, step] for x in self._critic_frames(rollout))))
-        told = rollout.steps["agents", "target"][at]
+        waypoints = rollout.steps["agents"].get("waypoint_features")
+        waypoints = None if waypoints is None else waypoints[at]
         total = features.new_zeros(())
         for name, level in data.items():
             valued = level.valued[at]
             if not valued.any():
                 continue
-            value = self.heads[name](_told(name, features, told)[valued])
+            value = self.heads[name](_critic_input(name, features, waypoints)[valued])
             before, target = level.value[at][valued], level.target[at][valued]
             loss = value_loss(value, before, target, self.config.clip_epsilon)
             total = total + self.config.critic_coefficient * loss
@@ -331,9 +350,11 @@ class PPO(Algorithm):
         return total
 
 
-def _told(level: str, features: Tensor, told: Tensor) -> Tensor:
-    """What the critic of a level reads: the local one is told all that its actor is."""
-    return torch.cat([features, told], -1) if level == LOCAL else features
+def _critic_input(level: str, features: Tensor, waypoint_features: Tensor | None) -> Tensor:
+    """Return the input of a level's critic: the local one sees the waypoint, if there is one."""
+    if level != LOCAL or waypoint_features is None:
+        return features
+    return torch.cat([features, waypoint_features], -1)
 
 
 _STATISTICS = {

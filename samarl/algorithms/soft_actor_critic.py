@@ -29,8 +29,9 @@ from samarl.algorithms.algorithm import ALGORITHMS, Algorithm
 from samarl.distributed import average_gradients, exchanged
 from samarl.launch import share
 from samarl.observations.frames import Frames
-from samarl.policies.policy import Policy, Sequences
+from samarl.policies.policy import Policy
 from samarl.policies.squashed import SquashedPolicy
+from samarl.policies.stochastic import Sequences
 from samarl.registry import needed
 from samarl.rollout import Rollout
 
@@ -66,7 +67,7 @@ class SoftActorCritic(Algorithm):
     """
 
     policy: SquashedPolicy
-    averages = True
+    supports_data_parallel = True
     updates: Tensor  # until now
 
     def __init__(self, policy: Policy, config: Any) -> None:

@@ -56,7 +56,7 @@ class ValueLearning(Algorithm):
     """
 
     policy: LookaheadPolicy
-    averages = True
+    supports_data_parallel = True
     rounds: Tensor  # of updates until now
 
     def __init__(self, policy: Policy, config: Any) -> None:

@@ -82,9 +82,9 @@ def begun_as(config: DictConfig) -> DictConfig:
         ConfigurationError: the folder holds no run, or other settings were given as well.
     """
     from samarl.training.run_dir import read_progress
-    from samarl.training.trainer import FREE
+    from samarl.training.trainer import RESUME_OVERRIDABLE
 
-    free = [*(f"trainer.{name}" for name in FREE), "trainer.steps", "plugins"]
+    free = [*(f"trainer.{name}" for name in RESUME_OVERRIDABLE), "trainer.steps", "plugins"]
     given = {o.partition("=")[0]: o for o in HydraConfig.get().overrides.task}
     for name, override in given.items():
         if name not in ("resume", *free):
@@ -93,7 +93,7 @@ def begun_as(config: DictConfig) -> DictConfig:
                 f"settings, beside it there may only be {', '.join(free)}"
             )
     own = read_progress(Path(config.resume))["configuration"]
-    own["trainer"] |= {name: config.trainer[name] for name in FREE}
+    own["trainer"] |= {name: config.trainer[name] for name in RESUME_OVERRIDABLE}
     if "trainer.steps" in given:
         own["trainer"]["steps"] = config.trainer.steps
     plain = OmegaConf.create({**OmegaConf.to_container(config), **own})  # type: ignore[dict-item]

@@ -121,14 +121,14 @@ def load_policy(path: Path) -> tuple[Policy, PolicyCard]:
             policy = make_policy(card.policy, card.config, card.action_size)
     except ConfigurationError as error:
         raise ConfigurationError(f"{card_path}: {error}") from error
-    with blaming(path, "does not fit its card"):
+    with attribute_errors_to(path, "does not fit its card"):
         policy.load_state_dict(load_file(path))
     check_finite(path, policy.state_dict())
     return policy.eval(), card
 
 
 @contextlib.contextmanager
-def blaming(path: Path, reason: str = "is damaged") -> Iterator[None]:
+def attribute_errors_to(path: Path, reason: str = "is damaged") -> Iterator[None]:
     """Whatever goes wrong with the content of a file is said to be its fault.
 
     Raises:
@@ -211,7 +211,9 @@ def pack(prefix: str, tree: Any) -> dict[str, Tensor]:
     """The leaves of a nested structure of tensors, arrays and numbers, as named tensors."""
     leaves = tree_leaves(tree)
     return {
-        f"{prefix}/{i}": torch.as_tensor(leaf).detach().clone() for i, leaf in enumerate(leaves)
+        f"{prefix}/{i}": torch.as_tensor(leaf).detach().clone()
+        for i, leaf in enumerate(leaves)
+        if leaf is not None
     }
 
 
@@ -224,6 +226,9 @@ def unpack(example: Any, prefix: str, tensors: Mapping[str, Tensor]) -> Any:
     leaves, structure = tree_flatten(example)
     found: list[Any] = []
     for i, leaf in enumerate(leaves):
+        if leaf is None:
+            found.append(None)
+            continue
         name, expected = f"{prefix}/{i}", torch.as_tensor(leaf)
         value = tensors.get(name)
         if value is None or (value.shape, value.dtype) != (expected.shape, expected.dtype):

@@ -1,4 +1,4 @@
-"""One level: the same encoder, which drives straight to the goal."""
+"""One level: the same encoder, and a head that drives straight to the goal."""
 
 from __future__ import annotations
 
@@ -15,16 +15,15 @@ from samarl.policies.heads import Gaussian
 from samarl.policies.policy import (
     LOCAL,
     POLICIES,
-    TOLD,
-    Known,
-    Level,
     Networks,
-    Policy,
     PolicyConfig,
-    State,
+    PolicyState,
+    PolicyStep,
 )
+from samarl.policies.stochastic import Distribution, ExplorationNoise, StochasticPolicy
 
-# It sets out moving forward, and explores speed and turning more than sideways acceleration.
+# Initial means and deviations: robots move forward, and explore speed and turning more than
+# lateral acceleration.
 MEAN = {2: (0.0, 0.0), 3: (0.3, 0.0, 0.0)}
 STD = {2: (0.5, 0.5), 3: (0.37, 0.1, 0.5)}
 
@@ -35,29 +34,43 @@ class FlatConfig(PolicyConfig):
 
 
 @POLICIES.register("flat", FlatConfig)
-class FlatPolicy(Policy):
-    """A Gaussian of the local action on Y."""
+class FlatPolicy(StochasticPolicy):
+    """A Gaussian over local actions, read from the scene with the robot's own state."""
 
     def _make_networks(self, encoder: Encoder) -> Networks:
         n = self.action_size
         head = Gaussian(encoder.features, self.config.hidden, MEAN[n], STD[n])
         return Networks(encoder, {LOCAL: head})
 
-    def _decide(
-        self, scene: Any, ego: Tensor, rows: Tensor, known: Known, state: State, explore: bool
-    ) -> tuple[dict[str, Level], Tensor, Tensor, Tensor]:
-        told = torch.zeros(*known.active.shape, TOLD)
-        return {}, told, *self._ask(LOCAL, scene, ego, None, rows)
+    def step(
+        self,
+        features: Frames,
+        pose: Tensor,
+        route: Tensor,
+        is_init: Tensor,
+        state: PolicyState,
+        noise: ExplorationNoise | None = None,
+    ) -> tuple[PolicyStep, PolicyState]:
+        """See `StochasticPolicy.step`."""
+        scene = self._encode(features, is_init, state)
+        rows = torch.arange(len(is_init), device=is_init.device)
+        distribution = self._action_distribution(LOCAL, scene, features.ego[:, 0], rows)
+        mean, local, previous, current = self._sample_local(distribution, is_init, state, noise)
+        step = PolicyStep(
+            action=local.action.clamp(-1.0, 1.0),
+            mean=mean,
+            levels={LOCAL: local},
+            previous_noise=previous,
+            scene=scene,
+        )
+        return step, {**state, "noise": current}
 
-    def _choices(
-        self, scene: Any, ego: Tensor, rows: Tensor, told: Tensor, asked: Mapping[str, Tensor]
-    ) -> dict[str, tuple[Tensor, Tensor]]:
-        return {LOCAL: self._ask(LOCAL, scene, ego, None, rows)}
-
-    def drive_alone(
-        self, frames: Frames, ego: Tensor, aim: Tensor, begins: Tensor, state: State
-    ) -> Tensor:
-        """See `Policy.drive_alone`."""
-        scene, row = self._seen_alone(frames, begins, state), torch.zeros(1, dtype=torch.long)
-        mean, _ = self._ask(LOCAL, scene, frames.ego[:, 0], None, row)
-        return mean
+    def _distributions(
+        self,
+        scene: Any,
+        ego: Tensor,
+        rows: Tensor,
+        waypoint_features: Tensor | None,
+        decision_indices: Mapping[str, Tensor],
+    ) -> dict[str, Distribution]:
+        return {LOCAL: self._action_distribution(LOCAL, scene, ego, rows)}

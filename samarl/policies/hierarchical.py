@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
+from torch.jit import is_tracing  # type: ignore[attr-defined]
 
 from mrsan import Observation, RewardParts, Scenario
 from mrsan.scenario import required
@@ -20,7 +21,6 @@ from samarl.observations.features import (
     EGO_PLACE,
     EGO_TARGET,
     EGO_TIME,
-    A,
     features_of_target,
     to_body,
     to_world,
@@ -33,19 +33,20 @@ from samarl.policies.policy import (
     LOCAL,
     MACRO,
     POLICIES,
-    TOLD,
     Decision,
-    Known,
-    Level,
+    LevelStep,
     Networks,
-    Policy,
     PolicyConfig,
-    State,
+    PolicyState,
+    PolicyStep,
     progress_to,
 )
+from samarl.policies.stochastic import Distribution, ExplorationNoise, StochasticPolicy
 from samarl.registry import needed
 
-REACHED = 0.3  # m, a waypoint
+REACHED = 0.3  # m; a waypoint that is nearer is replaced
+WAYPOINT_FEATURES = 3  # see `encode_waypoint`
+NEVER = 2**31 - 1  # steps until the next waypoint is due
 
 
 class Waypoints(Enum):
@@ -54,194 +55,222 @@ class Waypoints(Enum):
     learned = "the macro level"
     first = "the macro level, once in an episode"
     random = "anywhere the macro level could put them"
-    shuffled = "the macro level, which answers for the next robot instead"
+    shuffled = "the macro level's choice for the next robot"
 
 
 @dataclass
 class HierarchicalConfig(PolicyConfig):
     """Numbers of the two levels."""
 
-    macro_steps: int = required(1, 200)  # a waypoint is kept for so many steps, K
-    waypoint_ahead: float = required(0.1, 100.0)  # where it is unmoved: so far along the route, m
-    waypoint_range: float = required(0.1, 100.0)  # how far the macro level may move it, m
+    macro_steps: int = required(1, 200)  # steps between two waypoints, K
+    waypoint_ahead: float = required(0.1, 100.0)  # of a zero macro action: along the route, m
+    waypoint_range: float = required(0.1, 100.0)  # how far the macro action may move it, m
     waypoint_progress: float = required(0.0, 100.0)  # reward of the local level per metre
-    local_goal: bool = needed()  # the local level is told the goal as well
+    local_goal: bool = needed()  # the local level sees the goal as well
     arrival_bonus: float = required(0.0, 1000.0)  # of the local level, on top of the task's
 
 
 @POLICIES.register("hierarchical", HierarchicalConfig)
-class HierarchicalPolicy(Policy):
-    """The macro level asks the scene with the goal, the local one with the waypoint (Fig. 2).
+class HierarchicalPolicy(StochasticPolicy):
+    """The macro level chooses waypoints and the local level drives to them (SAMARL, Fig. 2).
 
-    Without `local_goal` the local level knows of the world only what surrounds it and its
-    waypoint: where the robot goes is decided by the macro level alone.
+    Both read the same scene: the macro level with the goal in the query, the local level with the
+    waypoint. Without `local_goal` the local level knows only its surroundings and its waypoint, so
+    the macro level alone decides where the robot goes.
     """
 
     levels = (MACRO, LOCAL)
-    waypoints = Waypoints.learned
-
-    def _make_networks(self, encoder: Encoder) -> Networks:
-        n, y, hidden = self.action_size, encoder.features, self.config.hidden
-        heads = {
-            MACRO: Gaussian(y, hidden, (0.0, 0.0), (0.1, 0.1)),
-            LOCAL: Gaussian(y + TOLD, hidden, MEAN[n], STD[n]),
-        }
-        return Networks(encoder, heads)
+    waypoint_source = Waypoints.learned
+    team_size = 1  # N, for shuffled waypoints
 
     def __init__(self, config: HierarchicalConfig, action_size: int) -> None:
         """See `Policy`."""
         super().__init__(config, action_size)
         self._random = np.random.default_rng(0)  # of random waypoints
 
-    def initial_state(self, worlds: int, scenario: Scenario) -> State:
-        """See `Policy.initial_state`; with the waypoints in the world frame and their clocks."""
+    def _make_networks(self, encoder: Encoder) -> Networks:
+        n, y, hidden = self.action_size, encoder.features, self.config.hidden
+        heads = {
+            MACRO: Gaussian(y, hidden, (0.0, 0.0), (0.1, 0.1)),
+            LOCAL: Gaussian(y + WAYPOINT_FEATURES, hidden, MEAN[n], STD[n]),
+        }
+        return Networks(encoder, heads)
+
+    def action_sizes(self) -> dict[str, int]:
+        """See `StochasticPolicy.action_sizes`; a macro action moves the waypoint in the plane."""
+        return {MACRO: 2, LOCAL: self.action_size}
+
+    def initial_policy_state(self, rows: int, robots: int, humans: int) -> PolicyState:
+        """See `StochasticPolicy.initial_policy_state`; with the waypoints and their clocks."""
         return {
-            **super().initial_state(worlds, scenario),
-            "waypoint": np.zeros((worlds, scenario.robots, 2), np.float32),
-            "clock": np.zeros((worlds, scenario.robots), np.int32),
+            **super().initial_policy_state(rows, robots, humans),
+            "waypoint": torch.zeros(rows, 2, device=self.device),  # in the world frame, m
+            "steps_left": torch.zeros(rows, dtype=torch.long, device=self.device),
         }
 
-    def _decide(
-        self, scene: Any, ego: Tensor, rows: Tensor, known: Known, state: State, explore: bool
-    ) -> tuple[dict[str, Level], Tensor, Tensor, Tensor]:
-        """A waypoint is due after K steps, or where the last one was reached."""
-        state["clock"][known.is_init] = 0
-        due = known.active & (state["clock"] <= 0)
-        if self.waypoints is not Waypoints.first:
-            distance = np.linalg.norm(to_body(state["waypoint"], known.ego), axis=-1)
-            due |= known.active & (distance < REACHED)
-        macro, probability = torch.zeros(*due.shape, 2), torch.zeros(due.shape)
-        if due.any():
-            asked = known.active if self.waypoints is Waypoints.shuffled else due
-            asking = torch.from_numpy(asked[known.active]).to(rows.device)
-            mean, std = self._ask(MACRO, samples_of(scene, asking), ego[asking], None, rows[asking])
-            mean, std = mean.float().cpu(), std.float().cpu()
-            action = mean + std * torch.randn(mean.shape) if explore else mean
-            where = torch.from_numpy(asked)
-            macro[where], probability[where] = action, log_prob(action, mean, std)
-            self._set_waypoints(state, known, due, self._ablated(macro.numpy()))
-        state["clock"] -= 1
-        told = told_of(torch.from_numpy(to_body(state["waypoint"], known.ego)))
-        active = torch.from_numpy(known.active)
-        mine = told[active].to(ego.device)
-        mean, std = self._ask(LOCAL, scene, self._local_query(ego, mine), mine, rows)
-        return {MACRO: Level(macro, probability, torch.from_numpy(due))}, told, mean, std
+    def step(
+        self,
+        features: Frames,
+        pose: Tensor,
+        route: Tensor,
+        is_init: Tensor,
+        state: PolicyState,
+        noise: ExplorationNoise | None = None,
+    ) -> tuple[PolicyStep, PolicyState]:
+        """See `StochasticPolicy.step`. A waypoint is due after K steps, or when it is reached."""
+        scene = self._encode(features, is_init, state)
+        ego, rows = features.ego[:, 0], torch.arange(len(is_init), device=is_init.device)
+        steps_left = torch.where(is_init, 0, state["steps_left"])
+        due = steps_left <= 0
+        if self.waypoint_source is not Waypoints.first:
+            due = due | (to_body(state["waypoint"], pose).norm(dim=-1) < REACHED)
+        macro = self._macro_step(scene, ego, rows, due, noise)
+        chosen = to_world(self._waypoint_of(route, self._ablated(macro)), pose)
+        waypoint = torch.where(due.unsqueeze(-1), chosen, state["waypoint"])
+        period = NEVER if self.waypoint_source is Waypoints.first else self.config.macro_steps
+        steps_left = torch.where(due, period, steps_left) - 1
 
-    def _choices(
-        self, scene: Any, ego: Tensor, rows: Tensor, told: Tensor, asked: Mapping[str, Tensor]
-    ) -> dict[str, tuple[Tensor, Tensor]]:
-        due = asked[MACRO]
+        waypoint_features = encode_waypoint(to_body(waypoint, pose))
+        query = self._local_query(ego, waypoint_features)
+        distribution = self._action_distribution(LOCAL, scene, query, rows, waypoint_features)
+        mean, local, previous, current = self._sample_local(distribution, is_init, state, noise)
+        step = PolicyStep(
+            action=local.action.clamp(-1.0, 1.0),
+            mean=mean,
+            levels={MACRO: macro, LOCAL: local},
+            previous_noise=previous,
+            waypoint_features=waypoint_features,
+            scene=scene,
+        )
+        following = {"noise": current, "waypoint": waypoint, "steps_left": steps_left}
+        return step, {**state, **following}
+
+    def _macro_step(
+        self, scene: Any, ego: Tensor, rows: Tensor, due: Tensor, noise: ExplorationNoise | None
+    ) -> LevelStep:
+        """Choose macro actions where they are due; elsewhere they are arbitrary."""
+        # Few robots need a waypoint at a time: only their rows are computed, unless the graph is
+        # traced for export or the ablation uses the choices of other robots.
+        everybody = is_tracing() or self.waypoint_source is Waypoints.shuffled
+        index = rows if everybody else due.nonzero().squeeze(1)
+        distribution = self._action_distribution(
+            MACRO, samples_of(scene, index), ego[index], rows[index]
+        )
+        mean, std = distribution.mean.float(), distribution.std.float()
+        if noise is None:
+            action, probability = mean, torch.zeros_like(mean[:, 0])
+        else:
+            action = mean + std * noise.fresh[MACRO][index]
+            probability = log_prob(action, mean, std)
+        if everybody:
+            return LevelStep(action, probability, due)
+        return LevelStep(
+            action.new_zeros(len(rows), 2).index_copy(0, index, action),
+            probability.new_zeros(len(rows)).index_copy(0, index, probability),
+            due,
+        )
+
+    def _distributions(
+        self,
+        scene: Any,
+        ego: Tensor,
+        rows: Tensor,
+        waypoint_features: Tensor | None,
+        decision_indices: Mapping[str, Tensor],
+    ) -> dict[str, Distribution]:
+        assert waypoint_features is not None
+        due, query = decision_indices[MACRO], self._local_query(ego, waypoint_features)
         return {
-            MACRO: self._ask(MACRO, samples_of(scene, due), ego[due], None, rows[due]),
-            LOCAL: self._ask(LOCAL, scene, self._local_query(ego, told), told, rows),
+            MACRO: self._action_distribution(MACRO, samples_of(scene, due), ego[due], rows[due]),
+            LOCAL: self._action_distribution(LOCAL, scene, query, rows, waypoint_features),
         }
-
-    def memory_alone(self, robots: int, humans: int) -> dict[str, Tensor]:
-        """See `Policy.memory_alone`; with the waypoint in the world frame and its clock."""
-        return {
-            **super().memory_alone(robots, humans),
-            "waypoint": torch.zeros(1, 2),
-            "clock": torch.zeros(1, dtype=torch.long),
-        }
-
-    def drive_alone(
-        self, frames: Frames, ego: Tensor, aim: Tensor, begins: Tensor, state: State
-    ) -> Tensor:
-        """See `Policy.drive_alone`; the same as `_decide`."""
-        scene, row = self._seen_alone(frames, begins, state), torch.zeros(1, dtype=torch.long)
-        own, clock = frames.ego[:, 0], torch.where(begins, 0, state["clock"])
-        due = (clock <= 0) | (to_body(state["waypoint"], ego).norm(dim=-1) < REACHED)
-        macro, _ = self._ask(MACRO, scene, own, None, row)
-        proposed = to_world(self._target(aim, macro), ego)
-        state["waypoint"] = torch.where(due.unsqueeze(-1), proposed, state["waypoint"])
-        state["clock"] = torch.where(due, self.config.macro_steps, clock) - 1
-        told = told_of(to_body(state["waypoint"], ego))
-        mean, _ = self._ask(LOCAL, scene, self._local_query(own, told), told, row)
-        return mean
 
     def rewards(
-        self, reward: NDArray[np.float32], parts: RewardParts, before: Observation,
-        after: Observation, state: State, scenario: Scenario,
-    ) -> dict[str, NDArray[np.float32]]:  # fmt: skip
-        """The task's reward to the macro level; the local one is paid for following waypoints.
+        self,
+        reward: NDArray[np.float32],
+        parts: RewardParts,
+        before: Observation,
+        after: Observation,
+        state: PolicyState,
+        scenario: Scenario,
+    ) -> dict[str, NDArray[np.float32]]:
+        """See `Policy.rewards`: the task's for the macro level, following waypoints for the local.
 
-        It is paid for arriving as well, by more than following waypoints for ever would be worth:
-        else it circles.
+        The arrival bonus exceeds the discounted value of endless waypoint following; otherwise the
+        robot would circle its waypoint.
         """
-        nearer = np.float32(self.config.waypoint_progress) * progress_to(
-            state["waypoint"], before, after
-        )
+        waypoint = state["waypoint"].view(*reward.shape, 2).cpu().numpy()
+        progress = np.float32(self.config.waypoint_progress) * progress_to(waypoint, before, after)
         local = parts.collision + parts.discomfort + parts.lookahead
-        local += np.where(parts.progress != 0.0, nearer, np.float32(0.0))
-        arrived = parts.arrival > 0.0
-        local += parts.arrival + np.float32(self.config.arrival_bonus) * arrived
+        local += np.where(parts.progress != 0.0, progress, np.float32(0.0))
+        local += parts.arrival + np.float32(self.config.arrival_bonus) * (parts.arrival > 0.0)
         return {MACRO: self._route_reward(reward, parts, before, after, scenario), LOCAL: local}
 
     @torch.no_grad()
-    def explain(self, decision: Decision, state: State) -> Explanation:
+    def explain(self, decision: Decision) -> Explanation:
         """See `Policy.explain`; with the waypoints."""
-        attention = super().explain(decision, state) or Explanation()
-        return attention._replace(waypoint=state["waypoint"].copy())
+        attention = super().explain(decision) or Explanation()
+        features = decision.step.waypoint_features
+        assert features is not None
+        ego = decision.tracks.ego
+        return attention._replace(waypoint=to_world(decode_waypoint(features).numpy(), ego))
 
-    def _ablated(self, macro: NDArray[np.float32]) -> NDArray[np.float32]:
-        """The macro actions [E, N, 2] that are taken up."""
-        if self.waypoints is Waypoints.shuffled:
-            return np.roll(macro, -1, axis=1)
-        if self.waypoints is Waypoints.random:
-            return self._random.uniform(-1, 1, macro.shape).astype(np.float32)
-        return macro
+    def _ablated(self, macro: LevelStep) -> Tensor:
+        """Return the macro actions [B, 2] that are used."""
+        action = macro.action
+        if self.waypoint_source is Waypoints.shuffled:
+            return action.view(-1, self.team_size, 2).roll(-1, 1).view_as(action)
+        if self.waypoint_source is Waypoints.random and macro.decided.any():
+            return torch.from_numpy(self._random.uniform(-1, 1, action.shape)).to(action)
+        return action
 
-    def _set_waypoints(
-        self, state: State, known: Known, due: NDArray[np.bool_], macro: NDArray[np.float32]
-    ) -> None:
-        """Take up macro actions [E, N, 2] where they are due."""
-        target = self._target(self._route(known.ego, known.scenario), macro)
-        state["waypoint"][due] = to_world(target, known.ego)[due]
-        once = self.waypoints is Waypoints.first
-        state["clock"][due] = np.iinfo(np.int32).max if once else self.config.macro_steps
+    def _waypoint_of(self, route: Tensor, macro: Tensor) -> Tensor:
+        """Return the waypoints [B, 2] in the body frame (m) of macro actions [B, 2].
 
-    def _target(self, aim: A, macro: A) -> A:
-        """The waypoints [..., 2] in the body frame that macro actions [..., 2] mean.
-
-        The waypoint is a point on the route, as far ahead as `waypoint_ahead`, moved by the macro
-        action in [-1, 1] times `waypoint_range`: zero means "along the route". A local level that
-        is not told the goal could not arrive if waypoints were moved as far there: where less than
-        `waypoint_ahead` is left they are moved by so much less.
+        A waypoint is a point on the route, `waypoint_ahead` in front of the robot, moved by the
+        macro action in [-1, 1] times `waypoint_range`; zero means "along the route". Where less
+        than `waypoint_ahead` of the route remains, waypoints are moved by proportionally less:
+        a local level that does not see the goal could not arrive otherwise.
 
         Args:
-            aim: where the route leads next in the body frame, [..., 2] in m.
-            macro: before clipping.
+            route: [B, 2] where the route leads next in the body frame, m.
+            macro: [B, 2] before clipping.
         """
-        c, x, y = self.config, aim[..., 0], aim[..., 1]
-        left = ((x * x + y * y) ** 0.5).clip(min=1e-6)[..., None]
-        share = (c.waypoint_ahead / left).clip(max=1.0)
+        c = self.config
+        distance = route.norm(dim=-1, keepdim=True).clamp(min=1e-6)
+        share = (c.waypoint_ahead / distance).clamp(max=1.0)
         reach = c.waypoint_range
         if not c.local_goal:
-            reach = reach * (left / c.waypoint_ahead).clip(max=1.0)
-        return aim * share + reach * macro.clip(-1.0, 1.0)
+            reach = reach * (distance / c.waypoint_ahead).clamp(max=1.0)
+        return route * share + reach * macro.clamp(-1.0, 1.0)
 
-    def _given(self, frames: Frames) -> Frames:
-        """Without `local_goal` the scene does not tell the goal either: both levels share it."""
+    def _encoder_input(self, features: Frames) -> Frames:
+        """Without `local_goal` the scene, which both levels share, must not reveal the goal."""
         if self.config.local_goal:
-            return frames
-        return frames._replace(ego=without_goal(frames.ego))
+            return features
+        return features._replace(ego=without_goal(features.ego))
 
-    def _local_query(self, ego: Tensor, told: Tensor) -> Tensor:
-        """The robot's own state [P, F_e] with the waypoint in the place of the goal."""
+    def _local_query(self, ego: Tensor, waypoint_features: Tensor) -> Tensor:
+        """Return own states [P, F_e], with the waypoint in place of a goal that is hidden."""
         if self.config.local_goal:
             return ego
         query = without_goal(ego)
-        query[..., EGO_TARGET] = features_of_target(2.0 * told[..., 0:2])
+        query[..., EGO_TARGET] = features_of_target(decode_waypoint(waypoint_features))
         return query
 
 
-def told_of(waypoint: Tensor) -> Tensor:
-    """What the local level is told, [..., TOLD], of a waypoint in the body frame [..., 2], m."""
+def encode_waypoint(waypoint: Tensor) -> Tensor:
+    """Return the features [..., 3] of a waypoint in the body frame [..., 2], m."""
     return torch.cat([waypoint / 2.0, torch.exp(-waypoint.norm(dim=-1, keepdim=True))], -1)
 
 
+def decode_waypoint(features: Tensor) -> Tensor:
+    """Return the waypoint in the body frame [..., 2], m; the inverse of `encode_waypoint`."""
+    return 2.0 * features[..., 0:2]
+
+
 def without_goal(ego: Tensor) -> Tensor:
-    """Own states [..., F_e] that tell neither the goal nor the place nor the time."""
+    """Return own states [..., F_e] without the goal, the place and the time."""
     blind = ego.clone()
     for hidden in (EGO_TARGET, EGO_PLACE, EGO_TIME):
         blind[..., hidden] = 0.0

@@ -6,9 +6,8 @@ SARL (Chen et al., Crowd-robot interaction, 2019).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 import torch
@@ -26,18 +25,17 @@ from samarl.planning.orca import Avoidance, avoid
 from samarl.policies.policy import (
     LOCAL,
     POLICIES,
-    TOLD,
     Decision,
-    Known,
-    Level,
+    LevelStep,
     Networks,
     Policy,
     PolicyConfig,
-    State,
-    no_frames,
+    PolicyState,
+    PolicyStep,
+    empty_features,
 )
 
-AT_ONCE = 256  # states that are valued at once: so few stay in a processor's cache
+CHUNK_SIZE = 256  # states that are valued at once: so few stay in a processor's cache
 VALUE_SCALE = 10.0  # what is 1 to the networks; SAMARL's rewards add up to some 30
 
 
@@ -61,7 +59,7 @@ class LookaheadPolicy(Policy):
 
     def _make_networks(self, encoder: Encoder) -> Networks:
         """An encoder with one feature gives the value itself."""
-        example = no_frames(1, 2, 1, torch.device("cpu"))
+        example = empty_features(1, 2, 1, torch.device("cpu"))
         if encoder.history or encoder.initial_state(example):
             raise ConfigurationError(
                 f"policy.encoder is {self.config.encoder['name']}, which remembers; it must be one "
@@ -77,7 +75,7 @@ class LookaheadPolicy(Policy):
 
         Args:
             frames: [P, 1, ...] what is known in them.
-            rows: [P] of which robots, see `_by_set`.
+            rows: [P] of which robots, see `_per_parameter_set`.
         """
 
         def of_set(net: Networks, i: int, mine: Any) -> Tensor:
@@ -88,46 +86,43 @@ class LookaheadPolicy(Policy):
             return result
 
         with self._precision():
-            found: Tensor = self._by_set(rows, of_set)
+            found: Tensor = self._per_parameter_set(rows, of_set)
         return VALUE_SCALE * found.float()
 
     @torch.no_grad()
     def act(
         self,
         observation: Observation,
-        state: State,
+        state: PolicyState,
         is_init: NDArray[np.bool_],
         scenario: Scenario,
         correlation: float | None = None,
         active: NDArray[np.bool_] | None = None,
     ) -> Decision:
         """See `Policy.act`; any `correlation` means to explore."""
-        e, n = observation.ego.shape[:2]
-        active = np.ones((e, n), np.bool_) if active is None else active
-        explore, where = correlation is not None, torch.from_numpy(active)
-        tracks, frames = self._perceive(observation, state, is_init, scenario)
-        action = torch.zeros(e, n, self.action_size)
+        explore, shape = correlation is not None, observation.ego.shape[:2]
+        tracks, features = self._perceive(observation, state, is_init, scenario)
         if explore and self.imitating:
-            action[where] = torch.from_numpy(avoid(self.config, observation, scenario))[where]
+            action = torch.from_numpy(avoid(self.config, observation, scenario))
         else:
-            action[where] = self._best(tracks, active, scenario, self.epsilon if explore else 0.0)
-        level = Level(action, torch.zeros(e, n), where)
-        told = torch.zeros(e, n, TOLD)
-        scene = () if explore else self._scene(frames)
-        return Decision(
-            {LOCAL: level}, torch.zeros_like(action), told, action, tracks, frames, scene
-        )
+            active = np.ones(shape, np.bool_) if active is None else active
+            action = torch.zeros(*shape, self.action_size)
+            epsilon = self.epsilon if explore else 0.0
+            action[torch.from_numpy(active)] = self._best(tracks, active, scenario, epsilon)
+        local = LevelStep(action, torch.zeros(shape), torch.ones(shape, dtype=torch.bool))
+        step = PolicyStep(action.clamp(-1.0, 1.0), action, {LOCAL: local})
+        return Decision(step, tracks, features, None if explore else self._scene(features))
 
     def _best(
         self, tracks: Tracks, active: NDArray[np.bool_], scenario: Scenario, epsilon: float
     ) -> Tensor:
-        """The best command of each of the R active robots, or any with probability `epsilon`."""
+        """Return the best command [R, A] of the R active robots, or any with chance `epsilon`."""
         commands = command_set(self.config, scenario.kinematics)
         target = self._route(tracks.ego, scenario)
         outcomes = look_ahead(tracks, active, target, commands, scenario)
         imagined = frames_of(outcomes.tracks, scenario, self.config.known_origin).to(self.device)
         rows = torch.from_numpy(np.flatnonzero(active)).to(self.device).repeat(len(commands))
-        piece = AT_ONCE if self.device.type == "cpu" else max(len(rows), 1)
+        piece = CHUNK_SIZE if self.device.type == "cpu" else max(len(rows), 1)
         parts = zip(imagined.split(piece), rows.split(piece), strict=True)
         worth = torch.cat([self.value(*part) for part in parts]).cpu()
         later = worth.view(outcomes.reward.shape) * ~torch.from_numpy(outcomes.ended)
@@ -143,32 +138,6 @@ class LookaheadPolicy(Policy):
         every = torch.arange(len(frames.ego), device=self.device)
         begins = torch.ones_like(frames.ego[..., 0], dtype=torch.bool)
         with self._precision():
-            return self._by_set(
+            return self._per_parameter_set(
                 every, lambda net, i, mine: net.encoder.observe(frames.of(mine), begins[mine], {})
             )
-
-    # What only learners of distributions ask for
-
-    def _decide(
-        self, scene: Any, ego: Tensor, rows: Tensor, known: Known, state: State, explore: bool
-    ) -> tuple[dict[str, Level], Tensor, Tensor, Tensor]:
-        self._refuse()
-
-    def _choices(
-        self, scene: Any, ego: Tensor, rows: Tensor, told: Tensor, asked: Mapping[str, Tensor]
-    ) -> dict[str, tuple[Tensor, Tensor]]:
-        self._refuse()
-
-    def bound_std(self, level: str, least: float, largest: float) -> None:
-        """There is none.
-
-        Raises:
-            ConfigurationError: always.
-        """
-        self._refuse()
-
-    def _refuse(self) -> NoReturn:
-        raise ConfigurationError(
-            "policy.name is lookahead, which has values and no distribution of actions; "
-            "algorithm.name must be one that learns values: value_learning"
-        )

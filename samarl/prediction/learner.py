@@ -27,7 +27,7 @@ from mrsan.prediction import (
     turned,
 )
 from samarl.files import write_json
-from samarl.policies.checkpoint import blaming, check_finite, write_tensors
+from samarl.policies.checkpoint import attribute_errors_to, check_finite, write_tensors
 from samarl.prediction.training import Training
 from samarl.prediction.windows import Windows, watch
 
@@ -169,17 +169,17 @@ class Learner:
         Raises:
             ConfigurationError: it is damaged, or of another training.
         """
-        with blaming(self.path), safe_open(self.path, "pt") as file:
+        with attribute_errors_to(self.path), safe_open(self.path, "pt") as file:
             progress = {"run": "", **(file.metadata() or {})}
             found = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
         if progress["run"] != self._run:
             raise ConfigurationError(
                 f"{self.path} is of another training; choose another output, or remove it"
             )
-        with blaming(self.path):
-            self._take_over(found, int(progress["rounds"]))
+        with attribute_errors_to(self.path):
+            self._load_state(found, int(progress["rounds"]))
 
-    def _take_over(self, found: Mapping[str, Tensor], rounds: int) -> None:
+    def _load_state(self, found: Mapping[str, Tensor], rounds: int) -> None:
         network: dict[str, Tensor] = {}
         moments: dict[int, dict[str, Tensor]] = {}
         for name, value in found.items():

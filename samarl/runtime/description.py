@@ -26,8 +26,8 @@ class Description:
     """Everything that the runtime needs besides the network.
 
     Inputs of the network are the fields of `Tracks`, [1, 1, ...], for a lookahead [C, 1, ...] of C
-    predicted outcomes; for other policies also `begins` [1], whether the memory is to be
-    forgotten, `aim` [1, 2], where the route leads next in the body frame (m), and the memory.
+    predicted outcomes; for other policies also `is_init` [1], whether the memory is cleared,
+    `route` [1, 2], where the route leads next in the body frame (m), and the memory.
     Outputs are `action` [1, A] in [-1, 1] and the memory, or `value` [C].
     """
 
@@ -66,7 +66,7 @@ class Description:
         return config
 
     @property
-    def knows_the_place(self) -> bool:
+    def uses_absolute_position(self) -> bool:
         """Whether the origin of the frame means something to it: the middle of the place."""
         round_the_crowd = self.scenario["fov_degrees"] < self.policy["round_below"]
         return bool(self.policy.get("known_origin", True) or round_the_crowd)

@@ -104,7 +104,7 @@ class Driver:
             )
         if self._began is None:
             self._began = self._before = time
-            if not self.description.knows_the_place:
+            if not self.description.uses_absolute_position:
                 self._origin = own.x, own.y  # float32 is coarse far away from it
         elapsed, self._before = time - self._before, time
         seen = self._observed(own, people, time)
@@ -156,7 +156,7 @@ class Driver:
         """What the policy does, [1, 1, A]."""
         policy = self.description.policy
         aim = tracks.ego[..., GOAL]
-        if self._network.asks_the_way:
+        if self._network.needs_route:
             below, radius = policy["round_below"], policy["round_radius"]
             aim = route(tracks.ego, self.scenario.fov_degrees, below, radius)
         if not self._network.looks_ahead:

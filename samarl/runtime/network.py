@@ -43,7 +43,7 @@ class Network:
         self._inputs = {put.name: put for put in self._session.get_inputs()}
         self._outputs = [put.name for put in self._session.get_outputs()]
         self.looks_ahead = "value" in self._outputs
-        self.asks_the_way = self.looks_ahead or "aim" in self._inputs
+        self.needs_route = self.looks_ahead or "route" in self._inputs
         self.forget()
 
     def forget(self) -> None:
@@ -66,9 +66,9 @@ class Network:
                 where: list[Any] = [slice(None)] * axis
                 self._memory[f"state.{name}"][(*where, [first + k for k in places])] = 0
 
-    def action(self, tracks: Tracks, aim: NDArray[np.float32]) -> NDArray[np.float32]:
-        """What to do, [1, 1, A] in [-1, 1]; `aim` is where the route leads next, [1, 1, 2]."""
-        found = self._run(tracks, begins=np.array([self._begins]), aim=aim[0], **self._memory)
+    def action(self, tracks: Tracks, route: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the action, [1, 1, A] in [-1, 1]; `route` is where it leads next, [1, 1, 2]."""
+        found = self._run(tracks, is_init=np.array([self._begins]), route=route[0], **self._memory)
         self._begins = False
         for name in self._memory:
             self._memory[name] = found[f"next.{name.removeprefix('state.')}"]

@@ -17,7 +17,8 @@ from mrsan.metrics import episodes_of
 from samarl.observations.features import state_of
 from samarl.observations.frames import Frames
 from samarl.planning.shield import Shield, shielded
-from samarl.policies.policy import LOCAL, Decision, Policy, no_frames
+from samarl.policies.policy import LOCAL, Decision, Policy, PolicyState, empty_features
+from samarl.policies.stochastic import StochasticPolicy
 from samarl.rollout import Rollout, level_key
 from samarl.training.curriculum import CurriculumStage
 from samarl.training.restarts import Crowd, SnapshotBuffer
@@ -48,7 +49,7 @@ class RolloutCollector:
             taught: keep what the safety shield would do as well.
         """
         self.stage, self.policy, self.steps = stage, policy, steps
-        self.central = central
+        self.uses_global_state = central
         self.teacher = Shield() if taught else None
         scenario, worlds = stage.scenario, stage.worlds
         self.world = World(scenario, worlds)
@@ -65,7 +66,7 @@ class RolloutCollector:
         self.fresh = np.ones(worlds, np.bool_)  # the episode has not been taken back
         # Columns: what the encoder and a restart may look back to, then steps 0 to T.
         self.past = policy.history + (RESTART_STEPS if self._restarts else 0)
-        example = no_frames(
+        example = empty_features(
             worlds * scenario.robots, scenario.robots, scenario.humans, policy.device
         )
         self.frames = Frames(
@@ -90,7 +91,8 @@ class RolloutCollector:
             tensor[:, : self.past + 1] = tensor[:, t : t + self.past + 1].clone()
         seen = slice(self.past + 1 - h, self.past + 1)  # encoded anew by the present weights
         every = torch.arange(len(self.begins), device=policy.device)
-        policy.resume(self.frames.at(seen), self.begins[:, seen], self.state, every)
+        if isinstance(policy, StochasticPolicy):
+            policy.resume(self.frames.at(seen), self.begins[:, seen], self.state, every)
         began = self.before
         mask = torch.ones(world.worlds, t + 1, 1, dtype=torch.bool)
         closed: list[tuple[NDArray, Tensor, Frames, Tensor]] = []
@@ -111,7 +113,7 @@ class RolloutCollector:
                 self._take_back(worlds, back[worlds], self.past + step + 1)
             self._decide(step + 1)
         columns.append(self._column(self.decision, None, None, None, None))
-        states.append(state_of(world) if self.central else None)
+        states.append(state_of(world) if self.uses_global_state else None)
         return self._rollout(columns, states, mask, closed, began, episodes)
 
     def _decide(self, step: int) -> None:
@@ -119,22 +121,23 @@ class RolloutCollector:
         if self._restarts:
             self.snapshots.keep(self.world, self._memory())
         if step == self.steps:
-            self.before = tree_map(torch.clone, self.policy.memory(self.state)["encoder"])
+            self.before = tree_map(torch.clone, self._policy_memory().get("encoder", ()))
         scenario = self.stage.scenario
+        self.active = ~self.world.state.arrived
         self.decision = self.policy.act(
             self.observation, self.state, self.is_init, scenario,
-            self.stage.noise_correlation, ~self.world.state.arrived,
+            self.stage.noise_correlation, self.active,
         )  # fmt: skip
         column = self.past + step
-        for room, tensor in zip(self.frames, self.decision.frames, strict=True):
-            room[:, column] = tensor[:, 0]
+        for buffer, tensor in zip(self.frames, self.decision.features, strict=True):
+            buffer[:, column] = tensor[:, 0]
         begins = torch.from_numpy(np.repeat(self.is_init, scenario.robots))
         self.begins[:, column] = begins.to(self.begins.device)
 
     def _take(self, episodes: list[Episodes]) -> tuple[dict[Any, Tensor], Frames | None]:
         """Take the step that was decided."""
         world, decision, before = self.world, self.decision, self.observation
-        state = state_of(world) if self.central else None
+        state = state_of(world) if self.uses_global_state else None
         result = world.step(decision.action)
         rewards = self.policy.rewards(
             result.reward, result.reward_parts, before, result.observation, self.state,
@@ -165,29 +168,32 @@ class RolloutCollector:
             ended, terminated = np.zeros(e, np.bool_), np.zeros((e, n), np.bool_)
             team = np.zeros((e, n), np.float32)
         speed = np.linalg.norm(before.ego[..., VELOCITY], axis=-1)
+        active = torch.from_numpy(self.active)
         found: dict[Any, Tensor] = {
             "is_init": torch.from_numpy(self.is_init[:, None].copy()),
-            ("agents", "active_mask"): decision.levels[LOCAL].decided,
-            ("agents", "noise"): decision.noise,
-            ("agents", "target"): decision.target,
+            ("agents", "active_mask"): active,
             ("agents", "speed"): torch.from_numpy(speed),
             ("next", "done"): torch.from_numpy(ended[:, None].copy()),
             ("next", "agents", "terminated"): torch.from_numpy(terminated & ended[:, None]),
             ("next", "agents", "team_reward"): torch.from_numpy(team.copy()),
         }
+        if decision.step.previous_noise is not None:
+            found["agents", "noise"] = decision.step.previous_noise
+        if decision.step.waypoint_features is not None:
+            found["agents", "waypoint_features"] = decision.step.waypoint_features
         if self.teacher is not None:
-            wanted = decision.mean.clamp(-1.0, 1.0)
+            wanted = decision.step.mean.clamp(-1.0, 1.0)
             safe = shielded(decision.tracks, wanted.numpy(), self.stage.scenario, self.teacher)
             found["agents", "safe_action"] = torch.from_numpy(safe)
             unsafe = (found["agents", "safe_action"] - wanted).abs().amax(-1) > UNSAFE
-            found["agents", "unsafe"] = unsafe & decision.levels[LOCAL].decided
+            found["agents", "unsafe"] = unsafe & active
         for name, level in decision.levels.items():
             at = level_key(name)
             found[(*at, "action")] = level.action
             found[(*at, "sample_log_prob")] = level.log_prob
             found[("next", *at, "reward")] = torch.from_numpy(rewards[name])
             if name != LOCAL:
-                found[(*at, "decision_mask")] = level.decided
+                found[(*at, "decision_mask")] = level.decided & active
         return found
 
     def _begin(self, ended: NDArray[np.bool_]) -> NDArray[np.int64]:
@@ -229,7 +235,9 @@ class RolloutCollector:
                 tensor[rows, k:column] = tensor[rows, : column - k]
         rows = self._rows_of(worlds)
         seen = slice(column - h, column)
-        self.policy.resume(self.frames.at(seen).of(rows), self.begins[rows, seen], self.state, rows)
+        if isinstance(self.policy, StochasticPolicy):
+            last_frames, begins = self.frames.at(seen).of(rows), self.begins[rows, seen]
+            self.policy.resume(last_frames, begins, self.state, rows)
 
     def _rows_of(self, worlds: NDArray) -> Tensor:
         n = self.stage.scenario.robots
@@ -245,10 +253,16 @@ class RolloutCollector:
     def _memory(self) -> list[Tensor]:
         """All that makes up the present besides the worlds, [E, ...] each, not copied."""
         e, found = self.world.worlds, []
-        for leaf in (self.is_init, *tree_leaves(self.policy.memory(self.state))):
+        for leaf in (self.is_init, *tree_leaves(self._policy_memory())):
             tensor = torch.from_numpy(leaf) if isinstance(leaf, np.ndarray) else leaf
             found.append(tensor.view(e, len(tensor) // e, *tensor.shape[1:]))
         return found
+
+    def _policy_memory(self) -> PolicyState:
+        """What the policy remembers and cannot recompute from the last frames; not copied."""
+        if isinstance(self.policy, StochasticPolicy):
+            return self.policy.memory(self.state)
+        return self.state
 
     def _rollout(
         self, columns: list[dict[Any, Tensor]], states: list[Frames | None], mask: Tensor,
@@ -261,7 +275,7 @@ class RolloutCollector:
         steps["mask"] = mask
         frames, begins = self._shown(slice(None))
         state = None
-        if self.central:
+        if self.uses_global_state:
             state = Frames.joined([s for s in states if s is not None], 1)
         if closed:
             worlds = torch.from_numpy(np.concatenate([part[0] for part in closed]))
@@ -298,6 +312,7 @@ class RolloutCollector:
             "frames": self.frames,
             "begins": self.begins,
             "decision": self.decision,
+            "active": self.active,
             "before": self.before,
         }
 
@@ -308,5 +323,5 @@ class RolloutCollector:
             self.crowd.world.restore(saved["crowd"])
         self.snapshots.kept.extend(saved["snapshots"])
         for name in ("observation", "state", "age", "fresh", "is_init", "frames", "begins",
-                     "decision", "before"):  # fmt: skip
+                     "decision", "active", "before"):  # fmt: skip
             setattr(self, name, saved[name])

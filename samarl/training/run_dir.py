@@ -17,7 +17,7 @@ from torch import Tensor
 from mrsan import ConfigurationError
 from samarl.files import write_atomically
 from samarl.launch import rank
-from samarl.policies.checkpoint import blaming, write_tensors
+from samarl.policies.checkpoint import attribute_errors_to, write_tensors
 
 STATE = "state.safetensors"
 LAST, BEST = "last.safetensors", "best.safetensors"  # policies
@@ -49,7 +49,7 @@ class RunDir:
         self._lock.close()
 
     @property
-    def begun(self) -> bool:
+    def has_checkpoint(self) -> bool:
         """There is something to go on from."""
         return (self.folder / STATE).is_file()
 
@@ -73,7 +73,7 @@ class RunDir:
             ConfigurationError: see `read_progress`.
         """
         path, progress = self.folder / STATE, read_progress(self.folder)
-        with blaming(path), safe_open(path, "pt") as file:
+        with attribute_errors_to(path), safe_open(path, "pt") as file:
             metadata = file.metadata()
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
             if metadata.get("sha256") not in (None, _digest(tensors, metadata["progress"])):
@@ -92,7 +92,7 @@ def read_progress(folder: Path) -> dict[str, Any]:
         raise ConfigurationError(
             f"resume is {str(folder)!r}; it must be the folder of a run, which holds {STATE}"
         )
-    with blaming(path), safe_open(path, "pt") as file:
+    with attribute_errors_to(path), safe_open(path, "pt") as file:
         metadata = file.metadata()
         progress: dict[str, Any] = json.loads(metadata["progress"])
         for part in ("trainer", "policy", "algorithm", "curriculum"):

@@ -29,7 +29,7 @@ from samarl.evaluation.runner import run_cases
 from samarl.files import code_version, machine
 from samarl.launch import local_device, processes, rank, share
 from samarl.policies.checkpoint import (
-    blaming,
+    attribute_errors_to,
     check_finite,
     load_policy,
     make_policy,
@@ -46,7 +46,7 @@ from samarl.training.logging import Logger
 from samarl.training.resume import check_same_run
 from samarl.training.run_dir import BEST, LAST, STATE, RunDir
 
-FREE = ("threads", "wandb")  # of `TrainerConfig`: a run may go on with others
+RESUME_OVERRIDABLE = ("threads", "wandb")  # of `TrainerConfig`: a run may go on with others
 MOST_SEEDS = 2**20  # each has 2^20 training cases
 
 
@@ -109,7 +109,7 @@ class Trainer:
             "command": command, "commit": code_version(), "machine": machine()
         }  # fmt: skip
         if init_from is not None:
-            self._begin_with(init_from)
+            self._load_initial_weights(init_from)
         distributed.begin(config.device)
         self.policy.to(usable_device(local_device(config.device)))
         self.policy.low_precision = config.bfloat16
@@ -131,7 +131,7 @@ class Trainer:
         self.configuration = json.loads(
             json.dumps(
                 {
-                    "trainer": {**asdict(config), **dict.fromkeys(FREE)},
+                    "trainer": {**asdict(config), **dict.fromkeys(RESUME_OVERRIDABLE)},
                     "policy": dict(policy),
                     "algorithm": dict(algorithm),
                     "curriculum": {"stages": [asdict(stage) for stage in stages]},
@@ -146,7 +146,7 @@ class Trainer:
         self.recent: deque[float] = deque(maxlen=2000)  # success of the last episodes
         self.rows: list[dict[str, float]] = []
         self.run_dir = RunDir(run_dir)
-        if self.run_dir.begun:
+        if self.run_dir.has_checkpoint:
             self.restore()
         for module in (self.policy, self.averaged, self.algorithm):
             distributed.copy_from_first(module.state_dict().values())
@@ -167,8 +167,8 @@ class Trainer:
                     self.policy,
                     self.config.rollout,
                     first + 2 * part.worlds * rank(),
-                    self.algorithm.central,
-                    self.algorithm.taught,
+                    self.algorithm.uses_global_state,
+                    self.algorithm.uses_shield_targets,
                 )
             )
             first += 2 * stage.worlds
@@ -204,8 +204,12 @@ class Trainer:
                 if stops:
                     raise KeyboardInterrupt
         except (FloatingPointError, distributed.LostProcessError) as error:
-            good = "the last good state is kept" if self.run_dir.begun else "nothing was saved"
-            lost = self.run_dir.begun and isinstance(error, distributed.LostProcessError)
+            good = (
+                "the last good state is kept"
+                if self.run_dir.has_checkpoint
+                else "nothing was saved"
+            )
+            lost = self.run_dir.has_checkpoint and isinstance(error, distributed.LostProcessError)
             raise ConfigurationError(
                 f"training stopped at step {self.steps_done}: {error}; {good} in "
                 f"{self.run_dir.folder}{', from which the same command goes on' if lost else ''}"
@@ -258,7 +262,7 @@ class Trainer:
         assert isinstance(policy, Policy)
         return policy
 
-    def _begin_with(self, init_from: Path) -> None:
+    def _load_initial_weights(self, init_from: Path) -> None:
         weights, card = load_policy(init_from)
         given = weights.state_dict()
         begun = self.policy.state_dict()
@@ -358,11 +362,11 @@ class Trainer:
         """
         path = self.run_dir.folder / STATE
         tensors, progress = self.run_dir.load()
-        with blaming(path):
+        with attribute_errors_to(path):
             check_same_run(progress, self.configuration, self.made, self.run_dir.folder)
-            self._take_over(path, tensors, progress)
+            self._load_state(path, tensors, progress)
 
-    def _take_over(
+    def _load_state(
         self, path: Path, tensors: Mapping[str, Tensor], progress: Mapping[str, Any]
     ) -> None:
         own = self._own_state(rank())
@@ -394,7 +398,7 @@ class Trainer:
 
 
 def _check_averages(algorithm: str) -> None:
-    good = [name for name in ALGORITHMS if ALGORITHMS[name].made.averages]
+    good = [name for name in ALGORITHMS if ALGORITHMS[name].made.supports_data_parallel]
     if algorithm not in good:
         raise ConfigurationError(
             f"algorithm.name is {algorithm!r}; with several processes it must be one that averages "

@@ -107,7 +107,7 @@ def half(rollout: Rollout, number: int) -> Rollout:
 def update(which: Callable[[Rollout], Rollout], path: str) -> None:
     """Two epochs of a policy, each one step over all that it is given."""
     made = policy("flat")
-    learner = algorithm(made, minibatches=1, epochs=2, kept_share=1.0)
+    learner = algorithm(made, minibatches=1, epochs=2, advantage_filter_fraction=1.0)
     long = Scenario(humans=2, robots=2, time_limit=50.0)  # nothing ends: halves are equally long
     rollout = collector(made, worlds=6, steps=5, scenario=long).collect()
     assert not rollout.episodes
@@ -132,8 +132,13 @@ def test_two_processes_with_half_of_the_worlds_learn_what_one_with_all_does(tmp_
     assert max(moved) > 1e-3  # two steps at a rate of 1e-3
 
 
+FEW_EPOCHS = PPO_NUMBERS | {"target_kl": 0.01, "epochs": 3, "advantage_filter_fraction": 0.5}
 LEARNERS: dict[str, tuple[str, str, dict[str, Any]]] = {
-    "mappo": ("flat", "gru", PPO_NUMBERS | {"target_kl": 0.01, "epochs": 3, "kept_share": 0.5}),
+    "mappo": (
+        "flat",
+        "gru",
+        FEW_EPOCHS,
+    ),
     "value_learning": ("lookahead", "pairwise", VALUE_NUMBERS),
     "soft_actor_critic": ("squashed", "gru", SOFT_NUMBERS),
 }

@@ -200,8 +200,8 @@ def test_what_cannot_be_exported_is_said(agent: dict, message: str, tmp_path: Pa
 
 
 def test_robots_with_weights_of_their_own_are_not_exported(tmp_path: Path) -> None:
-    agent = agent_of(learning.policy("flat", actors=3), "flat", tmp_path, Scenario())
-    with pytest.raises(ConfigurationError, match=r"policy.actors is 3; it must be 1"):
+    agent = agent_of(learning.policy("flat", num_parameter_sets=3), "flat", tmp_path, Scenario())
+    with pytest.raises(ConfigurationError, match=r"policy.num_parameter_sets is 3; it must be 1"):
         export_agent(tmp_path / "p.onnx", agent, "mine")
 
 
@@ -209,12 +209,13 @@ def test_a_wrong_translation_is_not_written(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """What the exporter takes for constant differs among other people."""
-    right = FlatPolicy.drive_alone
+    right = FlatPolicy.step
 
-    def frozen(self, frames, *rest):
-        return right(self, frames, *rest) + float(frames.ego[0, 0, 0])
+    def frozen(self, features, *rest):
+        step, state = right(self, features, *rest)
+        return step._replace(action=step.action + float(features.ego[0, 0, 0])), state
 
-    monkeypatch.setattr(FlatPolicy, "drive_alone", frozen)
+    monkeypatch.setattr(FlatPolicy, "step", frozen)
     agent = agent_of(learning.policy("flat"), "flat", tmp_path, Scenario())
     with pytest.raises(ConfigurationError, match="cannot be exported: action differs by"):
         export_agent(tmp_path / "p.onnx", agent, "mine")

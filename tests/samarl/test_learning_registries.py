@@ -91,11 +91,11 @@ def test_every_experiment_begins(
 @pytest.mark.parametrize(
     "choice",
     [f"{kind}={name}" for kind, registry in KINDS.items() for name in registry]
-    + ["policy.actors=2", "encoder=gru policy.actors=2 algorithm=ippo"]
+    + ["policy.num_parameter_sets=2", "encoder=gru policy.num_parameter_sets=2 algorithm=ippo"]
     + [
         f"{SOFT} {other}"
         for other in (
-            "policy.actors=2",
+            "policy.num_parameter_sets=2",
             "encoder=social_attention",
             "encoder=social_attention algorithm.critic=concatenation algorithm.robots=2",
             "encoder=spatio_temporal",

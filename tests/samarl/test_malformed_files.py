@@ -42,7 +42,10 @@ def test_a_policy_that_gives_no_numbers_or_claims_gigabytes_is_refused(tmp_path:
         load_policy(path)
     card = json.loads(path.with_suffix(".json").read_text())
     for sizes, message in (
-        ({"hidden": 4096, "actors": 16}, "its sizes are those of a policy that .* cannot hold"),
+        (
+            {"hidden": 4096, "num_parameter_sets": 16},
+            "policy that .* cannot hold",
+        ),
         ({"hidden": 10**9}, "policy.hidden is 1000000000; it must be a whole number in"),
         ({"hidden": 10**400}, "policy.hidden is 1000"),
         ({"round_radius": 10**400}, "policy has a number that is too large for a float"),

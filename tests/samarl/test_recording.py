@@ -91,7 +91,7 @@ def test_people_come_and_go(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> 
 @pytest.mark.parametrize("actors", [1, 3])
 def test_a_policy_tells_its_waypoints_and_its_attention(tmp_path: Path, actors: int) -> None:
     path = tmp_path / "policy.safetensors"
-    save_policy(path, small_policy(actors=actors), "hierarchical", {})
+    save_policy(path, small_policy(num_parameter_sets=actors), "hierarchical", {})
     config = {"_target_": "samarl.agents.learned.Learned", "checkpoint": str(path)}
     recording = record_episode(build_agent(config, SCENARIO), SCENARIO, 3)
     steps = len(recording.robot_position) - 1

@@ -19,7 +19,7 @@ from tests.learning import SCENARIO, choices, collector, crowded, policy
 def test_training_computes_the_log_probabilities_of_acting(
     name: str, encoder: str, actors: int
 ) -> None:
-    model = policy(name, encoder, gain=30.0, actors=actors)
+    model = policy(name, encoder, gain=30.0, num_parameter_sets=actors)
     going = collector(
         model, 12, 12, crowded(), failure_restart_probability=1.0, noise_correlation=0.75
     )
@@ -52,7 +52,8 @@ def test_rollouts_overlap_by_the_step_that_was_decided_and_not_taken() -> None:
     going = collector(policy(), 6, 5, noise_correlation=0.75)
     first, second = going.collect(), going.collect()
     for key in (
-        "is_init", ("agents", "action"), ("agents", "sample_log_prob"), ("agents", "target"),
+        "is_init", ("agents", "action"), ("agents", "sample_log_prob"),
+        ("agents", "waypoint_features"),
         ("agents", "noise"), ("agents", "speed"), ("agents", "macro", "action"),
     ):  # fmt: skip
         assert torch.equal(first.steps[key][:, -1], second.steps[key][:, 0]), key

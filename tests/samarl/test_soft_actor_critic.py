@@ -124,7 +124,7 @@ def test_a_squashed_level_is_saved_and_found_again() -> None:
 
 def test_features_of_sequences_are_those_of_acting() -> None:
     """With one set of parameters for each robot, and from the middle of episodes."""
-    policy = squashed(actors=3)
+    policy = squashed(num_parameter_sets=3)
     rollout = collected(policy)
     batch = sequences_of(rollout, team=False)
     y = features(policy, batch)

@@ -21,7 +21,7 @@ def test_the_shield_is_asked_about_what_the_policy_would_do_without_noise() -> N
     )
     for _ in range(20):
         decision = going.decision
-        wanted = decision.mean.clamp(-1.0, 1.0).numpy()
+        wanted = decision.step.mean.clamp(-1.0, 1.0).numpy()
         steps = going.collect().steps
         safe = steps["agents", "safe_action"][:, 0].numpy()
         np.testing.assert_array_equal(safe, shielded(decision.tracks, wanted, scenario, Shield()))
@@ -36,7 +36,11 @@ def test_the_shield_is_asked_about_what_the_policy_would_do_without_noise() -> N
 def test_the_policy_learns_what_the_shield_would_do_where_it_is_unsafe() -> None:
     policy, scenario = learning.policy("flat"), learning.crowded()
     learner = learning.algorithm(
-        policy, learning_rate=3e-3, epochs=10, shield_coefficient=30.0, kept_share=0.25
+        policy,
+        learning_rate=3e-3,
+        epochs=10,
+        shield_coefficient=30.0,
+        advantage_filter_fraction=0.25,
     )
     going = RolloutCollector(
         CurriculumStage(16, scenario=scenario), policy, 16, 0, True, taught=True

@@ -253,7 +253,7 @@ def test_a_run_begins_with_the_weights_of_a_policy_but_explores_anew(
     flat = policy("flat", hidden=8, encoder_numbers=numbers)
     save_policy(tmp_path / "flat.safetensors", flat, "flat", {})
     for wrong, message in {
-        "init_from=flat.safetensors policy=flat policy.actors=3": "init_from is 'flat",
+        "init_from=flat.safetensors policy=flat policy.num_parameter_sets=3": "init_from is 'flat",
         "init_from=first.safetensors policy=flat": "init_from is 'first.safetensors' with",
         "init_from=first.safetensors encoder.width=16": "init_from is 'first.safetensors' with",
         "init_from=none.safetensors": "init_from is 'none.safetensors', which does not exist",

@@ -14,8 +14,14 @@ from samarl.agents.learned import Deployed
 from samarl.algorithms.action_limits import excess
 from samarl.encoders import ENCODERS
 from samarl.observations.features import to_body
-from samarl.policies.policy import LOCAL, MACRO
+from samarl.policies.hierarchical import decode_waypoint
+from samarl.policies.policy import LOCAL, MACRO, PolicyState
 from tests.learning import SCENARIO, algorithm, choices, collector, policy
+
+
+def waypoints_of(state: PolicyState, ego: np.ndarray) -> np.ndarray:
+    """The waypoints in the body frames, [E, N, 2]."""
+    return to_body(state["waypoint"].view(*ego.shape[:2], 2).numpy(), ego)
 
 
 def test_a_robot_decides_from_its_own_observations_alone() -> None:
@@ -60,15 +66,16 @@ def test_a_waypoint_stays_where_it_is_while_the_robot_moves() -> None:
     for step in range(9):
         decision = model.act(observation, state, begins, scenario)
         due.append(bool(decision.levels[MACRO].decided.all()))
-        seen = to_body(state["waypoint"], observation.ego)
+        seen = waypoints_of(state, observation.ego)
         # Zero means straight to the goal, as far as the reach: the robots look at their goals.
         ahead = 2.0 if step % 4 == 0 else 2.0 - 0.125 - 0.25 * (step % 4 - 1)
         if 0 < step < 4:
             np.testing.assert_allclose(seen, [[[ahead, 0], [ahead, 0]]], atol=1e-3)
         elif due[-1]:
             np.testing.assert_allclose(np.linalg.norm(seen, axis=-1), 2.0, atol=1e-3)
-        told = decision.target[0, :, :2].numpy()
-        np.testing.assert_allclose(2.0 * told, seen[0], atol=1e-5)
+        np.testing.assert_allclose(
+            decode_waypoint(decision.step.waypoint_features), seen, atol=1e-5
+        )
         forward = np.zeros((1, 2, 3), np.float32)
         forward[..., 0] = 0.8  # to 1 m/s at once: 0.125 m
         observation, begins = world.step(forward).observation, np.zeros(1, np.bool_)
@@ -92,7 +99,7 @@ def test_near_the_goal_waypoints_are_moved_less_unless_the_local_level_knows_the
         world.state.robot_goal[0] = world.state.robot_position[0] + ahead
         state, observation = model.initial_state(1, scenario), world.observe()
         model.act(observation, state, np.ones(1, np.bool_), scenario)
-        seen = to_body(state["waypoint"], observation.ego)
+        seen = waypoints_of(state, observation.ego)
         np.testing.assert_allclose(seen, [[[min(left, 2.0), aside]] * 2], atol=1e-3)
 
 
@@ -111,11 +118,11 @@ def test_without_local_goal_the_goal_changes_no_bit_of_the_local_level(local_goa
         two = model.act(observation._replace(ego=moved), other, never, SCENARIO)
         for decision in (one, two):
             assert not decision.levels[MACRO].decided.any()  # the waypoint is what it was
-        assert torch.equal(one.target, two.target)
+        assert torch.equal(one.step.waypoint_features, two.step.waypoint_features)
         same = torch.equal(one.levels[LOCAL].action, two.levels[LOCAL].action)
         assert same != local_goal
         # The macro level does know the goal.
-        state["clock"][:], other["clock"][:] = 0, 0
+        state["steps_left"][:], other["steps_left"][:] = 0, 0
         one = model.act(observation, state, never, SCENARIO)
         two = model.act(observation._replace(ego=moved), other, never, SCENARIO)
         assert (one.levels[MACRO].action != two.levels[MACRO].action).any()
@@ -141,7 +148,7 @@ def test_a_flat_agent_learns_the_tasks_own_reward() -> None:
     model = policy("flat")
     going = collector(model, 16, 16, replace(SCENARIO, humans=0, fov_degrees=360.0))
     rollout = going.collect()
-    assert (rollout.steps["agents", "target"] == 0).all()
+    assert "waypoint_features" not in rollout.steps["agents"].keys()  # noqa: SIM118
     assert ("agents", MACRO) not in rollout.steps.keys(include_nested=True)
     before = copy.deepcopy(model.state_dict())
     statistics = algorithm(model).update([rollout])
@@ -150,7 +157,7 @@ def test_a_flat_agent_learns_the_tasks_own_reward() -> None:
 
 
 def test_robots_with_parameters_of_their_own_act_alone() -> None:
-    model = policy(actors=2)
+    model = policy(num_parameter_sets=2)
     rollout = collector(model).collect()
     statistics = algorithm(model).update([rollout])
     assert all(np.isfinite(value) for value in statistics.values())
@@ -167,7 +174,7 @@ def test_robots_with_parameters_of_their_own_act_alone() -> None:
 
 def test_robots_with_parameters_of_their_own_must_be_so_many() -> None:
     with pytest.raises(ConfigurationError, match=r"scenario.robots is 3; it must be 2"):
-        Deployed(policy(actors=2), replace(SCENARIO, robots=3))
+        Deployed(policy(num_parameter_sets=2), replace(SCENARIO, robots=3))
 
 
 def test_low_precision_is_close_and_learns() -> None:
@@ -223,7 +230,7 @@ def test_the_mean_is_drawn_back_to_what_can_be_done() -> None:
 
 def test_kept_samples_are_those_of_the_largest_advantages() -> None:
     model = policy("flat")
-    learner = algorithm(model, kept_share=0.25)
+    learner = algorithm(model, advantage_filter_fraction=0.25)
     prepared = learner.prepare(
         [collector(model).collect()], {"losses/local_explained_variance": []}
     )
