@@ -1,4 +1,4 @@
-"""A recurrent encoder: what stands out among the agents, kept in a gated recurrent unit."""
+"""A recurrent encoder: a maximum over the agents, remembered by a gated recurrent unit."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class GRUConfig:
 
 @ENCODERS.register("gru", GRUConfig)
 class GRUEncoder(Encoder):
-    """Everybody is embedded, the largest of each feature is kept over time (Cho et al., 2014)."""
+    """Embed every agent, pool each feature by its maximum, and feed a GRU (Cho et al., 2014)."""
 
     def __init__(self, config: GRUConfig, ego_features: int, other_features: int) -> None:
         """See `Encoder`."""
@@ -41,12 +41,12 @@ class GRUEncoder(Encoder):
     def observe(
         self, frames: Frames, is_init: Tensor, state: State, samples: Tensor | None = None
     ) -> Tensor:
-        """See `Encoder.observe`; the scene is what stands out and the hidden state, [P, 2 D]."""
-        seen, hidden, found = self._seen(frames), state["hidden"], []
-        for t in range(seen.shape[1]):
-            hidden = self.cell(seen[:, t], torch.where(is_init[:, t, None], 0.0, hidden))
-            found.append(hidden)
-        scene = (seen + torch.stack(found, 1)).flatten(0, 1)
+        """See `Encoder.observe`; the scene is the summary plus the hidden state, [P, D]."""
+        summary, hidden, hidden_states = self._summary(frames), state["hidden"], []
+        for t in range(summary.shape[1]):
+            hidden = self.cell(summary[:, t], torch.where(is_init[:, t, None], 0.0, hidden))
+            hidden_states.append(hidden)
+        scene = (summary + torch.stack(hidden_states, 1)).flatten(0, 1)
         return scene if samples is None else scene[samples]
 
     def read(self, scene: Tensor, query: Tensor) -> Tensor:
@@ -57,22 +57,20 @@ class GRUEncoder(Encoder):
         """The hidden state, [B, D]."""
         return {"hidden": frame.ego.new_zeros(len(frame.ego), self.cell.hidden_size)}
 
-    def step(self, frame: Frames, is_init: Tensor, state: State, rows: Tensor | None = None) -> Any:
+    def step(self, frame: Frames, is_init: Tensor, state: State) -> Any:
         """See `Encoder.step`."""
-        where = slice(None) if rows is None else rows
-        seen = self._seen(frame)[:, 0]
-        hidden = torch.where(is_init[:, None], 0.0, state["hidden"][where])
-        state["hidden"][where] = hidden = self.cell(seen, hidden)
-        return seen + hidden
+        summary = self._summary(frame)[:, 0]
+        hidden = self.cell(summary, torch.where(is_init[:, None], 0.0, state["hidden"]))
+        state["hidden"][:] = hidden
+        return summary + hidden
 
-    def _seen(self, frames: Frames) -> Tensor:
-        """What stands out in each frame, [B, T, D]."""
+    def _summary(self, frames: Frames) -> Tensor:
+        """Return the maximum over agents of each feature in each frame, [B, T, D]."""
         out = self.ego(frames.ego)
         for embed, others, known in (
             (self.humans, frames.humans, frames.humans_known),
             (self.robots, frames.robots, frames.robots_known),
         ):
             if others.shape[2]:
-                found = torch.relu(embed(others)) * known.unsqueeze(-1)
-                out = out + found.amax(2)
+                out = out + (torch.relu(embed(others)) * known.unsqueeze(-1)).amax(2)
         return torch.relu(out)

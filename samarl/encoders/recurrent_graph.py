@@ -111,13 +111,11 @@ class RecurrentGraph(Encoder):
         sizes = self._hidden(frame.robots.shape[2], frame.humans.shape[2])
         return {name: frame.ego.new_zeros(len(frame.ego), *size) for name, size in sizes.items()}
 
-    def step(self, frame: Frames, is_init: Tensor, state: State, rows: Tensor | None = None) -> Any:
+    def step(self, frame: Frames, is_init: Tensor, state: State) -> Any:
         """See `Encoder.step`."""
-        where = slice(None) if rows is None else rows
-        before = {name: hidden[where] for name, hidden in state.items()}
-        scene, after = self._unrolled(frame, is_init.unsqueeze(1), before)
+        scene, after = self._unrolled(frame, is_init.unsqueeze(1), state)
         for name, hidden in after.items():
-            state[name][where] = hidden.to(state[name].dtype)
+            state[name][:] = hidden.to(state[name].dtype)
         return scene
 
     def attention(self, scene: GraphScene, query: Tensor) -> tuple[Tensor, Tensor]:

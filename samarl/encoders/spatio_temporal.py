@@ -203,20 +203,20 @@ class Block(nn.Module):
 
     def step(
         self, ego: Tensor, others: Tensor, known: Tensor, kept: Tensor, kept_known: Tensor,
-        count: Tensor, rows: Tensor,
+        count: Tensor,
     ) -> Seen:  # fmt: skip
-        """The same of one more frame of R robots, whose keys and values go into a ring buffer.
+        """Do the same for one more frame, whose keys and values go into a ring buffer.
 
         Args:
-            ego: [R, F_e].
-            others: [R, M, F_o].
-            known: [R, M].
+            ego: [B, F_e].
+            others: [B, M, F_o].
+            known: [B, M].
             kept: [B, H, M, 2 D] the ring buffer, updated in place.
             kept_known: [B, H, M].
-            count: [R] frames of the episode before this one.
-            rows: [R] which of the B robots.
+            count: [B] frames of the episode before this one.
         """
         tokens, size = self.embedded(ego, others), self.past + 1
+        rows = torch.arange(len(count), device=count.device)
         kept[rows, count % size] = self.temporal.keys_values(tokens).to(kept.dtype)
         kept_known[rows, count % size] = known
         lag = torch.arange(size, device=count.device)
@@ -336,16 +336,14 @@ class SpatioTemporalEncoder(Encoder):
             state[f"{kind}_known"] = known.new_zeros(b, self.history + 1, m)
         return state
 
-    def step(self, frame: Frames, is_init: Tensor, state: State, rows: Tensor | None = None) -> Any:
+    def step(self, frame: Frames, is_init: Tensor, state: State) -> Any:
         """See `Encoder.step`; the earlier frames are not computed again."""
-        if rows is None:
-            rows = torch.arange(len(is_init), device=is_init.device)
-        count = torch.where(is_init, 0, state["count"][rows])
-        state["count"][rows] = count + 1
+        count = torch.where(is_init, 0, state["count"])
+        state["count"][:] = count + 1
         f = Frames(*(tensor[:, 0] for tensor in frame))
         return tuple(
             getattr(self, kind).step(
-                f.ego, *_agents(f, kind), state[kind], state[f"{kind}_known"], count, rows
+                f.ego, *_agents(f, kind), state[kind], state[f"{kind}_known"], count
             )
             for kind in self.kinds
         )

@@ -1,4 +1,4 @@
-"""Keeps the worlds of one stage of a curriculum going and collects rollouts from them."""
+"""Collect rollouts from the worlds of one stage of a curriculum."""
 
 from __future__ import annotations
 
@@ -21,32 +21,32 @@ from samarl.policies.policy import LOCAL, Decision, Policy, PolicyState, empty_f
 from samarl.policies.stochastic import StochasticPolicy
 from samarl.rollout import Rollout, level_key
 from samarl.training.curriculum import CurriculumStage
-from samarl.training.restarts import Crowd, SnapshotBuffer
+from samarl.training.restarts import SnapshotBuffer, WarmStartCrowd
 
-RESTART_STEPS = 16  # a collision is taken back by at most so many
-UNSAFE = 1e-4  # by how much an action is changed by the shield, at least
+RESTART_STEPS = 16  # a world restarts at most so many steps before a collision
+UNSAFE = 1e-4  # smallest change by the shield that counts as a correction
 
 
 class RolloutCollector:
-    """Collects T steps of E worlds at a time, with exploration noise.
+    """Collect T steps of E worlds at a time, with exploration noise.
 
-    It fills the same TensorDict as TorchRL's `Collector` over `TorchRLEnv` would, faster, and can
-    take worlds back to before a collision.
+    It fills the same TensorDict as TorchRL's `Collector` over `TorchRLEnv`, but faster, and can
+    restart worlds shortly before a collision.
     """
 
     def __init__(
         self, stage: CurriculumStage, policy: Policy, steps: int, first: int, central: bool,
         taught: bool = False,
     ) -> None:  # fmt: skip
-        """Begin the training cases `first`, `first + 1`, ... in the worlds of `stage`.
+        """Start the training cases `first`, `first + 1`, ... in the worlds of `stage`.
 
         Args:
             stage: scenario, worlds, and how episodes begin.
-            policy: drives and explores.
+            policy: decides and explores.
             steps: T.
             first: the first case number within the training split; 2 E of them are used.
-            central: keep the true state as well, for central critics.
-            taught: keep what the safety shield would do as well.
+            central: store the global state too, for central critics.
+            taught: store the actions of the safety shield too.
         """
         self.stage, self.policy, self.steps = stage, policy, steps
         self.uses_global_state = central
@@ -60,11 +60,11 @@ class RolloutCollector:
         round_about = scenario.fov_degrees < policy.config.round_below
         self.crowd = None
         if stage.midway_start_probability > 0.0 and round_about:
-            self.crowd = Crowd(scenario, worlds, first + worlds)
+            self.crowd = WarmStartCrowd(scenario, worlds, first + worlds)
         self.snapshots = SnapshotBuffer(RESTART_STEPS)
-        self.age = np.zeros(worlds, np.int64)  # steps since the episode began or was taken back
-        self.fresh = np.ones(worlds, np.bool_)  # the episode has not been taken back
-        # Columns: what the encoder and a restart may look back to, then steps 0 to T.
+        self.age = np.zeros(worlds, np.int64)  # steps since the episode began or was restarted
+        self.fresh = np.ones(worlds, np.bool_)  # the episode has not been restarted
+        # Columns of the frame buffer: history for the encoder and restarts, then steps 0 to T.
         self.past = policy.history + (RESTART_STEPS if self._restarts else 0)
         example = empty_features(
             worlds * scenario.robots, scenario.robots, scenario.humans, policy.device
@@ -76,7 +76,7 @@ class RolloutCollector:
         self.decision: Decision  # for the step that comes next
         self.before: Any = None  # what the encoders remembered before it
         for _ in range(RESTART_STEPS if self._restarts else 0):
-            self.snapshots.keep(self.world, self._memory())
+            self.snapshots.append(self.world, self._memory())
         self._decide(steps)
 
     @property
@@ -85,21 +85,21 @@ class RolloutCollector:
 
     @torch.no_grad()
     def collect(self) -> Rollout:
-        """T more steps of every world."""
+        """Collect T more steps of every world."""
         policy, world, t, h = self.policy, self.world, self.steps, self.policy.history
-        for tensor in (*self.frames, self.begins):  # what was step T is step 0 now
+        for tensor in (*self.frames, self.begins):  # step T becomes step 0
             tensor[:, : self.past + 1] = tensor[:, t : t + self.past + 1].clone()
-        seen = slice(self.past + 1 - h, self.past + 1)  # encoded anew by the present weights
+        recent = slice(self.past + 1 - h, self.past + 1)  # encoded again with the new weights
         every = torch.arange(len(self.begins), device=policy.device)
         if isinstance(policy, StochasticPolicy):
-            policy.resume(self.frames.at(seen), self.begins[:, seen], self.state, every)
+            policy.resume(self.frames.at(recent), self.begins[:, recent], self.state, every)
         began = self.before
         mask = torch.ones(world.worlds, t + 1, 1, dtype=torch.bool)
         closed: list[tuple[NDArray, Tensor, Frames, Tensor]] = []
         columns, states = [], []
         episodes: list[Episodes] = []
         for step in range(t):
-            column, state = self._take(episodes)
+            column, state = self._step(episodes)
             columns.append(column)
             states.append(state)
             back = self._begin(world.state.done)
@@ -110,16 +110,16 @@ class RolloutCollector:
                 until[:, step + 1 :] = False
                 closed.append((worlds, until, *self._shown(rows)))
                 mask[worlds, : step + 1] = False
-                self._take_back(worlds, back[worlds], self.past + step + 1)
+                self._restart(worlds, back[worlds], self.past + step + 1)
             self._decide(step + 1)
         columns.append(self._column(self.decision, None, None, None, None))
         states.append(state_of(world) if self.uses_global_state else None)
         return self._rollout(columns, states, mask, closed, began, episodes)
 
     def _decide(self, step: int) -> None:
-        """Let the policy decide, at step 1 to T of the rollout."""
+        """Let the policy decide before step 1 to T of the rollout."""
         if self._restarts:
-            self.snapshots.keep(self.world, self._memory())
+            self.snapshots.append(self.world, self._memory())
         if step == self.steps:
             self.before = tree_map(torch.clone, self._policy_memory().get("encoder", ()))
         scenario = self.stage.scenario
@@ -134,8 +134,8 @@ class RolloutCollector:
         begins = torch.from_numpy(np.repeat(self.is_init, scenario.robots))
         self.begins[:, column] = begins.to(self.begins.device)
 
-    def _take(self, episodes: list[Episodes]) -> tuple[dict[Any, Tensor], Frames | None]:
-        """Take the step that was decided."""
+    def _step(self, episodes: list[Episodes]) -> tuple[dict[Any, Tensor], Frames | None]:
+        """Execute the decision; return its column of the rollout and the global state."""
         world, decision, before = self.world, self.decision, self.observation
         state = state_of(world) if self.uses_global_state else None
         result = world.step(decision.action)
@@ -153,14 +153,14 @@ class RolloutCollector:
         return self._column(decision, before, rewards, ended, terminated, team), state
 
     def _failed(self) -> NDArray[np.bool_]:
-        """Whose collision has ended an episode, [E, N]."""
+        """Return which robots ended an episode by a collision, [E, N]."""
         return (self.world.state.collision != 0) & self.stage.scenario.collisions_end
 
     def _column(
         self, decision: Decision, before: Observation | None, rewards: Any, ended: Any,
         terminated: Any, team: Any = None,
     ) -> dict[Any, Tensor]:  # fmt: skip
-        """One step of `Rollout.steps`, by its keys."""
+        """Return one step of `Rollout.steps`, by its keys."""
         e, n = self.world.worlds, self.stage.scenario.robots
         if before is None:  # decided, not taken
             before = self.observation
@@ -197,7 +197,7 @@ class RolloutCollector:
         return found
 
     def _begin(self, ended: NDArray[np.bool_]) -> NDArray[np.int64]:
-        """Begin the next episodes where one has ended, or say by how much it is taken back, [E]."""
+        """Start the next episodes where one ended, or return how many steps to go back, [E]."""
         world, e, stage = self.world, self.world.worlds, self.stage
         back = np.zeros(e, np.int64)
         self.is_init = ended.copy()
@@ -222,8 +222,8 @@ class RolloutCollector:
         self.fresh[ended] = anew[ended]
         return back
 
-    def _take_back(self, worlds: NDArray, back: NDArray, column: int) -> None:
-        """Go on from earlier moments of some worlds; their past is moved before `column`."""
+    def _restart(self, worlds: NDArray, back: NDArray, column: int) -> None:
+        """Restart some worlds from earlier states; their history moves to before `column`."""
         steps = np.zeros(self.world.worlds, np.int64)
         steps[worlds] = back
         self.snapshots.restore(self.world, self._memory(), steps)
@@ -234,9 +234,9 @@ class RolloutCollector:
             for tensor in (*self.frames, self.begins):
                 tensor[rows, k:column] = tensor[rows, : column - k]
         rows = self._rows_of(worlds)
-        seen = slice(column - h, column)
+        recent = slice(column - h, column)
         if isinstance(self.policy, StochasticPolicy):
-            last_frames, begins = self.frames.at(seen).of(rows), self.begins[rows, seen]
+            last_frames, begins = self.frames.at(recent).of(rows), self.begins[rows, recent]
             self.policy.resume(last_frames, begins, self.state, rows)
 
     def _rows_of(self, worlds: NDArray) -> Tensor:
@@ -245,13 +245,13 @@ class RolloutCollector:
         return torch.from_numpy(rows).to(self.policy.device)
 
     def _shown(self, rows: Tensor | slice) -> tuple[Frames, Tensor]:
-        """What a rollout shows of some rows, copied: the frames and where episodes begin."""
+        """Copy the frames of some rows that a rollout holds, and where episodes begin."""
         shown = slice(self.past - self.policy.history, None)
         frames = Frames(*(tensor[rows, shown].clone() for tensor in self.frames))
         return frames, self.begins[rows, shown].clone()
 
     def _memory(self) -> list[Tensor]:
-        """All that makes up the present besides the worlds, [E, ...] each, not copied."""
+        """Return the state of the collector besides the worlds, [E, ...] each, not copied."""
         e, found = self.world.worlds, []
         for leaf in (self.is_init, *tree_leaves(self._policy_memory())):
             tensor = torch.from_numpy(leaf) if isinstance(leaf, np.ndarray) else leaf
@@ -259,7 +259,7 @@ class RolloutCollector:
         return found
 
     def _policy_memory(self) -> PolicyState:
-        """What the policy remembers and cannot recompute from the last frames; not copied."""
+        """Return the memory that the policy cannot recompute from the last frames; not copied."""
         if isinstance(self.policy, StochasticPolicy):
             return self.policy.memory(self.state)
         return self.state
@@ -298,14 +298,14 @@ class RolloutCollector:
             e * self.steps,
         )  # fmt: skip
 
-    def saved(self) -> dict[str, Any]:
-        """Everything that the next `collect` depends on, but the networks and torch's generator."""
+    def state_dict(self) -> dict[str, Any]:
+        """Return all that the next `collect` depends on, except networks and torch's generator."""
         return {
             "world": self.world.state,
             "crowd": () if self.crowd is None else self.crowd.world.state,
             "observation": self.observation,
             "state": self.state,
-            "snapshots": list(self.snapshots.kept),
+            "snapshots": list(self.snapshots.snapshots),
             "age": self.age,
             "fresh": self.fresh,
             "is_init": self.is_init,
@@ -316,12 +316,12 @@ class RolloutCollector:
             "before": self.before,
         }
 
-    def restore(self, saved: dict[str, Any]) -> None:
-        """Go on from a saved state."""
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
+        """Continue from a state that `state_dict` returned."""
         self.world.restore(saved["world"])
         if self.crowd is not None:
             self.crowd.world.restore(saved["crowd"])
-        self.snapshots.kept.extend(saved["snapshots"])
+        self.snapshots.snapshots.extend(saved["snapshots"])
         for name in ("observation", "state", "age", "fresh", "is_init", "frames", "begins",
                      "decision", "active", "before"):  # fmt: skip
             setattr(self, name, saved[name])

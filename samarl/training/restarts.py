@@ -1,4 +1,4 @@
-"""Training episodes that do not begin at the start, so that what is hard is practised more."""
+"""Training episodes that begin in the middle, so that difficult situations occur more often."""
 
 from __future__ import annotations
 
@@ -13,57 +13,58 @@ from torch import Tensor
 
 from mrsan import Scenario, Split, State, World
 
-_FAR_AWAY = 1000.0  # m, where nobody is met
-_LEAST_GAP = 1.5  # m between robots that are placed
+_FAR_AWAY = 1000.0  # m; there the robot of a crowd meets nobody
+_LEAST_GAP = 1.5  # m between robots that are placed on the circle
 
 
 class SnapshotBuffer:
-    """The last moments of E worlds, to go back to from before a collision.
+    """Recent states of E worlds, to restart from shortly before a collision.
 
-    Collisions are rare and what would have avoided them is rarely tried. The same situation again,
-    with the same people doing the same, tries something else.
+    Collisions are rare, and actions that would have avoided them are rarely tried. Replaying the
+    same situation, in which people move as before, explores alternatives.
     """
 
     def __init__(self, steps: int) -> None:
-        """Keep the last `steps` moments."""
+        """Hold the last `steps` states."""
         self.steps = steps
-        self.kept: deque[tuple[State, list[Tensor]]] = deque(maxlen=steps)
+        self.snapshots: deque[tuple[State, list[Tensor]]] = deque(maxlen=steps)
 
-    def keep(self, world: World, memory: list[Tensor]) -> None:
-        """Copy the state of the worlds and what else makes up the present, [E, ...] each."""
-        self.kept.append((world.snapshot(), [tensor.clone() for tensor in memory]))
+    def append(self, world: World, memory: list[Tensor]) -> None:
+        """Copy the state of the worlds, and the memory of the policy, [E, ...] each."""
+        self.snapshots.append((world.snapshot(), [tensor.clone() for tensor in memory]))
 
     def restore(self, world: World, memory: list[Tensor], back: NDArray[np.integer]) -> None:
-        """Take worlds back.
+        """Restore some worlds to earlier states.
 
         Args:
             world: its state is written.
-            memory: as it was given to `keep`; written.
-            back: [E] by how many of the kept moments, 1: the last; 0: not at all.
+            memory: in the order passed to `append`; written.
+            back: [E] how many states to go back, 1: to the last one; 0: leave the world alone.
         """
         for steps in np.unique(back[back > 0]):
             worlds = back == steps
-            snapshot, remembered = self.kept[-int(steps)]
+            snapshot, past_memory = self.snapshots[-int(steps)]
             world.restore(snapshot, worlds)
-            for tensor, past in zip(memory, remembered, strict=True):
+            for tensor, past in zip(memory, past_memory, strict=True):
                 tensor[torch.from_numpy(worlds)] = past[torch.from_numpy(worlds)]
 
 
-class Crowd:
-    """E crowds that go on walking for ever, without robots.
+class WarmStartCrowd:
+    """E crowds that walk without robots, into which training episodes can start.
 
-    Nine tenths of the way round a crowd are empty; what is hard is going in to the goal.
+    Nine tenths of a route around a crowd are empty; entering the crowd at the goal is the hard
+    part. Robots that start close to it practise it more often.
     """
 
     def __init__(self, scenario: Scenario, worlds: int, first: int) -> None:
-        """Let people walk as in `scenario`, in the training cases from `first` on."""
+        """Start crowds as in `scenario`, in the training cases from `first` on."""
         endless = replace(scenario, robots=1, time_limit=10000.0, arena_radius=None)
         self.world = World(endless, worlds)
         self.world.reset([Split.training.case(first + e) for e in range(worlds)])
         self._send_away(np.ones(worlds, np.bool_))
 
     def step(self) -> None:
-        """Walk for one step."""
+        """Advance all crowds by one step."""
         state = self.world.state
         self.world.step(np.zeros((self.world.worlds, 1, self.world.scenario.action_size)))
         if state.truncated.any():
@@ -75,17 +76,17 @@ class Crowd:
 
     @staticmethod
     def _change(world: World, worlds: NDArray[np.bool_], **arrays: Any) -> None:
-        """Put other values into the state of some worlds."""
-        now = world.snapshot()
+        """Overwrite arrays in the state of some worlds."""
+        state = world.snapshot()
         for name, value in arrays.items():
-            getattr(now, name)[worlds] = value
-        world.restore(now, worlds)
+            getattr(state, name)[worlds] = value
+        world.restore(state, worlds)
 
     def enter(self, world: World, worlds: NDArray[np.bool_], radius: float) -> None:
-        """Put these people into `worlds` [E], and its robots on their way round, at full speed.
+        """Copy the people into `worlds` [E] and place its robots on their route around the crowd.
 
-        Robots are put on the circle of `radius` between start and goal, counter-clockwise; where
-        two would be too near to each other, the world stays as it is.
+        Robots are placed at random on the circle of `radius`, counter-clockwise between start and
+        goal, at full speed. Worlds in which two robots would be too close are left unchanged.
         """
         state, crowd, scenario = world.state, self.world.state, world.scenario
         start, goal = (

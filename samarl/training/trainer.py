@@ -326,7 +326,7 @@ class Trainer:
         prefix = f"process {number}/" if number else ""
         return {
             f"{prefix}random": torch.get_rng_state(),
-            f"{prefix}collectors": [collector.saved() for collector in self.collectors],
+            f"{prefix}collectors": [collector.state_dict() for collector in self.collectors],
         }
 
     def save(self) -> None:
@@ -389,7 +389,7 @@ class Trainer:
             groups = optimiser.state_dict()["param_groups"]
             optimiser.load_state_dict({"state": found, "param_groups": groups})
         for collector, saved in zip(self.collectors, state["collectors"], strict=True):
-            collector.restore(saved)
+            collector.load_state_dict(saved)
         torch.set_rng_state(state["random"])
         self.steps_done, self.seconds = int(progress["steps_done"]), float(progress["seconds"])
         self.best, self.rows = float(progress["best"]), [dict(row) for row in progress["rows"]]

@@ -145,7 +145,7 @@ def test_a_collision_is_tried_again_from_shortly_before() -> None:
     for _ in range(40):
         moments = [
             (snapshot.robot_position.copy(), snapshot.clock.copy())
-            for snapshot, _ in going.snapshots.kept
+            for snapshot, _ in going.snapshots.snapshots
         ]
         age = going.age.copy()
         rollout = going.collect()

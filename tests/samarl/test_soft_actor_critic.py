@@ -12,7 +12,6 @@ import pytest
 import torch
 from tensordict import TensorDict
 from torch import Tensor
-from torch.utils._pytree import tree_flatten, tree_unflatten
 
 from mrsan import ConfigurationError, Kinematics, Scenario, World
 from samarl.agents.learned import Deployed, Learned
@@ -21,7 +20,7 @@ from samarl.algorithms.action_values import AttentionCritic, ConcatenationCritic
 from samarl.algorithms.soft_actor_critic import SoftActorCritic, features, sequences_of
 from samarl.encoders.temporal_spatial_graph import towards
 from samarl.policies.checkpoint import make_policy, save_policy
-from samarl.policies.squashed import SquashedLevel, SquashedPolicy, log_slope
+from samarl.policies.squashed import SquashedPolicy, log_slope
 from samarl.rollout import Rollout
 from samarl.training.collector import RolloutCollector
 from samarl.training.curriculum import CurriculumStage
@@ -112,14 +111,6 @@ def test_its_card_says_which_robots_it_drives(tmp_path: Path) -> None:
     agent(Scenario(kinematics=Kinematics.holonomic))
     with pytest.raises(ConfigurationError, match=r"is unicycle; .* drives holonomic"):
         agent(Scenario(kinematics=Kinematics.unicycle))
-
-
-def test_a_squashed_level_is_saved_and_found_again() -> None:
-    level = SquashedLevel(torch.ones(2, 1, 2), torch.zeros(2, 1), torch.ones(2, 1))
-    leaves, structure = tree_flatten({"local": level})
-    assert len(leaves) == 3
-    again = tree_unflatten(leaves, structure)["local"]
-    assert again.bounded[0, 0].tolist() == pytest.approx([math.tanh(1.0)] * 2)
 
 
 def test_features_of_sequences_are_those_of_acting() -> None:

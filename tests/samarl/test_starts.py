@@ -7,7 +7,7 @@ import torch
 
 from mrsan import Scenario, World
 from samarl.agents.planners.perimeter import Perimeter
-from samarl.training.restarts import Crowd
+from samarl.training.restarts import WarmStartCrowd
 from tests.learning import collector, policy
 
 SCENARIO = Scenario(fov_degrees=90.0)
@@ -15,7 +15,7 @@ SCENARIO = Scenario(fov_degrees=90.0)
 
 def test_robots_are_put_on_their_way_among_people_who_have_walked() -> None:
     torch.manual_seed(0)
-    world, crowd = World(SCENARIO, 64), Crowd(SCENARIO, 64, 0)
+    world, crowd = World(SCENARIO, 64), WarmStartCrowd(SCENARIO, 64, 0)
     for _ in range(40):
         crowd.step()
     world.reset(np.arange(64))
@@ -42,7 +42,7 @@ def test_robots_are_put_on_their_way_among_people_who_have_walked() -> None:
 
 
 def test_the_crowd_walks_on_when_its_time_is_over() -> None:
-    crowd = Crowd(replace(SCENARIO, humans=3), 4, 0)
+    crowd = WarmStartCrowd(replace(SCENARIO, humans=3), 4, 0)
     crowd.world.state.clock[:2] = crowd.world.scenario.time_limit / SCENARIO.time_step - 1
     crowd.step()
     assert crowd.world.state.clock.tolist() == [0, 0, 1, 1]
