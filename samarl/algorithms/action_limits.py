@@ -1,4 +1,4 @@
-"""How far commands lie beyond what a robot can execute."""
+"""How far actions lie beyond what a robot can execute."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ from mrsan import Kinematics, Scenario
 
 
 def excess(mean: Tensor, std: Tensor, speed: Tensor, scenario: Scenario, slack: float) -> Tensor:
-    """The squared excess of mean actions over the limits of the robots, [R].
+    """Return the squared excess of mean actions over the limits of the robots, [R].
 
-    Beyond the limits of speed and turning (SAMARL, Eq. 3) every command has the same effect. A
-    policy whose mean lies far outside never tries anything else, whatever its noise: robots that
-    drive at full speed would never brake, those that stand never set out, those that turn hard
-    never turn less. Other kinematics have no such limits: zero.
+    Beyond the limits of speed and turning (SAMARL, Eq. 3) all actions have the same effect. A
+    policy whose mean lies far outside never explores anything else: robots at full speed would
+    never brake, standing robots never start, turning robots never turn less. For kinematics
+    without such limits the result is 0.
 
     Args:
         mean: [R, 3] longitudinal and lateral acceleration and heading change.
         std: [R, 3] of the exploration noise.
         speed: [R] m/s.
         scenario: of the robots.
-        slack: so many standard deviations beyond the limits are free.
+        slack: number of standard deviations beyond the limits that are not penalised.
     """
     s = scenario
     if s.kinematics is not Kinematics.acceleration_heading:
@@ -34,7 +34,7 @@ def excess(mean: Tensor, std: Tensor, speed: Tensor, scenario: Scenario, slack: 
     slower = (-speed / gain - along - free_of[:, 0]).clamp_min(0.0)
     after = (speed + gain * along.detach()).clamp(0.0, s.robot_speed)
     limit = (s.time_step * after / s.min_turning_radius).clamp(max=turn)
-    # Near a standstill the lateral part may turn by anything: taken as at a quarter of the speed.
+    # Near standstill the lateral part may turn by any angle: use a quarter of the speed instead.
     across = torch.atan2(gain * mean[:, 1], after.clamp_min(0.25 * s.robot_speed))
     free = turn * free_of[:, 2] + gain * free_of[:, 1]
     sharper = ((turn * mean[:, 2] + across).abs() - limit - free).clamp_min(0.0) / turn

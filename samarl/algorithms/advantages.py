@@ -1,6 +1,6 @@
 """Advantages and value targets of both levels, each on its own time axis.
 
-Padding never touches a number that counts: its reward, value and next value are zero.
+Padding is masked out: its reward, value and next value are zero.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ def advantages(
     reward: Tensor, value: Tensor, next_value: Tensor, done: Tensor, terminated: Tensor,
     discount: float, gae_lambda: float, duration: Tensor | None = None,
 ) -> tuple[Tensor, Tensor]:  # fmt: skip
-    """Advantage and value target, [S, T, N], by generalised advantage estimation.
+    """Return advantage and value target, [S, T, N], by generalised advantage estimation.
 
     Args:
         reward: [S, T, N]; of a macro action already discounted within its duration.
         value: [S, T, N].
         next_value: [S, T, N] of the state each step led to, before any reset.
         done: [S, T, N] the robot's stream ends here.
-        terminated: [S, T, N] and its value is zero; where only `done`, `next_value` bootstraps.
+        terminated: [S, T, N] it ends in a value of 0; where only `done`, `next_value` bootstraps.
         discount: per environment step.
         gae_lambda: per decision.
         duration: [S, T, N] environment steps of each decision; None: one each.
@@ -47,21 +47,22 @@ def advantages(
 
 
 class Streams(NamedTuple):
-    """Which steps of every robot's stream count, and how it ends; [S, T, N] each.
+    """Which steps of each robot's stream count, and how the stream ends; [S, T, N] bool each.
 
-    A stream lasts as long as the episode: who has arrived waits for the team, and is paid with it.
-    Where the time limit or a team-mate's collision cuts an episode short, its last step is taken
-    off: the value of the state before it, in which something was decided, is bootstrapped.
+    A stream lasts as long as the episode: a robot that has arrived waits for its team and receives
+    the team's rewards. Where the time limit or a team-mate's collision cuts an episode short, its
+    last step is removed: the value of the state before it, in which a decision was made, is
+    bootstrapped.
     """
 
-    counts: Tensor  # the step is neither padding nor taken off
+    counts: Tensor  # the step is neither padding nor removed
     acts: Tensor  # ... and the robot is on its way
     terminated: Tensor  # the stream ends with this step, in a value of zero
     cut: Tensor  # the stream was cut off before this step
 
 
 def streams(steps: TensorDict) -> Streams:
-    """The streams of the first T of T + 1 steps (see `Rollout`)."""
+    """Return the streams of the first T of T + 1 steps (see `Rollout`)."""
     active = steps["agents", "active_mask"][:, :-1]
     mask, done = steps["mask"][:, :-1].expand_as(active), steps["next", "done"][:, :-1]
     terminated = steps["next", "agents", "terminated"][:, :-1] & mask
@@ -73,7 +74,7 @@ def streams(steps: TensorDict) -> Streams:
 def step_advantages(
     of: Streams, reward: Tensor, value: Tensor, discount: float, gae_lambda: float
 ) -> tuple[Tensor, Tensor]:
-    """Advantage and value target, [S, T, N], of a level that decides in every step.
+    """Return advantage and value target, [S, T, N], of a level that decides in every step.
 
     Args:
         of: the streams.
@@ -85,7 +86,7 @@ def step_advantages(
     now, after = value[:, :-1], value[:, 1:]
     zero = torch.zeros_like(now)
     last = of.terminated | of.cut | ~(of.counts | of.cut)
-    # A step that is taken off yields its own value, so the one before bootstraps it.
+    # A removed step yields its own value, so that the step before it bootstraps from it.
     reward = torch.where(of.counts, reward, torch.where(of.cut, now, zero))
     now = torch.where(of.counts | of.cut, now, zero)
     return advantages(
@@ -108,8 +109,8 @@ class MacroRecords(NamedTuple):
 def macro_records(of: Streams, decided: Tensor, reward: Tensor, discount: float) -> MacroRecords:
     """Cut streams at their macro decisions: R = sum of discount^j r_j over the duration.
 
-    A robot that has arrived decides nothing: its waiting is one more record, which teaches the
-    critic what waiting is worth. What is left of a decision of the rollout before is not a record.
+    A robot that has arrived makes no decisions: its waiting is one more record, from which the
+    critic learns the value of waiting. The rest of a decision of the previous rollout is no record.
 
     Args:
         of: the streams.
@@ -123,8 +124,8 @@ def macro_records(of: Streams, decided: Tensor, reward: Tensor, discount: float)
     starts = (decided & of.acts) | (waits & ~before)
     ended = torch.cat([torch.zeros_like(waits[:, :1]), (of.terminated | of.cut)[:, :-1]], 1)
     number = starts.long().cumsum(1) - 1  # [S, T, N] which record a step belongs to
-    # Between the beginning of an episode and its first decision there is no step, but after a part
-    # that does not count there may be: it belongs to nothing.
+    # An episode starts with a decision, but after a part that does not count there may be steps
+    # before the next decision: they belong to no record.
     gap = (~of.counts).long().cumsum(1) + ended.long().cumsum(1)
     at_start = torch.where(starts, gap, -1).cummax(1).values
     belongs = of.counts & (number >= 0) & (gap == at_start)
@@ -134,7 +135,7 @@ def macro_records(of: Streams, decided: Tensor, reward: Tensor, discount: float)
 
     def gather(values: Tensor, reduce: str, where: Tensor) -> Tensor:
         out = values.new_zeros(s, k + 1, n)
-        index = torch.where(where, slot, k)  # what does not count goes to the slot that is cut off
+        index = torch.where(where, slot, k)  # steps that do not count go to an extra slot
         return out.scatter_reduce(1, index, values, reduce, include_self=True)[:, :k]
 
     start = gather(step, "amax", starts)
@@ -153,7 +154,7 @@ def macro_records(of: Streams, decided: Tensor, reward: Tensor, discount: float)
 def macro_advantages(
     of: Streams, decided: Tensor, reward: Tensor, value: Tensor, discount: float, gae_lambda: float
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Advantage and value target, [S, T, N] at the step of each record, and where there is one.
+    """Return advantage and value target, [S, T, N] at the start of each record, and where one is.
 
     Args:
         of: the streams.

@@ -1,4 +1,4 @@
-"""The interface of what changes the weights of a policy."""
+"""The interface of learning algorithms."""
 
 from __future__ import annotations
 
@@ -15,38 +15,38 @@ ALGORITHMS: Registry[Algorithm] = Registry("algorithm")
 
 
 class Algorithm(nn.Module, ABC):
-    """Learns from rollouts; what it needs besides the policy (critics, say) are its submodules."""
+    """Update a policy from rollouts; critics and other networks are its submodules."""
 
     policy: Policy
-    uses_global_state = False  # it needs the true state in the rollouts
-    uses_shield_targets = False  # it needs what the safety shield would do
-    supports_data_parallel = False  # its gradients, over processes: it can train in several
+    uses_global_state = False  # rollouts must hold the global state
+    uses_shield_targets = False  # rollouts must hold the actions of the safety shield
+    supports_data_parallel = False  # gradients can be averaged over processes
 
     def __init__(self, policy: Policy, config: Any) -> None:
-        """Make critics and optimisers.
+        """Create critics and optimisers.
 
         Args:
-            policy: whose weights to change.
-            config: its numbers, an instance of the dataclass it is registered with.
+            policy: whose weights are trained.
+            config: an instance of the dataclass that the algorithm is registered with.
         """
         super().__init__()
         self.config = config
-        self.__dict__["policy"] = policy  # no submodule: it is saved by itself
+        self.__dict__["policy"] = policy  # not a submodule: it is saved separately
 
     @abstractmethod
     def set_progress(self, share: float) -> None:
-        """Adapt learning rate and exploration to the share of the training that is over."""
+        """Set the learning rate and exploration for a training of which `share` is completed."""
 
     @abstractmethod
     def update(self, rollouts: list[Rollout]) -> dict[str, float]:
-        """Learn from one round of rollouts, one per scenario; gives statistics by name."""
+        """Learn from one round of rollouts, one per stage; return statistics by name."""
 
     @abstractmethod
     def optimisers(self) -> dict[str, Any]:
-        """All optimisers by name, to be saved."""
+        """Return all optimisers by name; they are saved with the run."""
 
     def _set_learning_rate(self, share: float) -> None:
-        """Let it fall linearly over the training, down to a fiftieth."""
+        """Decay the learning rate linearly over the training, to 2 % of its initial value."""
         for optimiser in self.optimisers().values():
             for group in optimiser.param_groups:
                 group["lr"] = self.config.learning_rate * max(1.0 - share, 0.02)

@@ -1,4 +1,4 @@
-"""Values of states: needed in training alone."""
+"""Value networks, which are needed in training only."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from samarl.observations.frames import Frames
 
 
 class SetEncoder(nn.Module):
-    """From one frame of what is given of everybody to a feature; it needs no history.
+    """Encode one frame of all agents into a feature vector, without history.
 
-    For the true state, which holds all velocities and goals, a single frame tells everything.
+    The global state contains all velocities and goals, so a single frame is sufficient.
     """
 
     def __init__(self, ego: int, other: int, width: int, heads: int, out: int) -> None:
-        """Make it for own states of length `ego` and others of length `other`."""
+        """Create layers for own states of length `ego` and others of length `other`."""
         super().__init__()
 
         def perceptron(inputs: int, outputs: int) -> nn.Sequential:
@@ -29,7 +29,7 @@ class SetEncoder(nn.Module):
         self.out = nn.Sequential(nn.Linear(3 * width, out), nn.ReLU(), nn.Linear(out, out))
 
     def forward(self, frames: Frames) -> Tensor:
-        """Features [P, out] of `frames` [P, ...], one each."""
+        """Return the features [P, out] of `frames` [P, ...]."""
         own = self.own(frames.ego)
         pooled = [own]
         for pool, embed, others, known in (
@@ -42,10 +42,10 @@ class SetEncoder(nn.Module):
 
 
 class PopArtHead(nn.Module):
-    """A value in units of the running mean and deviation of its targets.
+    """A value head whose output is normalised by the running mean and deviation of its targets.
 
-    When those move, the last layer moves against them, so no value changes (van Hasselt et al.,
-    Learning values across many orders of magnitude, 2016); a value from before is where it was.
+    When these statistics change, the last layer is rescaled so that no denormalised value changes
+    (van Hasselt et al., Learning values across many orders of magnitude, 2016).
     """
 
     mean: Tensor
@@ -53,7 +53,7 @@ class PopArtHead(nn.Module):
     weight: Tensor
 
     def __init__(self, inputs: int, hidden: int, decay: float = 0.99) -> None:
-        """Make the head; the statistics forget at `decay` per update."""
+        """Create the head; the statistics decay exponentially by `decay` per update."""
         super().__init__()
         self.decay = decay
         self.body = nn.Sequential(
@@ -65,12 +65,12 @@ class PopArtHead(nn.Module):
         self.register_buffer("weight", torch.zeros(()))
 
     def forward(self, inputs: Tensor) -> Tensor:
-        """Normalised values [...] of features [..., F]."""
+        """Return the normalised values [...] of features [..., F]."""
         return self.last(self.body(inputs)).squeeze(-1)
 
     @torch.no_grad()
     def update(self, targets: Tensor) -> None:
-        """Take in targets [R], in the scale of returns."""
+        """Update the statistics with targets [R], in the scale of returns."""
         mean, std = self._moments()
         self.mean.mul_(self.decay).add_((1 - self.decay) * targets.mean())
         self.square.mul_(self.decay).add_((1 - self.decay) * targets.square().mean())
@@ -80,12 +80,12 @@ class PopArtHead(nn.Module):
         self.last.bias.mul_(std).add_(mean - new_mean).div_(new_std)
 
     def normalise(self, value: Tensor) -> Tensor:
-        """From the scale of returns to that of the critic."""
+        """Convert values from the scale of returns to that of the critic."""
         mean, std = self._moments()
         return (value - mean) / std
 
     def denormalise(self, value: Tensor) -> Tensor:
-        """From the scale of the critic to that of returns."""
+        """Convert values from the scale of the critic to that of returns."""
         mean, std = self._moments()
         return value * std + mean
 

@@ -17,14 +17,14 @@ from samarl.rollout import Rollout
 
 @dataclass
 class IPPOConfig(PPOConfig):
-    """Numbers of independent PPO."""
+    """Hyperparameters of independent PPO."""
 
-    team_reward: bool = field(default=False, kw_only=True)  # for all having arrived, as in MAPPO
+    team_reward: bool = field(default=False, kw_only=True)  # include the team bonus, as MAPPO does
 
 
 @ALGORITHMS.register("ippo", IPPOConfig)
 class IPPO(PPO):
-    """The critic sees what its robot knows; nobody is paid for the team unless `team_reward`."""
+    """The critic sees what its robot sees; rewards exclude the team bonus unless `team_reward`."""
 
     def _make_critic(self, config: Any) -> SetEncoder:
         sizes = config.critic_width, config.critic_heads, config.critic_features
@@ -33,8 +33,8 @@ class IPPO(PPO):
     def _critic_frames(self, rollout: Rollout) -> Frames:
         return rollout.frames.at(slice(self.policy.history, None))
 
-    def _reward(self, rollout: Rollout, level: str) -> Tensor:
-        reward = super()._reward(rollout, level)
+    def _level_reward(self, rollout: Rollout, level: str) -> Tensor:
+        reward = super()._level_reward(rollout, level)
         if self.config.team_reward or level != self.policy.levels[0]:
-            return reward  # the uppermost level alone is paid for the team
+            return reward  # only the top level receives the team bonus
         return reward - rollout.steps["next", "agents", "team_reward"][:, :-1]

@@ -15,12 +15,12 @@ from samarl.rollout import Rollout
 
 @dataclass
 class MAPPOConfig(PPOConfig):
-    """Numbers of MAPPO."""
+    """Hyperparameters of MAPPO."""
 
 
 @ALGORITHMS.register("mappo", MAPPOConfig)
 class MAPPO(PPO):
-    """The value of a robot is read from the state of everybody, as it lies around the robot."""
+    """The critic of a robot sees the global state, relative to that robot."""
 
     uses_global_state = True
 

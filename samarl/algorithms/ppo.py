@@ -1,6 +1,6 @@
 """Proximal policy optimisation of every level of a policy (SAMARL, Eq. 9 and Algorithm 1).
 
-What differs between MAPPO and independent PPO, the critic, stands in their own files.
+MAPPO and independent PPO differ in their critics, which are in `mappo.py` and `ippo.py`.
 """
 
 from __future__ import annotations
@@ -32,54 +32,53 @@ from samarl.policies.stochastic import ActionBatch, StochasticPolicy
 from samarl.rollout import Rollout, level_key
 
 MACRO_RISE = 0.3
-"""Share of a training in which the macro level's least noise rises: first its waypoints stay put,
-so that the local level learns to drive to them."""
+"""Share of the training in which the minimal noise of the macro level rises from 0: waypoints hardly
+move at first, so that the local level learns to drive to them."""
 
 CHUNK_SIZE = 16384
-"""Frames that the critics read at once when they learn nothing: thousands of worlds have more than
-is well in memory."""
+"""Frames per forward pass of the critics when no gradient is needed, to bound the memory."""
 
 
 @dataclass
 class PPOConfig:
-    """Numbers of the update."""
+    """Hyperparameters of the update."""
 
     learning_rate: float = required(0.0, 1.0)  # falls linearly
     epochs: int = required(1, 100)
     minibatches: int = required(1, 1000)
-    discount: float = required(0.0, 1.0)  # per step, of the macro level
-    local_discount: float = required(0.0, 0.9999)  # per step, of the local level
+    discount: float = required(0.0, 1.0)  # per environment step, of the macro level
+    local_discount: float = required(0.0, 0.9999)  # per environment step, of the local level
     gae_lambda: float = required(0.0, 1.0)
     clip_epsilon: float = required(0.0, 0.99)
     entropy_coefficient: float = required(0.0, 10.0)
     critic_coefficient: float = required(0.0, 100.0)
     max_gradient_norm: float = required(0.0, 1e6)  # of the policy and of the critics, each
     advantage_filter_fraction: float = required(0.01, 1.0)  # samples kept, largest advantages first
-    action_limit_penalty: float = required(0.0, 10.0)  # of commands beyond the robots' limits ...
+    action_limit_penalty: float = required(0.0, 10.0)  # of mean actions beyond the limits ...
     action_limit_slack: float = required(0.0, 10.0)  # ... by more than so many deviations
-    path_penalty: float = required(0.0, 100.0)  # off the reward per metre, falls linearly to 0
-    shield_coefficient: float = required(0.0, 100.0)  # of acting as the shield would, where unsafe
-    std_start: float = required(0.01, 10.0)  # cap of the exploration noise ...
-    std_end: float = required(0.01, 10.0)  # ... falls linearly to this
-    macro_std: float = required(0.0, 10.0)  # the macro level's is at least this, unless capped
+    path_penalty: float = required(0.0, 100.0)  # subtracted per metre driven, decays to 0
+    shield_coefficient: float = required(0.0, 100.0)  # of imitating the shield where it corrects
+    std_start: float = required(0.01, 10.0)  # upper bound of the exploration noise ...
+    std_end: float = required(0.01, 10.0)  # ... decays linearly to this
+    macro_std: float = required(0.0, 10.0)  # lower bound of the macro level's noise
     critic_width: int = required(8, 1024)  # of the critics' encoder
     critic_heads: int = required(1, 64)
     critic_features: int = required(8, 4096)
-    target_kl: float | None = number(None, 0.0, 1e6)  # no more epochs beyond it; None: all of them
+    target_kl: float | None = number(None, 0.0, 1e6)  # stop the epochs beyond it; None: never
 
 
 class LevelBatch(NamedTuple):
-    """What an update needs of one level of a rollout, [S, T, N] each."""
+    """The data of one level of a rollout for an update, [S, T, N] each."""
 
-    where: Tensor  # the level decided something that counts
-    valued: Tensor  # its critic learns from the step
+    where: Tensor  # bool: the level made a decision that counts
+    valued: Tensor  # bool: the critic learns from this step
     advantage: Tensor  # normalised
     target: Tensor  # normalised
-    value: Tensor  # normalised, of before the update
+    value: Tensor  # normalised, before the update
 
 
 class PPO(Algorithm):
-    """Clipped PPO with TorchRL's loss, of all levels at once."""
+    """Clipped PPO of all levels at once, with TorchRL's loss."""
 
     policy: StochasticPolicy
     heads: Mapping[str, PopArtHead]
@@ -118,23 +117,23 @@ class PPO(Algorithm):
 
     @abstractmethod
     def _make_critic(self, config: Any) -> SetEncoder:
-        """The critics' encoder."""
+        """Return the encoder of the critics."""
 
     @abstractmethod
     def _critic_frames(self, rollout: Rollout) -> Frames:
-        """What the critics are given, [B, T + 1, ...]."""
+        """Return the input of the critics, [B, T + 1, ...]."""
 
-    def _reward(self, rollout: Rollout, level: str) -> Tensor:
-        """What a level is paid, [S, T, N], less what it costs to drive so far."""
+    def _level_reward(self, rollout: Rollout, level: str) -> Tensor:
+        """Return the reward of a level, [S, T, N], minus the path penalty."""
         paid = rollout.steps[("next", *level_key(level), "reward")][:, :-1]
         agents = rollout.steps["agents"]
         driven = agents["speed"][:, 1:] * agents["active_mask"][:, :-1] * rollout.scenario.time_step
         return paid - self.path_penalty * driven
 
     def set_progress(self, share: float) -> None:
-        """Learning rate, exploration and what a metre costs fall linearly.
+        """Decay learning rate, exploration and path penalty linearly.
 
-        The noise of the macro level rises first: then its waypoints can be followed.
+        The minimal noise of the macro level rises during the first part, see `MACRO_RISE`.
         """
         c = self.config
         self.path_penalty = c.path_penalty * (1.0 - share)
@@ -149,16 +148,16 @@ class PPO(Algorithm):
         return {"adam": self.optimiser}
 
     def update(self, rollouts: list[Rollout]) -> dict[str, float]:
-        """All epochs over the rollouts of one or several scenarios."""
+        """Run all epochs over the rollouts of one or several stages."""
         rollouts = [rollout.to(self.policy.device) for rollout in rollouts]
         statistics: dict[str, list[float]] = defaultdict(list)
         prepared = self.prepare(rollouts, statistics)
-        kept = self._kept(prepared)
+        kept = self._largest_advantages(prepared)
         if self.uses_shield_targets:
             for rollout, data, keep in zip(rollouts, prepared, kept, strict=True):
                 keep |= data[LOCAL].where & rollout.steps["agents", "unsafe"][:, :-1]
         for epoch in range(1, self.config.epochs + 1):
-            statistics["losses/epochs"] = [float(epoch)]  # the last one it came to
+            statistics["losses/epochs"] = [float(epoch)]  # the last one that was run
             divergence: list[float] = []
             pieces = [
                 torch.randperm(len(rollout.steps)).tensor_split(self.config.minibatches)
@@ -172,7 +171,7 @@ class PPO(Algorithm):
                     if len(sequences):
                         of_piece = sequences.to(self.policy.device)
                         loss = self._loss(rollout, data, keep, of_piece, statistics, divergence)
-                        if loss.requires_grad:  # else nothing in it counts
+                        if loss.requires_grad:  # otherwise no sample counts
                             (loss / len(rollouts)).backward()
                 average_gradients([*self.policy.parameters(), *self.parameters()])
                 for name, module in (("actor", self.policy), ("critic", self)):
@@ -193,7 +192,7 @@ class PPO(Algorithm):
     def prepare(
         self, rollouts: list[Rollout], statistics: dict[str, list[float]]
     ) -> list[dict[str, LevelBatch]]:
-        """Advantages and value targets of all levels; the value scales are updated once."""
+        """Return advantages and value targets of all levels; update the value scales once."""
         out: list[dict[str, LevelBatch]] = [{} for _ in rollouts]
         features = []
         for rollout in rollouts:
@@ -211,7 +210,7 @@ class PPO(Algorithm):
             targets = joined(torch.cat([target[valued] for _, target, _, valued, _ in found]))
             values = joined(torch.cat([value[valued] for _, _, _, valued, value in found]))
             mean, std = chosen.new_zeros(()), chosen.new_ones(())
-            if len(chosen) > 1:  # in a short rollout the macro level may decide nothing
+            if len(chosen) > 1:  # in a short rollout the macro level may decide never
                 mean, std = chosen.mean(), chosen.std().clamp_min(1e-4)
             if len(targets) > 1:
                 unexplained = (targets - values).var() / targets.var().clamp_min(1e-8)
@@ -227,8 +226,8 @@ class PPO(Algorithm):
     def _advantages(
         self, level: str, rollout: Rollout, value: Tensor
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Advantage, target, where the level decided and where its critic learns, [S, T, N]."""
-        c, of, reward = self.config, streams(rollout.steps), self._reward(rollout, level)
+        """Return advantage, target, the level's decisions and its critic's samples, [S, T, N]."""
+        c, of, reward = self.config, streams(rollout.steps), self._level_reward(rollout, level)
         if level == LOCAL:
             found = step_advantages(of, reward, value, c.local_discount, c.gae_lambda)
             return *found, of.acts, of.counts
@@ -238,10 +237,10 @@ class PPO(Algorithm):
         )
         return advantage, target, where & decided, where
 
-    def _kept(self, prepared: list[dict[str, LevelBatch]]) -> list[Tensor]:
-        """Which samples [S, T, N] the policy learns from: those whose advantages are largest.
+    def _largest_advantages(self, prepared: list[dict[str, LevelBatch]]) -> list[Tensor]:
+        """Return the samples [S, T, N] with the largest advantages, from which the policy learns.
 
-        Most steps are as good as expected and teach nothing (Cusumano-Towner et al., Robust
+        Most steps are as good as expected and carry no signal (Cusumano-Towner et al., Robust
         autonomy emerges from self-play, 2025).
         """
         sizes = []
@@ -256,7 +255,7 @@ class PPO(Algorithm):
         every = joined(torch.cat([size[where] for size, where in zip(sizes, acts, strict=True)]))
         dropped = int((1.0 - self.config.advantage_filter_fraction) * len(every))
         least = every.kthvalue(max(dropped, 1)).values
-        # Not `>=`: what is not a number must be kept, and stop the run.
+        # Not `>=`: NaN must be kept, so that it stops the run.
         return [where & ~(size < least) for size, where in zip(sizes, acts, strict=True)]
 
     def _loss(
@@ -299,8 +298,8 @@ class PPO(Algorithm):
                         [len(decided[0])],
                     )
                 )
-                # Every decision counts the same. The macro level decides rarely: with a mean of its
-                # own its noise would drown what the local one tells the encoder they share.
+                # Every decision has the same weight. The macro level decides rarely: averaged
+                # separately, its noise would drown the local level's signal to the shared encoder.
                 share = len(decided[0]) / len(samples)
                 bonus = self.config.entropy_coefficient * choice.entropy.mean()
                 total = total + share * (losses["loss_objective"] - bonus)
@@ -328,7 +327,7 @@ class PPO(Algorithm):
         self, rollout: Rollout, data: dict[str, LevelBatch], sequences: Tensor, chosen: Tensor,
         statistics: dict[str, list[float]],
     ) -> Tensor:  # fmt: skip
-        """Of the samples that the policy learns from, and of those that wait for the team."""
+        """Return the value loss over the policy's samples and those of robots that wait."""
         acts, counts = (x[sequences].transpose(1, 2) for x in data[LOCAL][:2])
         where = (chosen | (counts & ~acts)).nonzero(as_tuple=True)  # [S, N, T]
         world, robot, step = where
@@ -366,14 +365,14 @@ _STATISTICS = {
 
 
 def value_loss(value: Tensor, before: Tensor, target: Tensor, clip_epsilon: float) -> Tensor:
-    """Clipped squared error, mean of [R]; all in units of the value scale (Yu et al., 2022)."""
+    """Return the mean clipped squared error of [R] normalised values (Yu et al., 2022)."""
     clipped = before + (value - before).clamp(-clip_epsilon, clip_epsilon)
     worst = torch.maximum((value - target).square(), (clipped - target).square())
     return worst.mean()
 
 
 class _Known(torch.distributions.Distribution):
-    """A distribution of which only the log-probability of what was done is known."""
+    """A distribution of which only the log-probability of the executed action is known."""
 
     arg_constraints: ClassVar[dict[str, Any]] = {}
 
@@ -389,7 +388,7 @@ class _Known(torch.distributions.Distribution):
 
 
 def _torchrl_loss(config: Any) -> ClipPPOLoss:
-    """TorchRL's clipped objective over log-probabilities that the policy has computed."""
+    """Return TorchRL's clipped objective over log-probabilities that the policy has computed."""
     operator = ProbabilisticActor(
         TensorDictModule(nn.Identity(), in_keys=["new_log_prob"], out_keys=["new_log_prob"]),
         in_keys=["new_log_prob", "entropy_of"],

@@ -85,7 +85,7 @@ def test_a_metre_costs_what_it_should() -> None:
     policy, scenario = learning.policy("flat"), replace(learning.SCENARIO, humans=0, robots=1)
     rollout = learning.collector(policy, 4, 12, scenario).collect()
     free, costly = (learning.algorithm(policy, path_penalty=p) for p in (0.0, 0.5))
-    taken = (free._reward(rollout, LOCAL) - costly._reward(rollout, LOCAL)).sum(1)
+    taken = (free._level_reward(rollout, LOCAL) - costly._level_reward(rollout, LOCAL)).sum(1)
     speed = rollout.steps["agents", "speed"][:, 1:]  # nobody arrives, collides or runs out of time
     assert not rollout.steps["next", "done"].any()
     torch.testing.assert_close(taken, 0.5 * 0.25 * speed.sum(1))
