@@ -1,6 +1,7 @@
 """One recording in the formats and with the faults of public files: read rightly, or refused."""
 
 import contextlib
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -149,6 +150,7 @@ def test_the_clock_and_the_unit_that_a_file_states_are_used_and_checked(tmp_path
         ("frame,id,x\n0,1,2\n", "'frame,id,x' has no column named y"),
         ("frame,who,x,y\n0,1,2,3\n", "'frame,who,x,y' has no column named id"),
         ("frame,id,x,y\n0,1,2,5,3,5\n", "does not name 6 columns"),
+        ("id,frame,ped_id,x,y\n0,1,2,5,3\n", "columns 'id' and 'ped_id' may both be id"),
         ("recorded in May\n0 1 2 3\n", "line 1: 'recorded in May' is neither a row of numbers"),
         ("a b c d\n", "line 1: 'a b c d' is not a row of numbers"),
         ("x/m y/cm id frame\n0 1 2 3\n", "x is in m and y in cm; both must be in the same unit"),
@@ -181,6 +183,20 @@ def test_a_refusal_says_what_is_wrong_with_this_file(
     assert (
         "must" in str(error.value) or "unpack" in str(error.value) or "export" in str(error.value)
     )
+
+
+def test_reading_without_pandas_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(RecordingError, match="pip install pandas"):
+        load(written(tmp_path, lines(*ROWS.T)))
+
+
+def test_a_file_that_would_fill_the_memory_is_refused_at_once(tmp_path: Path) -> None:
+    path = tmp_path / "day.csv"
+    with path.open("wb") as file:
+        file.truncate(3 * 10**8)
+    with pytest.raises(RecordingError, match="it has 300 MB; it must have at most 200 MB"):
+        load(path)
 
 
 def test_boxes_of_people_in_the_picture_are_used(tmp_path: Path) -> None:

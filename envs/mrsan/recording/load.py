@@ -42,7 +42,7 @@ def load_recording(
     path = SAMPLE if path is None else Path(path)
     try:
         changed = path.stat().st_mtime_ns
-    except (OSError, ValueError):  # said when it is read
+    except (OSError, ValueError):  # said when it is read; ValueError: a zero byte
         changed = 0
     return _load(path, changed, frame_seconds, time_step, scale, check)
 

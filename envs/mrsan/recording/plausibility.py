@@ -21,6 +21,7 @@ FLOOR_SIDE = (1.0, 300.0)  # m, the longer one
 MIN_SECONDS = 6.0  # a robot needs as long for the shortest way
 MAX_PER_SQUARE_METRE = 10.0  # people
 SPEED_WINDOW = 0.4  # s over which speeds are measured, so that noise does not count
+_LEAST_PAUSE = 1e-9  # s, between frames that differ by less than floats can tell
 _USUAL_SPEED_95 = 1.6  # m/s, of ETH and UCY
 _USUAL_CLOCKS = (0.001, 1 / 60, 1 / 30, 0.04, 1 / 15, 0.1, 0.4, 1.0)  # s from frame to frame
 _USUAL_UNITS = {"millimetres": 1e-3, "centimetres": 1e-2, "kilometres": 1e3}  # m
@@ -54,7 +55,7 @@ def summarize(people: People) -> Summary:
     steps = [_steps(seconds, track.rows) for track in tracks]
     begin, end = np.concatenate(steps, axis=1)
     distance = np.linalg.norm(position[end] - position[begin], axis=1)
-    speeds = distance / (seconds[end] - seconds[begin])
+    speeds = distance / np.maximum(seconds[end] - seconds[begin], _LEAST_PAUSE)
     fastest = int(speeds.argmax()) if len(speeds) else None
     pauses, _ = _moves(people)
     sides = np.ptp(position, axis=0).tolist()
@@ -92,7 +93,8 @@ def _moves(people: People) -> tuple[Floats, Floats]:
     order = np.lexsort((people.rows.frame, people.rows.person))
     same = np.diff(people.rows.person[order]) == 0
     distance = np.linalg.norm(np.diff(people.position[order], axis=0), axis=1)
-    return np.diff(people.seconds[order])[same], distance[same]
+    pauses = np.maximum(np.diff(people.seconds[order]), _LEAST_PAUSE)
+    return pauses[same], distance[same]
 
 
 def _people_at_once(people: People) -> int:

@@ -224,6 +224,7 @@ def _header(
                 names.insert(0, "")
             roles = _roles(names)
             if len(names) == width and not _missing(roles):
+                _refuse_ambiguous(number, names)
                 columns = roles
                 break
         else:
@@ -240,13 +241,28 @@ def _roles(names: Sequence[str]) -> dict[str, Column]:
     """The columns whose names are known, by their roles."""
     roles: dict[str, Column] = {}
     for index, name in enumerate(names):
-        text = name.lower()
-        match = _WITH_UNIT.fullmatch(text)
-        stem, unit = match.groups() if match else (text, None)
-        role = _ROLES.get(re.sub("[^a-z]", "", stem))
+        role, unit = _parsed(name)
         if role:
-            roles.setdefault(role, Column(index, unit))
+            roles[role] = Column(index, unit)
     return roles
+
+
+def _parsed(name: str) -> tuple[str | None, str | None]:
+    """The role and the unit of a column."""
+    text = name.lower()
+    match = _WITH_UNIT.fullmatch(text)
+    stem, unit = match.groups() if match else (text, None)
+    return _ROLES.get(re.sub("[^a-z]", "", stem)), unit
+
+
+def _refuse_ambiguous(number: int, names: Sequence[str]) -> None:
+    for role in _NAMES:
+        same = [name for name in names if _parsed(name)[0] == role]
+        if len(same) > 1:
+            raise RecordingError(
+                f"line {number}: the columns {' and '.join(map(repr, same))} may both be {role}; "
+                "only one of them must be named so"
+            )
 
 
 def _missing(roles: dict[str, Column]) -> list[str]:

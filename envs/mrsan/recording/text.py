@@ -7,6 +7,7 @@ from pathlib import Path
 
 from mrsan.recording.rows import RecordingError
 
+MAX_BYTES = 200 * 10**6  # of a file; reading takes twenty times as much memory
 _RIGHT = "it must be a text file of recorded people"
 _SIGNATURES = {  # of files that are not text: what they are, and what to do
     b"\x1f\x8b": ("compressed", "unpack it first"),
@@ -27,15 +28,22 @@ def read_lines(path: Path) -> list[str]:
     """Read the lines of a text file in UTF-8, UTF-16 with a byte-order mark, or Latin-1.
 
     Raises:
-        RecordingError: it cannot be read, or is not text.
+        RecordingError: it cannot be read, is too large, or is not text.
     """
+    if "\0" in str(path):
+        raise RecordingError(f"its path has a zero byte; {_RIGHT}")
     try:
-        content = path.read_bytes() if path.is_file() or not path.exists() else None
-    except (OSError, ValueError) as error:  # ValueError: a path with a zero byte
-        reason = getattr(error, "strerror", None) or error
-        raise RecordingError(f"it cannot be read ({reason}); {_RIGHT}") from None
-    if content is None:  # a folder or a pipe
-        raise RecordingError(f"it is not a file; {_RIGHT}")
+        size = path.stat().st_size
+        if not path.is_file():  # a folder or a pipe
+            raise RecordingError(f"it is not a file; {_RIGHT}")
+        if size > MAX_BYTES:
+            raise RecordingError(
+                f"it has {size / 1e6:.0f} MB; it must have at most {MAX_BYTES / 1e6:.0f} MB (use "
+                "some minutes of it)"
+            )
+        content = path.read_bytes()
+    except OSError as error:
+        raise RecordingError(f"it cannot be read ({error.strerror}); {_RIGHT}") from None
     for signature, (what, remedy) in _SIGNATURES.items():
         if content.startswith(signature):
             raise RecordingError(f"it is {what}; {remedy}")
