@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import shlex
 import shutil
 import sys
 from pathlib import Path
@@ -28,6 +29,7 @@ from samarl.commands.render import Render
 from samarl.commands.report import Report
 from samarl.commands.train import Train
 from samarl.configuration import Config
+from samarl.evaluation.table import settings_of
 from samarl.messages import choice_hint, closest_names
 from samarl.planning.shield import Shield
 from samarl.training.trainer import TrainerConfig
@@ -171,3 +173,10 @@ def test_a_recording_is_played_wherever_it_lies(
     evaluate.main()
     saved = json.loads(Path("rows (1), here/row.json").read_text())
     assert saved["config"]["scenario"]["recording"] == str(recording)
+    # The row's command is all it takes to play it again, and is shown as it was written.
+    program, *words = shlex.split(saved["row"]["command"])
+    monkeypatch.setattr(sys, "argv", [program, *words, "hydra.run.dir=again"])
+    evaluate.main()
+    again = json.loads(Path("again/row.json").read_text())
+    assert again["config"] == saved["config"]
+    assert settings_of(again["row"])[-1].startswith("scenario.recording=")
