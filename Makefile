@@ -27,7 +27,7 @@ INTO_README = @awk -v mark='$(1)' -v heading='$(2)' ' \
 
 help: ## List what can be made
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
-	@echo "Each sets up .venv first if need be, with $(PYTHON) (another one: make PYTHON=python3.12 ...)."
+	@echo "Each sets up .venv first if need be, with $(PYTHON) (another one: make PYTHON=python3.13 ...)."
 
 # What is installed is known by content, not by date: a .venv that was kept from an earlier
 # checkout is used again if it was made here, by the same Python, and installs what is missing.
@@ -35,8 +35,8 @@ help: ## List what can be made
 setup: ## Install everything into .venv, unless it is there
 	@set -e; version='import sys; print("%d.%d" % sys.version_info[:2])'; \
 	python=$$($(PYTHON) -c "$$version" 2>/dev/null) || python="not found"; \
-	case "$$python" in 3.11|3.12) ;; *) echo "error: $(PYTHON) is $$python; Python 3.11 or 3.12" \
-	  "is needed, say which: make PYTHON=python3.12" >&2; exit 1;; esac; \
+	case "$$python" in 3.11|3.12|3.13) ;; *) echo "error: $(PYTHON) is $$python; Python 3.11, 3.12 or" \
+	  "3.13 is needed, say which: make PYTHON=python3.13" >&2; exit 1;; esac; \
 	home="$(CURDIR) Python $$python"; \
 	wanted="$$(echo "$$home"; echo "torch $(TORCH)"; cat pyproject.toml constraints.txt)"; \
 	there=$$($(BIN)/python -c "$$version" 2>/dev/null) || there=nothing; \

@@ -48,7 +48,7 @@ def render(config: DictConfig) -> None:
     if index >= CASES_PER_SPLIT:  # a number as episodes.jsonl has it
         split, index = Split.of(index)
     path = Path(config.output)
-    save = _writer(path)
+    save = picture_writer(path)
     check_writable(path, "output")
     agents: list[tuple[str, Any]] = [
         (HydraConfig.get().runtime.choices.agent, chosen_agent(config))
@@ -69,8 +69,12 @@ def render(config: DictConfig) -> None:
     print(f"written to {path}")
 
 
-def _writer(path: Path) -> Callable[[Sequence[tuple[Recording, str]], Path], None]:
-    """Return what draws a file with this extension."""
+def picture_writer(path: Path) -> Callable[[Sequence[tuple[Recording, str]], Path], None]:
+    """Return the function that draws a file with this extension.
+
+    Raises:
+        ConfigurationError: there is none, or no encoder for videos.
+    """
     extension = path.suffix.lower()
     if extension in (".png", ".svg", ".pdf"):
         from samarl.report.trajectories import save_trajectories

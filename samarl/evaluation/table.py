@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -49,8 +50,12 @@ def place_name(column: Column) -> str:
 
 
 def settings_of(row: Row) -> list[str]:
-    """What was set on the command line that made a row, besides its method and its column."""
-    return [w for w in row["command"].split() if "=" in w and not w.startswith(_COLUMNS)]
+    """Return what the command that made a row sets besides its method and its column."""
+    try:
+        words = shlex.split(row["command"])
+    except ValueError:  # quotes that are not closed, in a file from elsewhere
+        words = row["command"].split()
+    return [word for word in words if "=" in word and not word.startswith(_COLUMNS)]
 
 
 def as_text(header: Sequence[str], lines: Sequence[Sequence[str]]) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import shlex
 import shutil
 import sys
 from pathlib import Path
@@ -23,10 +24,13 @@ from samarl.commands.bench import Bench
 from samarl.commands.export import Export
 from samarl.commands.overrides import PATH_FIELDS, CommandLine
 from samarl.commands.predictor import Predictor
+from samarl.commands.recordings import recordings_in
 from samarl.commands.render import Render
 from samarl.commands.report import Report
 from samarl.commands.train import Train
 from samarl.configuration import Config
+from samarl.evaluation.table import settings_of
+from samarl.messages import choice_hint, closest_names
 from samarl.planning.shield import Shield
 from samarl.training.trainer import TrainerConfig
 
@@ -127,6 +131,34 @@ def test_options_may_stand_anywhere() -> None:
     ]  # fmt: skip
 
 
+def test_recordings_may_have_an_extension_in_capitals(tmp_path: Path) -> None:
+    for name in ("b.TXT", "a.txt", "notes.md"):
+        (tmp_path / name).touch()
+    default = Scenario().frame_seconds
+    expected = {tmp_path / "a.txt": default, tmp_path / "b.TXT": 0.1}
+    assert recordings_in(str(tmp_path), {"b": 0.1}) == expected
+    assert recordings_in(None, {}) == {}
+    with pytest.raises(ConfigurationError, match="recordings is 'nowhere'"):
+        recordings_in("nowhere", {})
+
+
+@pytest.mark.parametrize(
+    ("name", "names", "closest"),
+    [
+        ("human", ["human_radius_max", "humans", "humans_min"], "humans"),
+        ("dt", ["time_limit", "time_step", "team_delay"], "time_step"),
+        ("fov", ["force_range", "fov_degrees"], "fov_degrees"),
+        ("lr", ["layers", "learning_rate"], "learning_rate"),
+        ("robotz", ["robots", "robot_radius"], "robots"),
+    ],
+)
+def test_the_closest_name_is_suggested_first(name: str, names: list[str], closest: str) -> None:
+    assert closest_names(name, names)[0] == closest
+    assert closest_names("qqq", names) == []
+    many = [f"policy_{index}" for index in range(40)]
+    assert choice_hint("policy_", many).count("policy") == 3
+
+
 def test_a_recording_is_played_wherever_it_lies(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
@@ -141,3 +173,10 @@ def test_a_recording_is_played_wherever_it_lies(
     evaluate.main()
     saved = json.loads(Path("rows (1), here/row.json").read_text())
     assert saved["config"]["scenario"]["recording"] == str(recording)
+    # The row's command is all it takes to play it again, and is shown as it was written.
+    program, *words = shlex.split(saved["row"]["command"])
+    monkeypatch.setattr(sys, "argv", [program, *words, "hydra.run.dir=again"])
+    evaluate.main()
+    again = json.loads(Path("again/row.json").read_text())
+    assert again["config"] == saved["config"]
+    assert settings_of(again["row"])[-1].startswith("scenario.recording=")

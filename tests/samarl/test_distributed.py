@@ -238,7 +238,7 @@ def test_a_killed_process_ends_the_run_in_one_line_and_the_same_command_goes_on(
     with pytest.raises(SystemExit):
         main()
     assert capsys.readouterr().err == (
-        "error: run holds a run of 2 processes; it cannot go on with 1\n"
+        "error: run holds a run of 2 processes; it cannot be resumed with 1\n"
     )
 
 

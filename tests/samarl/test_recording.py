@@ -15,16 +15,18 @@ from PIL import Image, ImageColor
 from mrsan import ConfigurationError, Observation, Scenario, World
 from samarl.agents import Agent, build_agent
 from samarl.agents.learned import Deployed
+from samarl.commands.render import picture_writer
 from samarl.encoders.spatio_temporal import Pool
 from samarl.evaluation.recording import record_episode
 from samarl.policies.checkpoint import save_policy
-from samarl.report.animation import _draw_state, save_animation
+from samarl.report.animation import _draw_state, frame_times, save_animation
 from samarl.report.replays import as_replay
 from samarl.report.style import COLOURS
 from samarl.report.trajectories import save_trajectories
 from tests.small import small_policy
 
 SCENARIO = Scenario(humans=4, robots=3, fov_degrees=120.0, time_limit=4.0)
+SHORT = Scenario(humans=1, robots=1, time_limit=0.5)
 STRAIGHT = {"_target_": "samarl.agents.planners.straight.Straight"}
 
 
@@ -160,6 +162,31 @@ def test_animations_are_smooth_and_as_fast_as_the_episode(tmp_path: Path) -> Non
     assert next(pictures)["fps"] == 20
     assert sum(1 for _ in pictures) == 5 * steps + 1
     assert sorted(file.name for file in tmp_path.iterdir()) == ["case.gif", "case.mp4"]
+
+
+@pytest.mark.parametrize(
+    ("time_step", "rate", "frames_a_second"),
+    [(0.25, 20.0, 20.0), (0.25, 10.0, 12.0), (0.04, 20.0, 25.0), (0.01, 20.0, 20.0),
+     (0.01, 10.0, 10.0), (0.03, 20.0, 100 / 3), (1.0, 10.0, 10.0)],
+)  # fmt: skip
+def test_short_steps_do_not_make_more_frames(
+    time_step: float, rate: float, frames_a_second: float
+) -> None:
+    times, seconds = frame_times(103, time_step, rate)
+    assert seconds == pytest.approx(1 / frames_a_second)
+    assert (times[0], times[-1]) == (0.0, 103.0)
+    np.testing.assert_allclose(np.diff(times)[:-1] * time_step, seconds)
+    assert 0 < (times[-1] - times[-2]) * time_step <= seconds + 1e-9
+    assert frame_times(0, time_step, rate)[0].tolist() == [0.0]
+
+
+@pytest.mark.parametrize("name", ["case.PNG", "case.Svg", "case.GIF", "case.MP4"])
+def test_the_file_extension_may_be_in_capitals(name: str, tmp_path: Path) -> None:
+    agent = build_agent({"_target_": "samarl.agents.planners.straight.Straight"}, SHORT)
+    draw = picture_writer(tmp_path / name)
+    draw([(record_episode(agent, SHORT, 0), "title")], tmp_path / name)
+    starts = {".png": b"\x89PNG", ".svg": b"<?xml", ".gif": b"GIF89a", ".mp4": b"\0\0\0"}
+    assert (tmp_path / name).read_bytes().startswith(starts[Path(name).suffix.lower()])
 
 
 def test_a_missing_encoder_is_said_in_one_line(
