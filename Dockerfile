@@ -1,5 +1,7 @@
 # The benchmark in a container: docker build -t samarl . && docker run --rm samarl
-FROM python:3.11-slim
+# To choose Python 3.11, 3.12 or 3.13: docker build --build-arg PYTHON=3.13 ...
+ARG PYTHON=3.11
+FROM python:${PYTHON}-slim
 WORKDIR /samarl
 COPY . .
 # --build-arg PIP_INDEX_URL=... with an index that has the CPU build of torch saves gigabytes.

@@ -77,4 +77,4 @@ clean: ## Remove dist/ and caches, but not .venv or outputs/
 	@find . -name __pycache__ -type d -not -path './.venv/*' -prune -exec rm -rf {} +
 
 python:
-	@command -v $(PYTHON) > /dev/null || { echo "error: PYTHON is $(PYTHON), which is not a command; name Python 3.11 to 3.13: make PYTHON=python3.12" >&2; exit 1; }
+	@command -v $(PYTHON) > /dev/null || { echo "error: PYTHON is $(PYTHON), which is not a command; name Python 3.11 to 3.13: make PYTHON=python3.13" >&2; exit 1; }

@@ -12,7 +12,7 @@ from pathlib import Path
 _TARGET = re.compile(r"^([a-z-]+):.*?## (.*)$", re.MULTILINE)
 _FOOTER = """\
 Every target first sets up .venv if necessary. PYTHON names the interpreter (3.11 to 3.13):
-  make test PYTHON=python3.12"""
+  make test PYTHON=python3.13"""
 
 
 def described_targets(makefile: str) -> dict[str, str]:

@@ -32,7 +32,7 @@ def version_error(version: tuple[int, int], interpreter: str) -> str | None:
     oldest, newest, actual = ("{}.{}".format(*v) for v in (OLDEST, NEWEST, version))
     return (
         f"PYTHON is {interpreter}, which is Python {actual}; it must be Python {oldest} to "
-        f"{newest}: make PYTHON=python3.12"
+        f"{newest}: make PYTHON=python3.13"
     )
 
 
