@@ -150,7 +150,7 @@ def _rollout(
     steps: TensorDictBase,
     state: dict,
 ) -> Rollout:
-    """Return the rollout of steps [E, T + 1], which `with_history` [E, h + T + 1] precedes."""
+    """Return the rollout of steps [E, T + 1]; `with_history` also has the h steps before them."""
     reward_parts = steps["next", "agents", "reward_parts"]
     collided, success = reward_parts["collision"][..., 0] != 0.0, steps["next", "success"]
     agents: Any = steps["agents"]

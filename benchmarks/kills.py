@@ -85,7 +85,7 @@ class Training:
                 f"the saved step is {steps}; it was {self.saved_steps} before, and the training "
                 f"reported {reported}"
             )
-        first_step = re.search(r"going on at step (\d+)", log)
+        first_step = re.search(r"at step (\d+) of \d+", log)
         if first_step and int(first_step[1]) != self.saved_steps:
             raise DataLossError(
                 f"the training resumed at step {first_step[1]}; it must resume at "
