@@ -1,3 +1,3 @@
-"""How fast the simulator is and whether it holds out; run from the source folder."""
+"""Benchmarks of speed and robustness; run them from the repository root."""
 
-import samarl as _samarl  # noqa: F401 (before torch: it says how threads wait)
+import samarl as _samarl  # noqa: F401 (before torch: it configures how threads wait)

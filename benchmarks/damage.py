@@ -1,4 +1,4 @@
-"""How files go wrong: bytes, headers of safetensors, numbers, JSON and YAML, each at random."""
+"""Random damage to bytes, safetensors headers, tensors, JSON and YAML."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from safetensors.numpy import load, save
 
-DEEP = "@deep@"  # stands for a hundred thousand brackets in JSON
+DEEP = "@deep@"  # placeholder for a hundred thousand nested brackets in JSON
 _VALUES: list[Any] = [
     None, True, False, -1, 0, 1, 2.5, 10**9, 2**63, 10**400, -(10**400), 1e308, float("nan"),
     float("inf"), "", "abc", "10", "nan", "../../etc/passwd", "os.system", "${nowhere}",
@@ -25,43 +25,43 @@ _VALUES: list[Any] = [
 _PNG = bytes.fromhex("89504e470d0a1a0a0000000d4948445200000001000000010802000000907753de")
 
 
-def damaged_bytes(r: random.Random, good: bytes) -> bytes:
-    """A file that was cut off, in which bits are flipped, or that is of another kind."""
-    return r.choice([_truncated, _truncated, _flipped, _flipped, _foreign])(r, good)
+def damaged_bytes(r: random.Random, valid: bytes) -> bytes:
+    """Return a file that is truncated, has flipped bits or is of another type."""
+    return r.choice([_truncated, _truncated, _flipped, _flipped, _foreign])(r, valid)
 
 
-def _truncated(r: random.Random, good: bytes) -> bytes:
-    header = 8 + struct.unpack("<Q", good[:8])[0] if len(good) > 8 else 0
-    ends = [r.randint(0, 9), header, header + 1, len(good) - 1, r.randrange(len(good))]
-    return good[: max(0, min(r.choice([*ends, r.randint(0, max(header, 1))]), len(good) - 1))]
+def _truncated(r: random.Random, valid: bytes) -> bytes:
+    header = 8 + struct.unpack("<Q", valid[:8])[0] if len(valid) > 8 else 0
+    ends = [r.randint(0, 9), header, header + 1, len(valid) - 1, r.randrange(len(valid))]
+    return valid[: max(0, min(r.choice([*ends, r.randint(0, max(header, 1))]), len(valid) - 1))]
 
 
-def _flipped(r: random.Random, good: bytes) -> bytes:
-    bad = bytearray(good)
-    first = r.choice([8, 100, len(good)])  # as often near the beginning
+def _flipped(r: random.Random, valid: bytes) -> bytes:
+    damaged = bytearray(valid)
+    prefix = r.choice([8, 100, len(valid)])  # more often near the beginning
     for _ in range(r.randint(1, 8)):
-        bad[r.randrange(min(first, len(good)))] ^= 1 << r.randrange(8)
-    return bytes(bad)
+        damaged[r.randrange(min(prefix, len(valid)))] ^= 1 << r.randrange(8)
+    return bytes(damaged)
 
 
-def _foreign(r: random.Random, good: bytes) -> bytes:
+def _foreign(r: random.Random, valid: bytes) -> bytes:
     archive = io.BytesIO()
     with zipfile.ZipFile(archive, "w") as file:
         file.writestr("data.pkl", pickle.dumps({"weights": [1.0]}))
     return r.choice([
         b"", b"\n", pickle.dumps({"weights": [1.0]}), archive.getvalue(), _PNG, b"{}", b"[]",
-        gzip.compress(good[:1000]), r.randbytes(r.randint(1, 5000)), b"hello\n" * 100,
-        good + good, good[::-1], b"\x00" * 1000,
+        gzip.compress(valid[:1000]), r.randbytes(r.randint(1, 5000)), b"hello\n" * 100,
+        valid + valid, valid[::-1], b"\x00" * 1000,
     ])  # fmt: skip
 
 
-def hostile_header(r: random.Random, good: bytes) -> bytes:
-    """A safetensors file whose header claims what is not so."""
-    size = struct.unpack("<Q", good[:8])[0]
-    header, data = json.loads(good[8 : 8 + size]), good[8 + size :]
+def hostile_header(r: random.Random, valid: bytes) -> bytes:
+    """Return a safetensors file with an inconsistent header."""
+    size = struct.unpack("<Q", valid[:8])[0]
+    header, data = json.loads(valid[8 : 8 + size]), valid[8 + size :]
     if r.random() < 0.25:
-        claims = [0, 1, size - 1, size + 1, 10**8, 10**9, 2**32, 2**40, 2**63, 2**64 - 1]
-        return struct.pack("<Q", r.choice(claims)) + good[8:]
+        sizes = [0, 1, size - 1, size + 1, 10**8, 10**9, 2**32, 2**40, 2**63, 2**64 - 1]
+        return struct.pack("<Q", r.choice(sizes)) + valid[8:]
     name = r.choice([key for key in header if key != "__metadata__"])
     tensor = header[name]
     begin, end = tensor["data_offsets"]
@@ -89,34 +89,34 @@ def hostile_header(r: random.Random, good: bytes) -> bytes:
     text = json.dumps(header)
     if choice == 7:
         text = r.choice([
-            text.replace("{", '{"' + name + '": ' + json.dumps(tensor) + ", ", 1),  # twice
+            text.replace("{", '{"' + name + '": ' + json.dumps(tensor) + ", ", 1),  # duplicate key
             "[" * 100_000, text[:-1] + ',"a":' * 1000, text.replace('"', "'"), "null", "[]", "7",
         ])  # fmt: skip
     return struct.pack("<Q", len(text.encode())) + text.encode() + data
 
 
-def strange_numbers(r: random.Random, good: bytes) -> bytes:
-    """A safetensors file with NaN, infinity or other tensors, but well formed."""
-    tensors = {name: value.copy() for name, value in load(good).items()}
+def invalid_tensors(r: random.Random, valid: bytes) -> bytes:
+    """Return a well-formed safetensors file with NaN, infinity or unexpected tensors."""
+    tensors = {name: value.copy() for name, value in load(valid).items()}
     name = r.choice([key for key, value in tensors.items() if value.size])
     value = tensors[name]
-    strange = r.choice([np.nan, np.inf, -np.inf])
+    not_finite = r.choice([np.nan, np.inf, -np.inf])
     choice = r.randrange(6)
     if choice < 3 and value.dtype.kind == "f":
-        value[tuple(r.randrange(n) for n in value.shape)] = strange
+        value[tuple(r.randrange(n) for n in value.shape)] = not_finite
     elif choice == 3:
         tensors[name] = np.full_like(value, 1e300, dtype=np.float64)
     elif choice == 4:
         tensors[name] = np.zeros((*value.shape, 2), value.dtype)
     else:
         tensors["stranger"] = tensors.pop(name)
-    size = struct.unpack("<Q", good[:8])[0]
-    return save(tensors, json.loads(good[8 : 8 + size]).get("__metadata__"))
+    size = struct.unpack("<Q", valid[:8])[0]
+    return save(tensors, json.loads(valid[8 : 8 + size]).get("__metadata__"))
 
 
-def damaged_json(r: random.Random, good: Any) -> bytes:
-    """JSON in which something is missing, strange or too much, or that is none."""
-    tree = copy.deepcopy(good)
+def damaged_json(r: random.Random, valid: Any) -> bytes:
+    """Return JSON with missing, unexpected or additional entries, or no valid JSON at all."""
+    tree = copy.deepcopy(valid)
     if r.random() < 0.15:
         whole = json.dumps(tree).encode()
         return r.choice([
@@ -124,13 +124,14 @@ def damaged_json(r: random.Random, good: Any) -> bytes:
             b"\xef\xbb\xbf" + whole, b"[" * 100_000, b'{"a":' * 100_000, b"9" * 5000, b"null", b"3",
         ])  # fmt: skip
     for _ in range(r.choice([1, 1, 1, 2])):
-        owner, key = r.choice(list(_places(tree)))
+        container, key = r.choice(list(_places(tree)))
         if r.random() < 0.15:
-            del owner[key]
-        elif r.random() < 0.1 and isinstance(owner, dict):
-            owner[r.choice(["stranger", "", "__class__", "format ", "name"])] = r.choice(_VALUES)
+            del container[key]
+        elif r.random() < 0.1 and isinstance(container, dict):
+            value = r.choice(_VALUES)
+            container[r.choice(["stranger", "", "__class__", "format ", "name"])] = value
         else:
-            owner[key] = copy.deepcopy(r.choice(_VALUES))
+            container[key] = copy.deepcopy(r.choice(_VALUES))
         if not tree:
             break
     text = json.dumps(tree).replace(json.dumps(DEEP), "[" * 100_000 + "]" * 100_000)
@@ -138,44 +139,45 @@ def damaged_json(r: random.Random, good: Any) -> bytes:
 
 
 def _places(tree: Any) -> list[tuple[Any, Any]]:
-    """Where something stands in nested lists and dicts, the outermost several times."""
-    found: list[tuple[Any, Any]] = []
+    """Return the container and key of every entry, those that hold containers several times."""
+    places: list[tuple[Any, Any]] = []
     keys = list(tree) if isinstance(tree, dict) else range(len(tree))
     for key in keys:
-        found += [(tree, key)] * (3 if isinstance(tree[key], dict | list) else 1)
+        places += [(tree, key)] * (3 if isinstance(tree[key], dict | list) else 1)
         if isinstance(tree[key], dict | list) and tree[key]:
-            found += _places(tree[key])
-    return found
+            places += _places(tree[key])
+    return places
 
 
-def damaged_yaml(r: random.Random, good: str) -> bytes:
-    """YAML that is none, or that says something else than is expected."""
-    key = r.choice([line.partition(":")[0] for line in good.splitlines() if ":" in line])
-    laughs = "a: &a [x, x, x, x, x, x, x, x, x, x]\n" + "".join(
+def damaged_yaml(r: random.Random, valid: str) -> bytes:
+    """Return YAML with unexpected values, or no valid YAML at all."""
+    key = r.choice([line.partition(":")[0] for line in valid.splitlines() if ":" in line])
+    alias_bomb = "a: &a [x, x, x, x, x, x, x, x, x, x]\n" + "".join(
         f"{b}: &{b} [{', '.join(['*' + a] * 10)}]\n"
         for a, b in zip("abcdefgh", "bcdefghi", strict=True)
     )
-    whole: list[Callable[[], str | bytes]] = [
+    documents: list[Callable[[], str | bytes]] = [
         lambda: "", lambda: "\t- a", lambda: "- a\n- b", lambda: "7", lambda: "null",
-        lambda: good.replace(": ", ":\t\t- ", 1), lambda: good + "\n  bad indent: [",
-        lambda: "!!python/object/apply:os.system ['true']", lambda: laughs + good,
-        lambda: "[" * 3000, lambda: "{a: " * 3000, lambda: f"{good}\n{good}",
+        lambda: valid.replace(": ", ":\t\t- ", 1), lambda: valid + "\n  bad indent: [",
+        lambda: "!!python/object/apply:os.system ['true']", lambda: alias_bomb + valid,
+        lambda: "[" * 3000, lambda: "{a: " * 3000, lambda: f"{valid}\n{valid}",
         lambda: "&a [*a]", lambda: "\x07", lambda: b"\xff\xfe\x00",
-        lambda: "%YAML 9.9\n---\n" + good,
-        lambda: "--- 1\n--- 2\n", lambda: "defaults: 3\n" + good,
-        lambda: "defaults: [nowhere]\n" + good, lambda: "defaults: [{agent: ../../x}]\n" + good,
-        lambda: "? [a, b]\n: 3\n" + good, lambda: "1: 2\n" + good, lambda: "2020-01-01: 1\n" + good,
-        lambda: f"<<: {{{key}: 1}}\n" + good, lambda: _truncated(r, good.encode()),
-        lambda: _flipped(r, good.encode()), lambda: _foreign(r, good.encode()),
+        lambda: "%YAML 9.9\n---\n" + valid,
+        lambda: "--- 1\n--- 2\n", lambda: "defaults: 3\n" + valid,
+        lambda: "defaults: [nowhere]\n" + valid, lambda: "defaults: [{agent: ../../x}]\n" + valid,
+        lambda: "? [a, b]\n: 3\n" + valid, lambda: "1: 2\n" + valid,
+        lambda: "2020-01-01: 1\n" + valid,
+        lambda: f"<<: {{{key}: 1}}\n" + valid, lambda: _truncated(r, valid.encode()),
+        lambda: _flipped(r, valid.encode()), lambda: _foreign(r, valid.encode()),
     ]  # fmt: skip
     if r.random() < 0.5:
-        text = r.choice(whole)()
+        text = r.choice(documents)()
         return text if isinstance(text, bytes) else text.encode()
     value = r.choice([
         "10**9", "1000000000", "1e400", "-1", ".nan", ".inf", "''", "abc", "[1, 2]", "{a: 1}",
         "null", "~", "yes", "!!binary aGVsbG8=", "!!float x", "!!set {1}", "2020-01-01", "0x10",
         "1_0", "*nobody", "${nowhere}", "${", "???", "'" + "a" * 10_000 + "'", "9" * 5000, "|",
     ])  # fmt: skip
-    return f"{good}\n{key}: {value}\n".encode() if r.random() < 0.3 else "\n".join(
-        f"{key}: {value}" if line.startswith(f"{key}:") else line for line in good.splitlines()
+    return f"{valid}\n{key}: {value}\n".encode() if r.random() < 0.3 else "\n".join(
+        f"{key}: {value}" if line.startswith(f"{key}:") else line for line in valid.splitlines()
     ).encode()  # fmt: skip

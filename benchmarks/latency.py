@@ -1,8 +1,8 @@
-"""How long one decision takes: `python -m benchmarks.latency [--checkpoint policy.safetensors]`.
+"""Measure how long one decision takes: `python -m benchmarks.latency [--checkpoint FILE]`.
 
-One robot among ten people on one core (in 10p3r for what drives holonomic robots), the same with
-the policy exported (`samarl.runtime`), and a batch of 512 such robots; the observations are those
-of episodes that the agent itself drives.
+On one core, with observations from episodes that the agent itself drives: one robot among ten
+people, the same robot with the exported policy (`samarl.runtime`), and a batch of 512 such robots.
+Agents for holonomic robots are measured in the scenario `10p3r`.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from benchmarks.workload import add_output, interruptible, made_by, positive_number
+from benchmarks.workload import add_output, interruptible, positive_number, provenance
 from mrsan import ConfigurationError, Scenario, World
 from mrsan.threads import use_threads
 from samarl.agents import Agent, build_agent
@@ -39,7 +39,7 @@ _MEASURED = ("one_robot_ms", "exported_ms", f"batch_of_{BATCH}_ms")
 
 
 def main() -> None:
-    """Measure every agent, print the table, write the JSON."""
+    """Measure every agent, print the table and write the JSON file."""
     arguments = _parse()
     use_threads(1)
     agents = {name: load_agent(name) for name in arguments.agents or available_agents()}
@@ -61,15 +61,15 @@ def main() -> None:
     print(as_text(header, lines))
     result = {
         "agents": rows,
-        **made_by("latency"),
+        **provenance("latency"),
         "threads": 1,
     }
     write_json(arguments.output, result)
     print(f"\nmedians, one thread, {machine()}\nwritten to {arguments.output}")
 
 
-def built(config: dict[str, Any]) -> tuple[Agent, Scenario]:
-    """The agent, in the first of the scenarios whose robots it drives."""
+def build(config: dict[str, Any]) -> tuple[Agent, Scenario]:
+    """Return the agent with the first of `SCENARIOS` whose robots it can drive."""
     try:
         return build_agent(config, SCENARIOS[0]), SCENARIOS[0]
     except ConfigurationError:
@@ -77,8 +77,8 @@ def built(config: dict[str, Any]) -> tuple[Agent, Scenario]:
 
 
 def decision_times(config: dict[str, Any], worlds: int, seconds: float) -> dict[str, float]:
-    """Median, smallest and largest time of one `act` for `worlds` robots, in ms."""
-    agent, scenario = built(config)
+    """Return the median, smallest and largest time of one `act` for `worlds` robots, in ms."""
+    agent, scenario = build(config)
     world = World(scenario, worlds, auto_reset=True)
     observation = world.reset(np.arange(worlds))
     begins = np.ones(worlds, np.bool_)
@@ -91,15 +91,15 @@ def decision_times(config: dict[str, Any], worlds: int, seconds: float) -> dict[
         times.append(1e3 * (time.perf_counter() - start))
         step = world.step(action)
         observation, begins = step.observation, step.terminated | step.truncated
-        if end == float("inf") and len(times) == _WARM_UP:  # compiled, episodes under way
+        if end == float("inf") and len(times) == _WARM_UP:  # kernels are compiled
             times.clear()
             end = time.perf_counter() + seconds
     return _summary(times)
 
 
 def exported_times(config: dict[str, Any], name: str, seconds: float) -> dict[str, float] | None:
-    """The same of one step of the runtime for one robot; None for what is not exported."""
-    agent, scenario = built(config)
+    """Return the times of one runtime step for one robot; None if the agent has no export."""
+    agent, scenario = build(config)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "policy.onnx"
         try:
@@ -115,13 +115,13 @@ def exported_times(config: dict[str, Any], name: str, seconds: float) -> dict[st
         if begins:
             driver.reset()
             step = 0
-        own, seen = as_seen(observation, 0)
+        own, detections = as_seen(observation, 0)
         start = time.perf_counter()
-        command = driver.step(own, seen, step * scenario.time_step)
+        command = driver.step(own, detections, step * scenario.time_step)
         times.append(1e3 * (time.perf_counter() - start))
-        after = world.step(command.action[None, None])
-        observation, step = after.observation, step + 1
-        begins = bool((after.terminated | after.truncated)[0])
+        world_step = world.step(command.action[None, None])
+        observation, step = world_step.observation, step + 1
+        begins = bool((world_step.terminated | world_step.truncated)[0])
         if end == float("inf") and len(times) == _WARM_UP:
             times.clear()
             end = time.perf_counter() + seconds
@@ -146,9 +146,14 @@ def _parse() -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks.latency", description=(__doc__ or "").partition("\n")[0]
     )
-    parser.add_argument("--seconds", type=positive_number, default=2.0, help="per figure")
-    parser.add_argument("--agents", nargs="+", help="of conf/agent/; all of them by default")
-    parser.add_argument("--checkpoint", type=Path, help="a trained policy to measure as well")
+    parser.add_argument(
+        "--seconds",
+        type=positive_number,
+        default=2.0,
+        help="per measurement (2)",
+    )
+    parser.add_argument("--agents", nargs="+", help="names in conf/agent/ (default: all)")
+    parser.add_argument("--checkpoint", type=Path, help="also measure this trained policy")
     add_output(parser, "latency")
     return parser.parse_args()
 

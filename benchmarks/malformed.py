@@ -1,9 +1,9 @@
-"""Does it refuse what is wrong? `python -m benchmarks.malformed --number 10000`.
+"""Load malformed inputs: `python -m benchmarks.malformed --number 10000`.
 
-Malformed policies, cards, predictors, training states, tables, recordings, curves and
-configurations go through the functions that load them. Each must be refused with an error that a
-command says in one line, or be taken for what it is; nothing else may be raised, nothing may hang,
-and nothing may ask for gigabytes. A sample goes through the commands themselves.
+Malformed policies, metadata, predictors, training states, tables, recordings, curves and
+configurations are passed to the functions that load them. Each must be refused with an error that
+a command reports in one line, or load without an error. Other exceptions, hangs and allocations of
+gigabytes are failures. A sample is also passed to the commands themselves.
 """
 
 from __future__ import annotations
@@ -26,55 +26,54 @@ from typing import Any
 
 from tqdm import tqdm
 
-from benchmarks.malformed_kinds import KINDS, Good, Item
-from benchmarks.workload import add_output, interruptible, made_by, positive_whole_number
+from benchmarks.malformed_kinds import KINDS, MalformedInput, ValidInputs
+from benchmarks.workload import add_output, interruptible, positive_whole_number, provenance
 from mrsan import ActionError, ConfigurationError
 from mrsan.recording import RecordingError
 from samarl.files import check_writable, write_json
 
 REFUSED, ACCEPTED = "refused", "accepted"
-SECONDS = 60.0  # may pass until something is refused; on an idle machine it takes milliseconds
-MEMORY = 2 * 2**30  # bytes more than before may be asked for
+SECONDS = 60.0  # time limit of one input; on an idle machine it takes milliseconds
+MEMORY = 2 * 2**30  # limit of the additional memory of one input, bytes
 
 
-class Hang(BaseException):
-    """It took too long."""
+class TimeLimitExceeded(BaseException):
+    """Loading an input exceeded the time limit."""
 
 
-def make_item(number: int, good: Good, seed: int = 0) -> Item:
-    """The malformed thing of a number: its kinds take turns."""
+def make_input(number: int, valid: ValidInputs, seed: int = 0) -> MalformedInput:
+    """Return the malformed input with a number; the kinds alternate."""
     r = random.Random(f"{seed}/{number}")
     kind = list(KINDS)[number % len(KINDS)]
-    return KINDS[kind](r, good)
+    return KINDS[kind](r, valid)
 
 
-def outcome(item: Item) -> str:
-    """Load it: `REFUSED`, `ACCEPTED`, or what went wrong."""
-    said = "nothing"
+def outcome(item: MalformedInput) -> str:
+    """Load an input and return `REFUSED`, `ACCEPTED` or a description of the failure."""
     try:
         with _limits(), warnings.catch_warnings():
             warnings.simplefilter("error", RuntimeWarning)
             item.load()
         return ACCEPTED
     except (ConfigurationError, ActionError, RecordingError) as error:
-        said = str(error)
-    except Hang:
-        return f"it took more than {SECONDS:g} s"
+        message = str(error)
+    except TimeLimitExceeded:
+        return f"loading took more than {SECONDS:g} s"
     except BaseException as error:
         return f"{type(error).__name__}: {str(error)[:300]}"
-    if not said.strip() or (item.names and not any(name in said for name in item.names)):
-        return f"the error names none of {', '.join(item.names)}: {said[:300]}"
+    if not message.strip() or (item.names and not any(name in message for name in item.names)):
+        return f"the error names none of {', '.join(item.names)}: {message[:300]}"
     return REFUSED
 
 
 @contextlib.contextmanager
 def _limits() -> Iterator[None]:
-    """Of time and memory."""
+    """Limit time and memory."""
 
-    def ring(*_: Any) -> None:
-        raise Hang
+    def raise_exceeded(*_: Any) -> None:
+        raise TimeLimitExceeded
 
-    before = signal.signal(signal.SIGALRM, ring)
+    previous_handler = signal.signal(signal.SIGALRM, raise_exceeded)
     soft, hard = resource.getrlimit(resource.RLIMIT_AS)
     statm = Path("/proc/self/statm")
     if statm.exists():
@@ -85,67 +84,68 @@ def _limits() -> Iterator[None]:
         yield
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
-        signal.signal(signal.SIGALRM, before)
+        signal.signal(signal.SIGALRM, previous_handler)
         resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
 
 
-def by_command(item: Item, folder: Path) -> str:
-    """The same through the command itself: `REFUSED`, or what it said instead of one line."""
-    done = subprocess.run(
+def command_outcome(item: MalformedInput, folder: Path) -> str:
+    """Pass an input to its command; return `REFUSED` or a description of the failure."""
+    result = subprocess.run(
         [sys.executable, "-m", f"samarl.commands.{item.command[0]}", *item.command[1:]],
         cwd=folder, capture_output=True, text=True, timeout=600,
     )  # fmt: skip
-    lines = [line for line in done.stderr.splitlines() if not line.startswith("Compiling ")]
-    if done.returncode == 2 and len(lines) == 1 and lines[0].startswith("error: "):
+    lines = [line for line in result.stderr.splitlines() if not line.startswith("Compiling ")]
+    if result.returncode == 2 and len(lines) == 1 and lines[0].startswith("error: "):
         return REFUSED
-    return f"exit code {done.returncode}: {done.stderr[-300:]}"
+    return f"exit code {result.returncode}: {result.stderr[-300:]}"
 
 
 def main() -> None:
-    """Run, print and write what came of it; exit code 1 if anything was not refused in words."""
+    """Load all inputs, print and write the counts; exit with code 1 if there were failures."""
     arguments = _parse()
     try:
         check_writable(arguments.output, "--output")
     except ConfigurationError as error:
         sys.exit(f"error: {error}")
-    output = arguments.output.resolve()  # what is loaded lies in a folder of its own
-    begin = time.perf_counter()
+    output = arguments.output.resolve()  # inputs are loaded in a temporary folder
+    start = time.perf_counter()
     counts: dict[str, collections.Counter[str]] = collections.defaultdict(collections.Counter)
     failures: list[dict[str, Any]] = []
     commands, slowest, r = 0, 0.0, random.Random(arguments.seed)
     with tempfile.TemporaryDirectory() as name, interruptible():
-        good = Good(Path(name))
+        valid = ValidInputs(Path(name))
         numbers = arguments.only or range(arguments.number)
-        for number in tqdm(numbers, "malformed", unit="item", disable=None):
-            item = make_item(number, good, arguments.seed)
-            started = time.perf_counter()
-            found = outcome(item)
-            slowest = max(slowest, time.perf_counter() - started)
-            sampled = r.random() < 3 * arguments.commands / len(numbers)
-            if sampled and found == REFUSED and item.command and commands < arguments.commands:
+        for number in tqdm(numbers, "malformed", unit="input", disable=None):
+            item = make_input(number, valid, arguments.seed)
+            loading_start = time.perf_counter()
+            item_outcome = outcome(item)
+            slowest = max(slowest, time.perf_counter() - loading_start)
+            share = 3 * arguments.commands / len(numbers)
+            sampled = commands < arguments.commands and r.random() < share
+            if sampled and item_outcome == REFUSED and item.command:
                 commands += 1
-                found = by_command(item, good.folder)
-            kind = found if found in (REFUSED, ACCEPTED) else "wrong"
-            counts[item.kind][kind] += 1
-            if kind == "wrong":
-                failures.append({"number": number, "kind": item.kind, "what": found})
-                tqdm.write(f"{number} {item.kind}: {found}", sys.stderr)
+                item_outcome = command_outcome(item, valid.folder)
+            category = item_outcome if item_outcome in (REFUSED, ACCEPTED) else "wrong"
+            counts[item.kind][category] += 1
+            if category == "wrong":
+                failures.append({"number": number, "kind": item.kind, "what": item_outcome})
+                tqdm.write(f"{number} {item.kind}: {item_outcome}", sys.stderr)
     result = {
         "number": len(numbers),
         "wrong": len(failures),
         "failures": failures[:100],
-        "by_kind": {kind: dict(sorted(found.items())) for kind, found in counts.items()},
+        "by_kind": {kind: dict(sorted(of_kind.items())) for kind, of_kind in counts.items()},
         "through_commands": commands,
         "slowest_seconds": round(slowest, 2),
-        "seconds": round(time.perf_counter() - begin, 1),
-        **made_by("malformed"),
+        "seconds": round(time.perf_counter() - start, 1),
+        **provenance("malformed"),
     }
     write_json(output, result)
     for kind, of_kind in counts.items():
-        print(f"{kind:20}", ", ".join(f"{count} {what}" for what, count in of_kind.items()))
+        print(f"{kind:20}", ", ".join(f"{count} {category}" for category, count in of_kind.items()))
     print(f"written to {arguments.output}")
     if failures:
-        sys.exit(f"error: {len(failures)} of {len(numbers)} were neither refused nor accepted")
+        sys.exit(f"error: {len(failures)} of {len(numbers)} inputs failed")
 
 
 def _parse() -> argparse.Namespace:
@@ -154,13 +154,16 @@ def _parse() -> argparse.Namespace:
         description="Load thousands of malformed files and configurations; fail on a traceback.",
     )
     parser.add_argument(
-        "--number", type=positive_whole_number, default=10_000, help="how many (default: 10000)"
+        "--number",
+        type=positive_whole_number,
+        default=10_000,
+        help="of inputs (default: 10000)",
     )
-    parser.add_argument("--seed", type=int, default=0, help="of all of them (default: 0)")
-    parser.add_argument("--only", type=int, nargs="*", help="these alone, to look at them")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the inputs (default: 0)")
+    parser.add_argument("--only", type=int, nargs="*", help="load only these inputs, by number")
     parser.add_argument(
         "--commands", type=int, default=40,
-        help="so many of them through the commands as well (default: 40)",
+        help="number of inputs that are also passed to commands (default: 40)",
     )  # fmt: skip
     add_output(parser, "malformed")
     return parser.parse_args()

@@ -1,4 +1,4 @@
-"""The kinds of malformed things, and good ones to begin with."""
+"""The kinds of malformed inputs, each derived from a valid one."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from benchmarks.damage import (
     damaged_json,
     damaged_yaml,
     hostile_header,
-    strange_numbers,
+    invalid_tensors,
 )
 from mrsan import ConfigurationError, Scenario, World
 from mrsan.prediction import SHIPPED, find_predictor
@@ -51,14 +51,14 @@ COMMANDS = {
     "evaluate": evaluate, "train": train, "predictor": predictor, "render": render,
     "report": report, "bench": bench, "export": export,
 }  # fmt: skip
-PRIMARY = {"evaluate": "config"}  # files in conf/ that are not named as their commands
-LIGHT = {  # so that what is right by accident is soon found to be so
-    "bench": ["agents=[orca]", "output=mine"],
-    "report": ["agents=[orca]", "output=mine"],
-    "render": ["output=mine.png"],
-    "export": ["output=mine.onnx", "agent=learned", "checkpoint=policy.safetensors"],
-    "predictor": ["output=mine"],
-    "train": ["run_dir=mine", "encoder.width=8", "encoder.heads=1", "encoder.features=8",
+PRIMARY = {"evaluate": "config"}  # files in conf/ whose names differ from those of their commands
+MINIMAL = {  # so that accidentally valid command lines are accepted quickly
+    "bench": ["agents=[orca]", "output=out"],
+    "report": ["agents=[orca]", "output=out"],
+    "render": ["output=out.png"],
+    "export": ["output=out.onnx", "agent=learned", "checkpoint=policy.safetensors"],
+    "predictor": ["output=out"],
+    "train": ["run_dir=out", "encoder.width=8", "encoder.heads=1", "encoder.features=8",
               "policy.hidden=8", "curriculum.stages=[{worlds: 1}]", "trainer.threads=1"],
 }  # fmt: skip
 RUN = [
@@ -87,32 +87,32 @@ VALUES = [
 
 
 @dataclass
-class Item:
-    """Something malformed."""
+class MalformedInput:
+    """A malformed input and how to load it."""
 
     kind: str
     load: Callable[[], object]
-    command: list[str] = field(default_factory=list)  # that loads the same
-    names: tuple[str, ...] = ()  # one of which its error must name
+    command: list[str] = field(default_factory=list)  # a command line that loads it
+    names: tuple[str, ...] = ()  # the error must contain one of them
 
 
-class Accepted(BaseException):
-    """A command has found nothing wrong and would begin to work."""
+class AcceptedByCommand(BaseException):
+    """A command has accepted its input and would start to work."""
 
 
-class Good:
-    """What is right, in a folder: each malformed thing is one of them, spoiled."""
+class ValidInputs:
+    """Valid inputs in a folder, from which the malformed inputs are derived."""
 
     def __init__(self, folder: Path) -> None:
-        """Make all of it."""
+        """Create all of them and change to the folder."""
         self.folder = folder / "far" / "down" / "below"  # `../x` stays inside
         self.folder.mkdir(parents=True)
         os.chdir(self.folder)
         self.policy = Path("policy.safetensors")
-        save_policy(self.policy, make_policy("flat", POLICY, 3), "flat", {"command": "mine"})
+        save_policy(self.policy, make_policy("flat", POLICY, 3), "flat", {"command": "test"})
         self.predictor = Path("predictor.safetensors")
-        for ending in (".safetensors", ".json"):
-            shutil.copy(SHIPPED / f"recurrent{ending}", self.predictor.with_suffix(ending))
+        for suffix in (".safetensors", ".json"):
+            shutil.copy(SHIPPED / f"recurrent{suffix}", self.predictor.with_suffix(suffix))
         rows = json.loads((find_folder("results") / "table1.json").read_text())
         self.rows = [*rows[:2], next(row for row in rows if "training_seeds" in row)]
         self.cell = {"row": rows[0], "config": {}, "commit": "x", "agent": "y"}
@@ -120,7 +120,7 @@ class Good:
         world = World(self.scenario)
         self.observation = world.reset([0])
         with composed("train", RUN) as config:
-            self.trainer = train.build_trainer(config, "mine")
+            self.trainer = train.build_trainer(config, "test")
         self.trainer.save()
         training = Training(4, 2, 1, 1, 1, 3, 1, 0.1, 1.0, 0.0, 0)
         self.learner = Learner(training, {"orca": Scenario()}, Path("training.safetensors"))
@@ -129,8 +129,8 @@ class Good:
             path: path.read_bytes()
             for path in (self.policy, self.predictor, self.learner.path, self.state)
         }
-        self.cards = {
-            path: json.loads(path.with_suffix(".json").read_text()) | {"made": {"command": "mine"}}
+        self.metadata = {
+            path: json.loads(path.with_suffix(".json").read_text()) | {"made": {"command": "test"}}
             for path in (self.policy, self.predictor)
         }
         self.agent = (find_folder("conf") / "agent/orca.yaml").read_text()
@@ -146,118 +146,122 @@ class Good:
 
     @property
     def state(self) -> Path:
-        """Of the training."""
+        """The file with the state of the training."""
         return self.trainer.run_dir.folder / "state.safetensors"
 
 
-def spoiled_weights(r: random.Random, good: Good, path: Path) -> bytes:
-    """Bytes in the place of a file of tensors."""
-    spoil = r.choice([damaged_bytes, hostile_header, hostile_header, strange_numbers])
-    return spoil(r, good.bytes[path])
+def damaged_weights(r: random.Random, valid: ValidInputs, path: Path) -> bytes:
+    """Return a damaged version of a valid file of tensors."""
+    damage = r.choice([damaged_bytes, hostile_header, hostile_header, invalid_tensors])
+    return damage(r, valid.bytes[path])
 
 
-def with_card(r: random.Random, good: Good, path: Path) -> None:
-    """Spoil either a file of weights, most often with the right digest in its card, or the card."""
-    content, card = good.bytes[path], dict(good.cards[path])
+def write_damaged_pair(r: random.Random, valid: ValidInputs, path: Path) -> None:
+    """Write weights and their metadata, one of them damaged; the digest usually matches."""
+    content, metadata = valid.bytes[path], dict(valid.metadata[path])
     if r.random() < 0.5:
-        content = spoiled_weights(r, good, path)
+        content = damaged_weights(r, valid, path)
         if r.random() < 0.8:
-            card["sha256"] = hashlib.sha256(content).hexdigest()
-        text = json.dumps(card).encode()
+            metadata["sha256"] = hashlib.sha256(content).hexdigest()
+        text = json.dumps(metadata).encode()
     else:
-        text = damaged_json(r, card)
+        text = damaged_json(r, metadata)
     path.write_bytes(content)
     path.with_suffix(".json").write_bytes(text)
 
 
-def policy(r: random.Random, good: Good) -> Item:
-    """A policy or its card."""
-    with_card(r, good, good.policy)
-    agent = {"_target_": "samarl.agents.learned.Learned", "checkpoint": str(good.policy)}
+def policy(r: random.Random, valid: ValidInputs) -> MalformedInput:
+    """Return a policy that is damaged or has damaged metadata."""
+    write_damaged_pair(r, valid, valid.policy)
+    agent = {"_target_": "samarl.agents.learned.Learned", "checkpoint": str(valid.policy)}
 
     def load() -> None:
-        made = build_agent(agent, good.scenario)
-        made.scope_warning(), made.version()
-        made.reset(np.ones(1, np.bool_))
-        made.act(good.observation)
+        policy = build_agent(agent, valid.scenario)
+        policy.scope_warning(), policy.version()
+        policy.reset(np.ones(1, np.bool_))
+        policy.act(valid.observation)
 
-    command = ["evaluate", "agent=samarl_flat", f"checkpoint={good.policy}", "evaluation.cases=1"]
-    return Item("policy", load, command, (str(good.policy.stem),))
+    command = ["evaluate", "agent=samarl_flat", f"checkpoint={valid.policy}", "evaluation.cases=1"]
+    return MalformedInput("policy", load, command, (str(valid.policy.stem),))
 
 
-def predictor_file(r: random.Random, good: Good) -> Item:
-    """A predictor of people or its card."""
-    with_card(r, good, good.predictor)
+def predictor_file(r: random.Random, valid: ValidInputs) -> MalformedInput:
+    """Return a predictor that is damaged or has damaged metadata."""
+    write_damaged_pair(r, valid, valid.predictor)
 
     def load() -> None:
-        found = find_predictor(str(good.predictor), 0.25)
-        past = np.zeros((1, 2, found.history, 2), np.float32)
-        found.predict(past, np.ones(past.shape[:-1], np.bool_), past[..., -1, :], 2)
+        model = find_predictor(str(valid.predictor), 0.25)
+        past = np.zeros((1, 2, model.history, 2), np.float32)
+        model.predict(past, np.ones(past.shape[:-1], np.bool_), past[..., -1, :], 2)
 
-    command = ["predictor", f"predictor={good.predictor}", "validation_cases=1"]
-    return Item("predictor", load, command, (str(good.predictor.stem),))
-
-
-def training_state(r: random.Random, good: Good) -> Item:
-    """The state of an interrupted training."""
-    good.state.write_bytes(spoiled_weights(r, good, good.state))
-    return Item("training state", good.trainer.restore, ["train", "resume=run"], ("state.safe",))
+    command = ["predictor", f"predictor={valid.predictor}", "validation_cases=1"]
+    return MalformedInput("predictor", load, command, (str(valid.predictor.stem),))
 
 
-def predictor_state(r: random.Random, good: Good) -> Item:
-    """The state of an interrupted training of the predictor."""
-    path = good.learner.path
-    path.write_bytes(spoiled_weights(r, good, path))
-    return Item("predictor state", good.learner.restore, names=(path.name,))
+def training_state(r: random.Random, valid: ValidInputs) -> MalformedInput:
+    """Return a damaged state of an interrupted training."""
+    valid.state.write_bytes(damaged_weights(r, valid, valid.state))
+    return MalformedInput(
+        "training state", valid.trainer.restore, ["train", "resume=run"], ("state.safe",)
+    )
 
 
-def table(r: random.Random, good: Good) -> Item:
-    """A table of results."""
+def predictor_state(r: random.Random, valid: ValidInputs) -> MalformedInput:
+    """Return a damaged state of an interrupted training of the predictor."""
+    path = valid.learner.path
+    path.write_bytes(damaged_weights(r, valid, path))
+    return MalformedInput("predictor state", valid.learner.restore, names=(path.name,))
+
+
+def table(r: random.Random, valid: ValidInputs) -> MalformedInput:
+    """Return a damaged table of results."""
     path = Path("tables/table.json")
-    path.write_bytes(damaged_json(r, good.rows))
+    path.write_bytes(damaged_json(r, valid.rows))
 
     def load() -> None:
         if rows := read_rows(path):
             page("table", "", rows, [rows[0]["method"]])
             ranked(rows)
-            compare(good.rows[0], rows)
+            compare(valid.rows[0], rows)
 
     command = ["report", "results=tables", "agents=[orca]", "cases=[]", "output=pages"]
-    return Item("table", load, command, (path.name,))
+    return MalformedInput("table", load, command, (path.name,))
 
 
-def cell(r: random.Random, good: Good) -> Item:
-    """A finished cell of a sweep; a damaged one is none."""
+def cell(r: random.Random, valid: ValidInputs) -> MalformedInput:
+    """Return a damaged cell of a sweep, which must count as unfinished."""
     path = Path("row.json")
-    path.write_bytes(damaged_json(r, good.cell))
+    path.write_bytes(damaged_json(r, valid.cell))
 
     def load() -> None:
         if read_cell(path) is None:
-            raise ConfigurationError("it is played again")
+            raise ConfigurationError("the cell is evaluated again")
 
-    return Item("cell of a sweep", load)
+    return MalformedInput("cell of a sweep", load)
 
 
-def recording(r: random.Random, good: Good) -> Item:
-    """Recorded people in one of many formats, with wrong cells or damaged bytes."""
+def recording(r: random.Random, valid: ValidInputs) -> MalformedInput:
+    """Return a recording in one of many formats, with invalid cells or damaged bytes."""
     rows = [line.split() for line in SAMPLE.read_text().splitlines()]
     header, separator, lines = r.choice(RECORDINGS)(rows[: r.choice([1, 2, 30, 300, len(rows)])])
-    strange = ["nan", "inf", "-1", "1e308", "1e12", "abc", "", "1e-320", "99999999999", "{", "\x00",
+    invalid = ["nan", "inf", "-1", "1e308", "1e12", "abc", "", "1e-320", "99999999999", "{", "\x00",
                "?", "'", '"', "#", "1,5", "1;5", "9" * 5000]  # fmt: skip
     for _ in range(r.randint(0, 3)):
         number = r.randrange(len(lines))
         cells = lines[number].split(separator)
-        cells[r.randrange(len(cells))] = r.choice(strange)
+        cells[r.randrange(len(cells))] = r.choice(invalid)
         lines[number] = separator.join(cells)
     content = "\n".join([*header, *lines]).encode(r.choice(["utf-8", "utf-8-sig", "utf-16"]))
     path = Path("people.txt")
     path.write_bytes(damaged_bytes(r, content) if r.random() < 0.4 else content)
     words = ["evaluate", "scenario=recorded", f"scenario.recording={path}", "evaluation.cases=1"]
     command = r.choice([words, ["recording", str(path)]])
-    return Item("recording", lambda: load_recording(path, None, 0.25), command, (path.name,))
+    return MalformedInput(
+        "recording", lambda: load_recording(path, None, 0.25), command, (path.name,)
+    )
 
 
-Rows = list[list[str]]  # frame, id, x and y
+Rows = list[list[str]]  # frame, id, x, y
 RECORDINGS: list[Callable[[Rows], tuple[list[str], str, list[str]]]] = [  # header, separator, lines
     lambda rows: ([], " ", [" ".join(row) for row in rows]),
     lambda rows: (["frame,id,x,y"], ",", [",".join(row) for row in rows]),
@@ -276,70 +280,70 @@ RECORDINGS: list[Callable[[Rows], tuple[list[str], str, list[str]]]] = [  # head
 ]  # fmt: skip
 
 
-def curve(r: random.Random, good: Good) -> Item:
-    """A learning curve."""
+def curve(r: random.Random, valid: ValidInputs) -> MalformedInput:
+    """Return a damaged learning curve."""
     text = b"steps,seconds,charts/success\n" + b"1,2,0.5\n" * r.randint(1, 5)
     path = Path("curve.csv")
     wide = b"steps," + b"a" * 200_000 + b"\n1,2\n"
     path.write_bytes(
         r.choice([damaged_bytes(r, text), damaged_bytes(r, text), wide, text + b"1," * 9])
     )
-    return Item("curve", lambda: read_curve(path), names=(path.name,))
+    return MalformedInput("curve", lambda: read_curve(path), names=(path.name,))
 
 
-def own_yaml(r: random.Random, good: Good) -> Item:
-    """An agent's or a scenario's YAML file of one's own."""
+def custom_yaml(r: random.Random, valid: ValidInputs) -> MalformedInput:
+    """Return a damaged YAML file of a custom agent or scenario."""
     group = r.choice(["agent", "scenario"])
-    text = good.agent if group == "agent" else "defaults: [samarl]\nhumans: 4\nfov_degrees: 90.0\n"
-    (Path("conf") / group / "mine.yaml").write_bytes(damaged_yaml(r, text))
-    return command_item("YAML", "evaluate", ["--config-dir=conf", f"{group}=mine"])
+    text = valid.agent if group == "agent" else "defaults: [samarl]\nhumans: 4\nfov_degrees: 90.0\n"
+    (Path("conf") / group / "custom.yaml").write_bytes(damaged_yaml(r, text))
+    return command_item("YAML", "evaluate", ["--config-dir=conf", f"{group}=custom"])
 
 
-def overrides(r: random.Random, good: Good) -> Item:
-    """A command line."""
+def overrides(r: random.Random, valid: ValidInputs) -> MalformedInput:
+    """Return a command line with random values."""
     name = r.choice(list(COMMANDS))
     words = [
-        f"{r.choice(good.fields[name])}={r.choice(VALUES)}" for _ in range(r.choice([1, 1, 2]))
+        f"{r.choice(valid.fields[name])}={r.choice(VALUES)}" for _ in range(r.choice([1, 1, 2]))
     ]
-    own = []
+    search_path = []
     if name == "export":
-        own = ["--config-dir=conf"]
-        good.policy.write_bytes(good.bytes[good.policy])
-        good.policy.with_suffix(".json").write_text(json.dumps(good.cards[good.policy]))
-    return command_item("command line", name, own + LIGHT.get(name, []) + words)
+        search_path = ["--config-dir=conf"]
+        valid.policy.write_bytes(valid.bytes[valid.policy])
+        valid.policy.with_suffix(".json").write_text(json.dumps(valid.metadata[valid.policy]))
+    return command_item("command line", name, search_path + MINIMAL.get(name, []) + words)
 
 
-def resumed(r: random.Random, good: Good) -> Item:
-    """The state of an interrupted training, through the command."""
-    good.state.write_bytes(spoiled_weights(r, good, good.state))
-    good.trainer.run_dir.release()
+def resumed(r: random.Random, valid: ValidInputs) -> MalformedInput:
+    """Return a damaged state of an interrupted training, loaded by the command."""
+    valid.state.write_bytes(damaged_weights(r, valid, valid.state))
+    valid.trainer.run_dir.release()
     return command_item("resume", "train", ["resume=run"])
 
 
-THROUGH_COMMANDS = ("YAML", "command line", "resume")  # kinds that take longer
-KINDS: dict[str, Callable[[random.Random, Good], Item]] = {
+COMMAND_KINDS = ("YAML", "command line", "resume")  # slower, because a command loads them
+KINDS: dict[str, Callable[[random.Random, ValidInputs], MalformedInput]] = {
     "policy": policy, "predictor": predictor_file, "training state": training_state,
     "predictor state": predictor_state, "table": table, "cell of a sweep": cell,
-    "recording": recording, "curve": curve, "YAML": own_yaml, "command line": overrides,
+    "recording": recording, "curve": curve, "YAML": custom_yaml, "command line": overrides,
     "resume": resumed,
 }  # fmt: skip
 
 
-def command_item(kind: str, name: str, words: list[str]) -> Item:
-    """A command line that goes through the command in this process, up to where it would work."""
-    return Item(kind, lambda: call(name, words), [name, *words])
+def command_item(kind: str, name: str, words: list[str]) -> MalformedInput:
+    """Return a command line that this process runs until the command would start to work."""
+    return MalformedInput(kind, lambda: call(name, words), [name, *words])
 
 
 def call(name: str, words: list[str]) -> None:
-    """Run a command without its work.
+    """Run a command up to the start of its work.
 
     Raises:
-        ConfigurationError: it said so in one line.
-        RuntimeError: it said anything else.
+        ConfigurationError: the command reported an error in one line.
+        RuntimeError: the command failed in any other way.
     """
 
     def accept(*_: Any, **__: Any) -> None:
-        raise Accepted
+        raise AcceptedByCommand
 
     work = [
         "samarl.commands.evaluate.run_cases", "samarl.training.trainer.Trainer.run",
@@ -347,7 +351,7 @@ def call(name: str, words: list[str]) -> None:
         "samarl.commands.report.record_episode", "samarl.report.build.build_site",
         "samarl.commands.bench.Parallel", "samarl.export.export_agent",
     ]  # fmt: skip
-    said = io.StringIO()
+    stderr = io.StringIO()
     root = logging.getLogger()
     GlobalHydra.instance().clear()
     with contextlib.ExitStack() as stack:
@@ -357,21 +361,21 @@ def call(name: str, words: list[str]) -> None:
         stack.enter_context(mock.patch.object(sys, "path", list(sys.path)))
         stack.enter_context(mock.patch.object(root, "handlers", []))
         stack.enter_context(contextlib.redirect_stdout(io.StringIO()))
-        stack.enter_context(contextlib.redirect_stderr(said))
+        stack.enter_context(contextlib.redirect_stderr(stderr))
         try:
             COMMANDS[name].main()
-        except Accepted:
+        except AcceptedByCommand:
             return
         except SystemExit as end:
-            lines = said.getvalue().splitlines()
+            lines = stderr.getvalue().splitlines()
             if end.code == 2 and len(lines) == 1 and lines[0].startswith("error: "):
                 raise ConfigurationError(lines[0]) from None
-            raise RuntimeError(f"exit code {end.code}: {said.getvalue()}") from None
+            raise RuntimeError(f"exit code {end.code}: {stderr.getvalue()}") from None
 
 
 @contextlib.contextmanager
 def composed(name: str, words: list[str]) -> Iterator[DictConfig]:
-    """The configuration of a command."""
+    """Compose the configuration of a command."""
     register_schemas()
     OmegaConf.register_new_resolver("first", first, replace=True)
     schema = getattr(COMMANDS[name], name.capitalize(), None)
@@ -382,7 +386,7 @@ def composed(name: str, words: list[str]) -> Iterator[DictConfig]:
 
 
 def fields_of(name: str) -> list[str]:
-    """The settings of a command, by their paths."""
+    """Return the paths of all settings of a command."""
 
     def leaves(node: Any, path: str) -> Iterator[str]:
         if path:

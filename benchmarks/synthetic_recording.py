@@ -1,7 +1,7 @@
-"""Make the recording that ships: `python -m benchmarks.synthetic_recording`.
+"""Generate the recording in the package: `python -m benchmarks.synthetic_recording`.
 
-Simulated people who cross in two streams, some in pairs, some standing or in a hurry, who come and
-go; written as ETH and UCY are: a line `frame id x y` every 10 frames, which are 0.4 s.
+Simulated people cross in two streams. Some walk in pairs, stand or hurry, and they enter and leave.
+The format is that of ETH and UCY: a line `frame id x y` per person every 10 frames, that is 0.4 s.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ CROWD = Scenario(
 )
 
 
-def recording(crowd: Scenario = CROWD, case: int = 0) -> str:
-    """The text of a recording of simulated people."""
+def recording_text(crowd: Scenario = CROWD, case: int = 0) -> str:
+    """Return the text of a recording of simulated people."""
     world = World(crowd)
     world.reset([case])
     state = world.state
-    state.robot_position[:] = state.robot_goal[:] = 1000.0  # in nobody's way
+    state.robot_position[:] = state.robot_goal[:] = 1000.0  # far from all people
     state.robot_goal[:] += 1000.0
     rest = np.zeros((1, 1, crowd.action_size), np.float32)
     lines = []
@@ -52,12 +52,12 @@ def recording(crowd: Scenario = CROWD, case: int = 0) -> str:
 
 
 def main() -> None:
-    """Write it."""
+    """Write the recording."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--output", type=Path, default=SAMPLE)
     output = parser.parse_args().output
     output.parent.mkdir(parents=True, exist_ok=True)
-    output.write_text(recording())
+    output.write_text(recording_text())
     print(f"written to {output}")
 
 

@@ -1,8 +1,8 @@
-"""How many world-steps a second: `python -m benchmarks.throughput`.
+"""Measure world-steps per second: `python -m benchmarks.throughput`.
 
-A full step moves humans and robots, finds contacts, pays rewards, begins a new episode in every
-world that ended, and writes every robot's observation. Actions are uniformly random, and the
-worlds are in all phases of their episodes when the clock starts.
+A full step moves humans and robots, detects contacts, computes rewards, begins a new episode in
+every world that ended, and computes every robot's observation. Actions are uniformly random, and
+the worlds are in different phases of their episodes when the measurement starts.
 """
 
 from __future__ import annotations
@@ -22,7 +22,13 @@ import numba
 import numpy as np
 from tqdm import tqdm
 
-from benchmarks.workload import RandomDrive, add_output, interruptible, made_by, positive_number
+from benchmarks.workload import (
+    RandomStepper,
+    add_output,
+    interruptible,
+    positive_number,
+    provenance,
+)
 from mrsan.pettingzoo_env import PettingZooEnv
 from samarl.evaluation.table import as_text
 from samarl.files import write_json
@@ -46,29 +52,29 @@ Point = dict[str, Any]
 
 
 def main() -> None:
-    """Measure, print the tables, write the JSON."""
+    """Measure, print the tables and write the JSON file."""
     arguments = _parse()
     with interruptible():
         result = measure(arguments.seconds, arguments.compile)
-    print(as_page(result))
+    print(format_tables(result))
     output: Path = arguments.output
     write_json(output, result)
     print(f"\nwritten to {output}")
 
 
 def measure(seconds: float, with_compile: bool) -> dict[str, Any]:
-    """Everything that `results/throughput.json` holds.
+    """Return the content of `results/throughput.json`.
 
     Args:
-        seconds: how long each point is measured.
-        with_compile: also time the first start ever, which compiles everything (a minute).
+        seconds: the duration of the measurement of each point.
+        with_compile: also time a first start without compiled kernels (a minute).
     """
     points = len(BY_WORLDS) + len(BY_HUMANS) + len(BY_ROBOTS) + 3
     with tqdm(total=points, desc="throughput", unit="point", disable=None) as bar:
 
         def point(worlds: int, humans: int, robots: int) -> Point:
             bar.set_postfix_str(f"{worlds} worlds, {humans} humans, {robots} robots")
-            rates = steps_per_second(RandomDrive(worlds, humans, robots).step, seconds)
+            rates = steps_per_second(RandomStepper(worlds, humans, robots).step, seconds)
             bar.update()
             return _point(worlds, humans, robots, [rate * worlds for rate in rates])
 
@@ -95,37 +101,37 @@ def measure(seconds: float, with_compile: bool) -> dict[str, Any]:
         "seconds_per_point": seconds,
         "repetitions": _REPETITIONS,
         "threads": numba.get_num_threads(),
-        **made_by("throughput"),
+        **provenance("throughput"),
     }
 
 
 def steps_per_second(step: Callable[[], Any], seconds: float) -> list[float]:
-    """How often `step` runs in a second, once per repetition; all of them take `seconds`."""
-    count, took = 1, 0.0
-    while took < 0.02 and took < seconds:
-        took = _time(step, count)
+    """Return the calls of `step` per second in each repetition; together these take `seconds`."""
+    count, elapsed = 1, 0.0
+    while elapsed < 0.02 and elapsed < seconds:
+        elapsed = _time(step, count)
         count *= 2
-    steps = max(1, round(count / 2 * seconds / _REPETITIONS / took))
+    steps = max(1, round(count / 2 * seconds / _REPETITIONS / elapsed))
     return [steps / _time(step, steps) for _ in range(_REPETITIONS)]
 
 
 def growth_exponent(sizes: Sequence[float], costs: Sequence[float]) -> float:
-    """The x of cost ~ size^x, a least-squares line through the last three points in logarithms."""
+    """Return x of cost ~ size^x, fitted by least squares to the logarithms of the last 3 points."""
     return float(np.polyfit(np.log(sizes[-3:]), np.log(costs[-3:]), 1)[0])
 
 
-def as_page(result: dict[str, Any]) -> str:
-    """The tables as text."""
+def format_tables(result: dict[str, Any]) -> str:
+    """Return the tables as text."""
     full, pettingzoo, start = result["full_step"], result["pettingzoo"], result["start"]
     compile_seconds = start["compile_seconds"]
-    last = {
+    scaling_laws = {
         "worlds": "time of one step of all worlds ~ worlds",
         "humans": "time of one world-step ~ humans",
         "robots": "time of one world-step ~ robots",
     }
     tables = [
         _table(key, result[f"by_{key}"], text, of_all_worlds=key == "worlds")
-        for key, text in last.items()
+        for key, text in scaling_laws.items()
     ]
     compiled = "not measured (--compile)" if compile_seconds is None else f"{compile_seconds} s"
     return "\n\n".join(
@@ -134,8 +140,8 @@ def as_page(result: dict[str, Any]) -> str:
             f"{_range(full)} world-steps/s",
             *tables,
             f"PettingZoo, one world: {_range(pettingzoo)} steps/s\n"
-            f"A process up to its first step, compiled before: {start['from_cache_seconds']} s\n"
-            f"The same with nothing compiled: {compiled}",
+            "From process start to the first step, with cached kernels: "
+            f"{start['from_cache_seconds']} s\nThe same without cached kernels: {compiled}",
             f"Median of {_REPETITIONS} repetitions [smallest, largest], "
             f"{result['threads']} threads, {result['machine']}, commit {result['commit']}",
         ]
@@ -143,7 +149,7 @@ def as_page(result: dict[str, Any]) -> str:
 
 
 def _table(key: str, points: Sequence[Point], text: str, of_all_worlds: bool) -> str:
-    header = (key, "world-steps/s", "smallest", "largest", "ns per world-step", "to the previous")
+    header = (key, "world-steps/s", "smallest", "largest", "ns per world-step", "ratio to previous")
     lines = []
     previous = None
     for p in points:
@@ -159,7 +165,7 @@ def _table(key: str, points: Sequence[Point], text: str, of_all_worlds: bool) ->
         previous = cost
     costs = [p["ns_per_world_step"] * (p["worlds"] if of_all_worlds else 1) for p in points]
     exponent = growth_exponent([p[key] for p in points], costs)
-    return f"{as_text(header, lines)}\n{text}^{exponent:.2f} (through the last three)"
+    return f"{as_text(header, lines)}\n{text}^{exponent:.2f} (fitted to the last three points)"
 
 
 def _range(point: Point) -> str:
@@ -187,7 +193,7 @@ def _time(step: Callable[[], Any], count: int) -> float:
 
 
 def _pettingzoo_step() -> Callable[[], None]:
-    """One step of the PettingZoo environment, with the reset when an episode ends."""
+    """Return a function that steps the PettingZoo environment and resets it after an episode."""
     env = PettingZooEnv(humans=HUMANS, robots=ROBOTS)
     env.reset(seed=0)
     for agent in env.possible_agents:
@@ -196,12 +202,12 @@ def _pettingzoo_step() -> Callable[[], None]:
         {agent: env.action_space(agent).sample() for agent in env.possible_agents}
         for _ in range(64)
     ]
-    turn = 0
+    index = 0
 
     def step() -> None:
-        nonlocal turn
-        turn = (turn + 1) % len(actions)
-        env.step(actions[turn])
+        nonlocal index
+        index = (index + 1) % len(actions)
+        env.step(actions[index])
         if not env.agents:
             env.reset()
 
@@ -209,7 +215,7 @@ def _pettingzoo_step() -> Callable[[], None]:
 
 
 def _start_from_cache() -> float:
-    _run_first_step({})  # what is not yet in the cache goes there
+    _run_first_step({})  # fills the cache
     return round(statistics.median(_run_first_step({}) for _ in range(_STARTS)), 2)
 
 
@@ -219,7 +225,7 @@ def _start_without_cache() -> float:
 
 
 def _run_first_step(environment: dict[str, str]) -> float:
-    """Seconds from the start of a Python process to the end of its first step."""
+    """Return the seconds from the start of a Python process to the end of its first step."""
     start = time.perf_counter()
     command = [sys.executable, "-c", _FIRST_STEP]
     subprocess.run(command, env=os.environ | environment, check=True, capture_output=True)
@@ -229,19 +235,19 @@ def _run_first_step(environment: dict[str, str]) -> float:
 def _parse() -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks.throughput",
-        description="Measure how many world-steps a second the simulator makes, how that changes "
-        "with worlds, humans and robots, and how long a process takes to start.",
+        description="Measure the world-steps per second of the simulator, how they scale with "
+        "worlds, humans and robots, and how long a process takes to start.",
     )
     parser.add_argument(
         "--seconds",
         type=positive_number,
         default=2.0,
-        help="how long each of the 20 points is measured (default: 2)",
+        help="duration of the measurement of each of the 20 points (default: 2)",
     )
     parser.add_argument(
         "--compile",
         action="store_true",
-        help="also time the first start ever, with nothing compiled (half a minute)",
+        help="also time a first start, which compiles all kernels (half a minute)",
     )
     add_output(parser, "throughput")
     return parser.parse_args()

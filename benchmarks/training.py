@@ -1,10 +1,10 @@
-"""How fast a policy is trained and where the time goes: `python -m benchmarks.training`.
+"""Measure the speed of training and where its time is spent: `python -m benchmarks.training`.
 
-Rounds of the default recipe (collect, update) are timed; as many more then run under Python's
-profiler, which says what share of them each part takes. Arguments are those of `samarl-train`:
-`python -m benchmarks.training trainer.threads=1`. Several processes that train together:
-`torchrun --nproc-per-node 2 --no-python python -m benchmarks.training trainer.threads=1`; a speed
-is then that of all of them, the parts are those of the first.
+Rounds of the default recipe (collect, update) are timed. As many further rounds run under Python's
+profiler, which measures the share of each part. Arguments are those of `samarl-train`:
+`python -m benchmarks.training trainer.threads=1`. To measure several processes that train together:
+`torchrun --nproc-per-node 2 --no-python python -m benchmarks.training trainer.threads=1`. The speed
+is then that of all processes together, and the shares are those of the first one.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from hydra import compose, initialize_config_dir
 from hydra.core.config_store import ConfigStore
 from tqdm import trange
 
-from benchmarks.workload import add_output, interruptible, made_by, positive_whole_number
+from benchmarks.workload import add_output, interruptible, positive_whole_number, provenance
 from samarl.commands.train import Train, build_trainer
 from samarl.configuration import register_schemas
 from samarl.distributed import asked_to_stop
@@ -30,7 +30,7 @@ from samarl.files import find_folder, machine, write_json
 from samarl.launch import processes, rank
 from samarl.training.trainer import Trainer
 
-# Parts of a round and the functions that make them up (end of the file's path, name).
+# The functions that make up each part of a round: end of the file's path, name.
 _PARTS = {
     "simulation": [("world.py", "step"), ("world.py", "reset")],
     "tracks, features": [("policy.py", "_perceive")],
@@ -41,32 +41,32 @@ _PARTS = {
     "networks, forward": [("ppo.py", "_loss")],
     "networks, backward": [("_tensor.py", "backward")],
     "optimiser": [("adam.py", "step"), ("clip_grad.py", "clip_grad_norm_")],
-    "mean of gradients": [("distributed.py", "average_gradients")],  # waits for the slowest process
+    "mean of gradients": [("distributed.py", "average_gradients")],  # waits for the slowest one
 }
-_WITHIN = {  # what is called from within a part is no part of it
+_NESTED = {  # parts that run within another part and are subtracted from it
     "networks, acting": ["tracks, features"],
     "rollouts": ["networks, acting", "tracks, features", "shield", "simulation"],
 }
 
 
 def main() -> None:
-    """Measure, print the table, write the JSON."""
+    """Measure, print the table and write the JSON file."""
     arguments = _parse()
     with interruptible(), tempfile.TemporaryDirectory() as folder:
         trainer = default_trainer([*arguments.settings, f"run_dir={folder}"])
         seconds, steps = [], 0
-        silent = None if rank() == 0 else True
+        hide_progress = None if rank() == 0 else True
         profiler = cProfile.Profile()
         rounds = arguments.rounds
-        for number in trange(1 + 2 * rounds, desc="training", unit="round", disable=silent):
+        for number in trange(1 + 2 * rounds, desc="training", unit="round", disable=hide_progress):
             if number == 1 + rounds:
                 profiler.enable()
-            begun = time.perf_counter()
-            before = trainer.steps_done
+            start = time.perf_counter()
+            steps_before = trainer.steps_done
             trainer.round()
-            if 1 <= number <= rounds:  # the first one compiles and warms up
-                seconds.append(time.perf_counter() - begun)
-            steps = trainer.steps_done - before
+            if 1 <= number <= rounds:  # round 0 compiles and warms up
+                seconds.append(time.perf_counter() - start)
+            steps = trainer.steps_done - steps_before
             if asked_to_stop():
                 raise KeyboardInterrupt
         profiler.disable()
@@ -80,12 +80,12 @@ def main() -> None:
         "share_percent": shares(pstats.Stats(profiler)),
         "processes": processes(),
         "threads": trainer.config.threads,
-        **made_by("training"),
+        **provenance("training"),
     }
     write_json(arguments.output, result)
     rate, low, high = (f"{value:,.0f}" for value in list(result.values())[:3])
     print(
-        f"{rate} [{low}, {high}] world-steps a second, {processes()} processes with "
+        f"{rate} [{low}, {high}] world-steps per second, {processes()} processes with "
         f"{result['threads']} threads each, {machine()}"
     )
     lines = [[part, f"{share:.1f}"] for part, share in result["share_percent"].items()]
@@ -94,7 +94,7 @@ def main() -> None:
 
 
 def shares(profile: pstats.Stats) -> dict[str, float]:
-    """Percent of the profiled time that each part takes."""
+    """Return the share of the profiled time that each part takes, in percent."""
     calls: dict[tuple[str, int, str], tuple] = profile.stats  # type: ignore[attr-defined]
     total = sum(call[2] for call in calls.values())
     spent = {
@@ -105,14 +105,14 @@ def shares(profile: pstats.Stats) -> dict[str, float]:
         )
         for part, functions in _PARTS.items()
     }
-    for part, inner in _WITHIN.items():
+    for part, inner in _NESTED.items():
         spent[part] -= sum(spent[name] for name in inner)
     spent["rest"] = total - sum(spent.values())
     return {part: round(100 * seconds / total, 1) for part, seconds in spent.items()}
 
 
 def default_trainer(settings: list[str]) -> Trainer:
-    """What `samarl-train` would run with these settings."""
+    """Return the trainer that `samarl-train` would run with these settings."""
     register_schemas()
     ConfigStore.instance().store(name="train_schema", node=Train)
     with initialize_config_dir(str(find_folder("conf").resolve()), version_base="1.3"):
@@ -124,7 +124,12 @@ def _parse() -> argparse.Namespace:
         prog="python -m benchmarks.training", description=(__doc__ or "").partition("\n")[0]
     )
     parser.add_argument("settings", nargs="*", help="as for samarl-train: trainer.threads=1")
-    parser.add_argument("--rounds", type=positive_whole_number, default=5, help="timed (5)")
+    parser.add_argument(
+        "--rounds",
+        type=positive_whole_number,
+        default=5,
+        help="timed rounds (5)",
+    )
     add_output(parser, "training_throughput")
     return parser.parse_intermixed_args()
 

@@ -1,8 +1,9 @@
-"""The benchmark as a task of BenchMARL: `python examples/benchmarl_task.py`.
+"""Train with BenchMARL on this benchmark: `python examples/benchmarl_task.py`.
 
-BenchMARL 1.5 needs TorchRL below 0.12, which this package works with as well:
-`pip install benchmarl "torchrl<0.12" "tensordict<0.12"`, best in an environment of its own. All its
-algorithms and models then train here; this is its MAPPO with a multi-layer perceptron.
+BenchMARL 1.5 requires TorchRL below 0.12, which this package supports as well:
+`pip install benchmarl "torchrl<0.12" "tensordict<0.12"`, preferably in a separate environment. All
+algorithms and models of BenchMARL can be used; this example uses MAPPO with a multi-layer
+perceptron.
 """
 
 from __future__ import annotations
@@ -26,79 +27,79 @@ FLAT = ("agents", "flat")
 
 
 class SocialNavigationClass(TaskClass):
-    """Worlds whose numbers are the task's configuration: the fields of `mrsan.Scenario`."""
+    """A BenchMARL task whose configuration holds fields of `mrsan.Scenario`."""
 
     def get_env_fun(
         self, num_envs: int, continuous_actions: bool, seed: int | None, device: Any
     ) -> Callable[[], EnvBase]:
-        """Worlds in which all that a robot observes is one row, as a perceptron wants it."""
+        """Return a function that creates worlds with flat observations for a perceptron."""
 
         def make() -> EnvBase:
             worlds = TorchRLEnv(worlds=num_envs, device=device, seed=seed, **self.config)
-            one_row = Compose(
+            flatten = Compose(
                 FlattenObservation(-2, -1, in_keys=[HUMANS, ROBOTS]),
                 CatTensors([EGO, HUMANS, ROBOTS], FLAT),
             )
-            return TransformedEnv(worlds, one_row)
+            return TransformedEnv(worlds, flatten)
 
         return make
 
     def supports_continuous_actions(self) -> bool:
-        """They are accelerations and turns."""
+        """Return True: actions are accelerations and turns."""
         return True
 
     def supports_discrete_actions(self) -> bool:
-        """There are none."""
+        """Return False."""
         return False
 
     def max_steps(self, env: EnvBase) -> int:
-        """As many as the time limit allows."""
+        """Return the number of steps within the time limit."""
         return round(env.scenario.time_limit / env.scenario.time_step)
 
     def has_render(self, env: EnvBase) -> bool:
-        """Pictures are made by `samarl-render`."""
+        """Return False: use `samarl-render` to draw episodes."""
         return False
 
     def group_map(self, env: EnvBase) -> dict[str, list[str]]:
-        """All robots are one group."""
+        """Return one group with all robots."""
         return env.group_map
 
     def observation_spec(self, env: EnvBase) -> Composite:
-        """What the actors see."""
+        """Return the specification of the observations of the actors."""
         return _only(env.full_observation_spec_unbatched, FLAT[-1])
 
     def action_spec(self, env: EnvBase) -> Composite:
-        """What they do."""
+        """Return the specification of the actions."""
         return env.full_action_spec_unbatched
 
     def info_spec(self, env: EnvBase) -> None:
-        """Nothing else is logged."""
+        """Return None: nothing else is logged."""
 
     def state_spec(self, env: EnvBase) -> None:
-        """Critics see what all robots see."""
+        """Return None: critics receive the observations of all robots."""
 
     def action_mask_spec(self, env: EnvBase) -> None:
-        """Every action is allowed at any time."""
+        """Return None: every action is allowed at any time."""
 
     @staticmethod
     def env_name() -> str:
-        """As it is called in logs."""
+        """Return the name of the environment in logs."""
         return "mrsan"
 
 
 class SocialNavigation(Task):
-    """The tasks; `SocialNavigation.CIRCLE.get_task({"humans": 5})`."""
+    """The tasks of the benchmark, for example `SocialNavigation.CIRCLE.get_task({"humans": 5})`."""
 
     CIRCLE = None
 
     @staticmethod
     def associated_class() -> type[TaskClass]:
-        """Their class."""
+        """Return the class of the tasks."""
         return SocialNavigationClass
 
 
 def _only(spec: Composite, key: str) -> Composite:
-    """Of the robots' entries the one of this name."""
+    """Return a specification with only the entry `key` of the robots."""
     agents = spec["agents"].clone()
     for other in set(agents.keys()) - {key}:
         del agents[other]
@@ -106,23 +107,23 @@ def _only(spec: Composite, key: str) -> Composite:
 
 
 def main() -> None:
-    """Train with BenchMARL's own experiment."""
+    """Train with BenchMARL's experiment."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--humans", type=int, default=0, help="people in each world")
-    parser.add_argument("--robots", type=int, default=2, help="in each world")
-    parser.add_argument("--steps", type=int, default=400_000, help="of all worlds together")
+    parser.add_argument("--humans", type=int, default=0, help="number of people in each world")
+    parser.add_argument("--robots", type=int, default=2, help="number of robots in each world")
+    parser.add_argument("--steps", type=int, default=400_000, help="steps of all worlds together")
     parser.add_argument("--worlds", type=int, default=64)
-    wanted = parser.parse_args()
+    arguments = parser.parse_args()
     experiment = ExperimentConfig.get_from_yaml()
-    experiment.max_n_frames, experiment.gamma = wanted.steps, 0.99
-    experiment.on_policy_n_envs_per_worker = wanted.worlds
-    experiment.on_policy_collected_frames_per_batch = 64 * wanted.worlds
+    experiment.max_n_frames, experiment.gamma = arguments.steps, 0.99
+    experiment.on_policy_n_envs_per_worker = arguments.worlds
+    experiment.on_policy_collected_frames_per_batch = 64 * arguments.worlds
     experiment.on_policy_n_minibatch_iters, experiment.on_policy_minibatch_size = 4, 1024
     experiment.evaluation, experiment.loggers, experiment.create_json = False, [], False
     outputs = Path("outputs")
     outputs.mkdir(exist_ok=True)
     experiment.save_folder = str(outputs)
-    scenario = {"humans": wanted.humans, "robots": wanted.robots}
+    scenario = {"humans": arguments.humans, "robots": arguments.robots}
     Experiment(
         task=SocialNavigation.CIRCLE.get_task(scenario),
         algorithm_config=MappoConfig.get_from_yaml(),

@@ -1,8 +1,8 @@
-"""A crowd of one's own, and who gets through it: `python examples/custom_crowd.py`.
+"""Evaluate agents in a custom crowd: `python examples/custom_crowd.py`.
 
-At a station: people of different width, slow ones and some in a hurry, who push rather than plan.
-Every field of `mrsan.Scenario` can be changed like this; its numbers are checked, and its cases are
-as repeatable as those of the table.
+The crowd is that of a station: people of different size, slow and fast, who push rather than plan.
+Every field of `mrsan.Scenario` can be changed in this way. The values are checked, and the cases
+are as reproducible as those of the tables.
 """
 
 from __future__ import annotations
@@ -21,27 +21,27 @@ from samarl.report.trajectories import save_trajectories
 STATION = Scenario(
     robots=3,
     humans=15,
-    humans_min=8,  # of each case as many as is drawn
+    humans_min=8,  # the number of people of each case is random
     crowd=Crowd.social_force,
     human_radius_min=0.2,
     human_radius_max=0.4,  # m
     human_speed_min=0.6,
     human_speed_max=1.6,  # m/s
     goal_change_interval=8.0,  # s
-    arena_radius=10.0,  # m: a wall for robots
+    arena_radius=10.0,  # m; a round wall for robots
 )
 
 
 def main() -> None:
-    """Play the same test cases with several agents and draw the first one of the best."""
+    """Evaluate several agents on the same test cases and draw a case of the best agent."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--cases", type=int, default=200)
     parser.add_argument("--agents", nargs="+", default=["orca", "model_predictive", "samarl"])
     parser.add_argument("--output", type=Path, default=Path("outputs/station.png"))
-    wanted = parser.parse_args()
-    cases = Evaluation(cases=wanted.cases).numbers()
+    arguments = parser.parse_args()
+    cases = Evaluation(cases=arguments.cases).numbers()
     success = {}
-    for name in wanted.agents:
+    for name in arguments.agents:
         agent = build_agent(load_agent(name), STATION)
         episodes = run_cases(agent, STATION, cases, batch=100, title=name)
         row = METRICS["success_rate"].of(episodes) | METRICS["social_score"].of(episodes)
@@ -49,9 +49,9 @@ def main() -> None:
         print(f"{name:18} success {row['success_rate']} %, social score {row['social_score']}")
     best = max(success, key=success.__getitem__)
     recording = record_episode(build_agent(load_agent(best), STATION), STATION, Split.test.case(0))
-    wanted.output.parent.mkdir(parents=True, exist_ok=True)
-    save_trajectories([(recording, f"{best} at the station")], wanted.output)
-    print(f"written to {wanted.output}")
+    arguments.output.parent.mkdir(parents=True, exist_ok=True)
+    save_trajectories([(recording, f"{best} at the station")], arguments.output)
+    print(f"written to {arguments.output}")
 
 
 if __name__ == "__main__":

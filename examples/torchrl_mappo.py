@@ -1,7 +1,8 @@
-"""TorchRL's own parts learn MAPPO here: `python examples/torchrl_mappo.py`.
+"""Train MAPPO with TorchRL's modules: `python examples/torchrl_mappo.py`.
 
-Nothing of `samarl` is used: the worlds are a TorchRL environment, the rest is what TorchRL's
-tutorials do. Every robot is paid its own reward; one critic sees what all robots see.
+The example does not use `samarl`: the worlds are a TorchRL environment, and the rest follows
+TorchRL's tutorials. Every robot receives its own reward; one critic receives the observations of
+all robots.
 """
 
 from __future__ import annotations
@@ -25,10 +26,10 @@ WORLDS, STEPS, EPOCHS, MINIBATCH = 64, 64, 4, 1024
 
 
 class Flatten(nn.Module):
-    """All a robot observes as one row, [..., N, F]; who is not in view counts as zeros."""
+    """Concatenates all observations of a robot, [..., N, F]; zeros replace what is not visible."""
 
     def forward(self, *parts: torch.Tensor) -> torch.Tensor:
-        """Their own state, the people and the other robots."""
+        """Return the own state, the people and the other robots as one tensor."""
         ego, humans, humans_visible, robots, robots_visible = parts
         humans = humans * humans_visible.unsqueeze(-1)
         robots = robots * robots_visible.unsqueeze(-1)
@@ -36,7 +37,7 @@ class Flatten(nn.Module):
 
 
 def make_networks(env: TorchRLEnv) -> tuple[ProbabilisticActor, TensorDictSequential]:
-    """The actor, whose weights the robots share, and the critic, which sees all of them."""
+    """Return an actor with shared weights and a critic of all robots' observations."""
     scenario, spec = env.scenario, env.observation_spec[AGENTS]
     names = ("ego", "humans", "humans_visible", "robots", "robots_visible")
     flat = TensorDictModule(Flatten(), [(*AGENTS, name) for name in names], [("agents", "flat")])
@@ -62,14 +63,14 @@ def make_networks(env: TorchRLEnv) -> tuple[ProbabilisticActor, TensorDictSequen
 
 
 def explore(env: TorchRLEnv, actor: ProbabilisticActor, data: TensorDict) -> TensorDict:
-    """Some steps of all worlds; outside of TorchRL's collectors an actor takes the mean else."""
+    """Return `STEPS` steps of all worlds with sampled actions; the default would be their mean."""
     with set_exploration_type(ExplorationType.RANDOM):
         return env.rollout(STEPS, actor, auto_reset=False, tensordict=data,
                            break_when_any_done=False)  # fmt: skip
 
 
 def train(humans: int, robots: int, steps: int) -> list[float]:
-    """Train for that many steps of all worlds; returns the success rate of each batch, %."""
+    """Train for `steps` steps of all worlds; return the success rate of each batch, %."""
     env = TorchRLEnv(worlds=WORLDS, humans=humans, robots=robots, seed=0)
     actor, critic = make_networks(env)
     loss = ClipPPOLoss(
@@ -87,18 +88,19 @@ def train(humans: int, robots: int, steps: int) -> list[float]:
         with torch.no_grad():
             batch = explore(env, actor, data)
             data = env.maybe_reset(step_mdp(batch[:, -1]))
-            after = batch["next"]
-            for key in ("done", "terminated"):  # of the team; the loss wants them of each robot
-                of_each = after[key].unsqueeze(-1).expand_as(after["agents", "reward"])
-                after["agents", key] = of_each
+            following = batch["next"]
+            for key in ("done", "terminated"):  # the loss needs the team's flags for each robot
+                per_robot = following[key].unsqueeze(-1).expand_as(following["agents", "reward"])
+                following["agents", key] = per_robot
             loss.value_estimator(batch, params=loss.critic_network_params,
                                  target_params=loss.target_critic_network_params)  # fmt: skip
-        ended = after["done"]
-        rates.append(100.0 * (after["success"] & ended).sum().item() / max(ended.sum().item(), 1))
+        ended = following["done"]
+        successes = (following["success"] & ended).sum().item()
+        rates.append(100.0 * successes / max(ended.sum().item(), 1))
         samples = batch.reshape(-1)
         for _ in range(EPOCHS):
-            for chosen in torch.randperm(len(samples)).split(MINIBATCH):
-                losses = loss(samples[chosen])
+            for indices in torch.randperm(len(samples)).split(MINIBATCH):
+                losses = loss(samples[indices])
                 optimiser.zero_grad()
                 total = sum(value for key, value in losses.items() if key.startswith("loss_"))
                 total.backward()
@@ -108,15 +110,15 @@ def train(humans: int, robots: int, steps: int) -> list[float]:
 
 
 def main() -> None:
-    """Train and print how the share of episodes in which all robots arrive grows."""
+    """Train and print the success rate in each tenth of the training."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--humans", type=int, default=0, help="people in each world")
-    parser.add_argument("--robots", type=int, default=2, help="in each world")
-    parser.add_argument("--steps", type=int, default=400_000, help="of all worlds together")
-    wanted = parser.parse_args()
-    rates = train(wanted.humans, wanted.robots, wanted.steps)
+    parser.add_argument("--humans", type=int, default=0, help="number of people in each world")
+    parser.add_argument("--robots", type=int, default=2, help="number of robots in each world")
+    parser.add_argument("--steps", type=int, default=400_000, help="steps of all worlds together")
+    arguments = parser.parse_args()
+    rates = train(arguments.humans, arguments.robots, arguments.steps)
     tenths = np.array_split(rates, min(10, len(rates)))
-    print("all arrived, % by tenths of the training:", *(f"{part.mean():.0f}" for part in tenths))
+    print("success rate by tenths of the training, %:", *(f"{part.mean():.0f}" for part in tenths))
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Between ROS messages and the runtime, without ROS: any object with the same fields will do."""
+"""Convert between ROS messages and the runtime; any objects with the same fields will do."""
 
 from __future__ import annotations
 
@@ -9,34 +9,35 @@ from samarl.runtime import Command, Detection, OwnState
 
 
 def seconds(stamp: Any) -> float:
-    """Of a `builtin_interfaces/Time`, s."""
+    """Return a `builtin_interfaces/Time` in seconds."""
     return stamp.sec + 1e-9 * stamp.nanosec
 
 
 def yaw(orientation: Any) -> float:
-    """The heading of a `geometry_msgs/Quaternion`, rad."""
+    """Return the heading of a `geometry_msgs/Quaternion`, rad."""
     q = orientation
     return math.atan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y * q.y + q.z * q.z))
 
 
 def own_state(odometry: Any, goal: Any) -> OwnState:
-    """Of a `nav_msgs/Odometry` and a `geometry_msgs/PoseStamped` in the same frame.
+    """Return the robot's state from a `nav_msgs/Odometry` and a `geometry_msgs/PoseStamped`.
 
-    The twist of an odometry is in the frame of the robot.
+    Both must be in the same frame. The twist of the odometry is in the frame of the robot.
     """
-    place, heading = odometry.pose.pose.position, yaw(odometry.pose.pose.orientation)
-    ahead, left = odometry.twist.twist.linear.x, odometry.twist.twist.linear.y
+    position, heading = odometry.pose.pose.position, yaw(odometry.pose.pose.orientation)
+    forward, lateral = odometry.twist.twist.linear.x, odometry.twist.twist.linear.y
     cos, sin = math.cos(heading), math.sin(heading)
     return OwnState(
-        place.x, place.y, heading, cos * ahead - sin * left, sin * ahead + cos * left,
+        position.x, position.y, heading,
+        cos * forward - sin * lateral, sin * forward + cos * lateral,
         goal.pose.position.x, goal.pose.position.y,
     )  # fmt: skip
 
 
 def detections(people: Any, reliability: float = 0.5) -> list[Detection]:
-    """Of a `people_msgs/People`: those that are sure enough; `name` is the id, if there is one.
+    """Return the people of a `people_msgs/People` with at least this reliability.
 
-    Its velocities are per second in the frame of the message.
+    `name` becomes the id unless it is empty. Velocities are in m/s in the frame of the message.
     """
     return [
         Detection(
@@ -49,10 +50,10 @@ def detections(people: Any, reliability: float = 0.5) -> list[Detection]:
 
 
 def velocity(command: Command) -> tuple[float, float]:
-    """Forward speed (m/s) and turn rate (rad/s) of a `geometry_msgs/Twist`."""
+    """Return the forward speed (m/s) and turn rate (rad/s) for a `geometry_msgs/Twist`."""
     return command.speed, command.turn_rate
 
 
 def arrived(own: OwnState, radius: float) -> bool:
-    """Whether the robot is at its goal, as the simulator judges."""
+    """Whether the robot is at its goal, by the definition of the simulator."""
     return math.hypot(own.goal_x - own.x, own.goal_y - own.y) < radius

@@ -13,14 +13,14 @@ from rclpy.node import Node
 
 from samarl.runtime import Driver, InputError
 
-SILENCE = 0.5  # without odometry for so long the robot stops, s
+ODOMETRY_TIMEOUT = 0.5  # the robot stops after this time without odometry, s
 
 
 class DriverNode(Node):
-    """Odometry, people and a goal in; velocities out."""
+    """Receives odometry, people and a goal, and publishes velocities."""
 
     def __init__(self, path: str) -> None:
-        """Load the policy, then listen."""
+        """Load the policy, then subscribe to the topics."""
         super().__init__("samarl_driver")
         self._driver = Driver.load(path)
         self._odometry: Odometry | None = None
@@ -43,7 +43,7 @@ class DriverNode(Node):
         self._driver.reset()  # a new goal is a new episode
 
     def _step(self) -> None:
-        twist = Twist()  # to stand
+        twist = Twist()  # zero: stop
         try:
             twist.linear.x, twist.angular.z = self._decision()
         except InputError as error:
@@ -54,15 +54,15 @@ class DriverNode(Node):
         if self._goal is None or self._odometry is None:
             return 0.0, 0.0
         now = self.get_clock().now().nanoseconds * 1e-9
-        if now - seconds(self._odometry.header.stamp) > SILENCE:
-            raise InputError(f"there was no odometry for {SILENCE} s")
-        people, self._people = self._people, None  # nobody is taken for seen twice
+        if now - seconds(self._odometry.header.stamp) > ODOMETRY_TIMEOUT:
+            raise InputError(f"no odometry was received for {ODOMETRY_TIMEOUT} s")
+        people, self._people = self._people, None  # use each detection once
         frame = self._odometry.header.frame_id
         for name, message in (("goal_pose", self._goal), ("people", people)):
             if message is not None and message.header.frame_id != frame:
                 raise InputError(
-                    f"{name} is in frame {message.header.frame_id!r}; it must be in that of the "
-                    f"odometry, {frame!r}"
+                    f"{name} is in frame {message.header.frame_id!r}; it must be in {frame!r}, the "
+                    "frame of the odometry"
                 )
         own = own_state(self._odometry, self._goal)
         if arrived(own, self._driver.scenario.robot_radius):

@@ -32,8 +32,10 @@ from samarl.policies.stochastic import ActionBatch, StochasticPolicy
 from samarl.rollout import Rollout, level_key
 
 MACRO_RISE = 0.3
-"""Share of the training in which the macro level's minimal noise rises from 0: waypoints hardly move
-at first, so that the local level learns to drive to them."""
+"""Share of the training in which the macro level's minimal noise rises from 0.
+
+Waypoints hardly move at first, so that the local level learns to drive to them.
+"""
 
 CHUNK_SIZE = 16384
 """Frames per forward pass of the critics when no gradient is needed, to bound the memory."""

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.synthetic_recording import recording as synthetic
+from benchmarks.synthetic_recording import recording_text as synthetic
 from mrsan import ConfigurationError, Crowd, Scenario, World
 from mrsan.recording import (
     SAMPLE,

@@ -94,7 +94,7 @@ def test_an_algorithm_in_samarl_train(tmp_path: Path) -> None:
 
 
 def test_an_algorithm_of_ones_own(tmp_path: Path) -> None:
-    text = section("A program of one's own").replace("2000000", "4096")
+    text = section("A separate program").replace("2000000", "4096")
     (tmp_path / "my_conf/agent").mkdir(parents=True)
     (tmp_path / "my_conf/agent/my_ppo.yaml").write_text(block(text, "yaml"))
     (tmp_path / "my_ppo.py").write_text(block(text, "python"))

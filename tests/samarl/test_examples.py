@@ -44,7 +44,7 @@ def test_stable_baselines_begins_softly_among_people(tmp_path: Path) -> None:
 
 def test_torchrl_trains_by_its_own_parts(tmp_path: Path) -> None:
     said = run("torchrl_mappo.py", "--steps", "8192", cwd=tmp_path)
-    assert said.startswith("all arrived, % by tenths of the training: ")
+    assert said.startswith("success rate by tenths of the training, %: ")
 
 
 def test_torchrl_actors_explore(monkeypatch: pytest.MonkeyPatch) -> None:

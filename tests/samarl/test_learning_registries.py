@@ -130,20 +130,15 @@ def test_every_name_trains_and_its_checkpoint_drives_as_before(choice: str, tmp_
 @pytest.mark.parametrize(
     ("kind", "values", "message"),
     [
-        (
-            "encoder",
-            {"name": "os.system"},
-            "encoder.name is 'os.system'; it must be among gru, pairwise, social",
-        ),
-        ("policy", {"name": None}, "policy.name is 'None'; it must be among flat"),
-        ("encoder", {"name": "gru", "width": 8, "wdith": 8}, "encoder.wdith"),
-        ("encoder", {"name": "gru", "width": 0, "features": 8}, "encoder.width is 0; it must be"),
-        ("encoder", {"name": "gru", "width": "wide", "features": 8}, "encoder.width"),
-        ("encoder", {"name": "gru", "width": 8}, "encoder.features"),
+        ("encoder", {"name": "os.system"}, r"encoder\.name .*os\.system.*gru, pairwise, social"),
+        ("policy", {"name": None}, r"policy\.name .*None.*flat"),
+        ("encoder", {"name": "gru", "width": 8, "wdith": 8}, r"encoder\.wdith"),
+        ("encoder", {"name": "gru", "width": 0, "features": 8}, r"encoder\.width .*0.* \[?\d+"),
+        ("encoder", {"name": "gru", "width": "wide", "features": 8}, r"encoder\.width .*wide"),
+        ("encoder", {"name": "gru", "width": 8}, r"encoder\.features"),
     ],
 )
 def test_a_mistake_is_named(kind: str, values: dict[str, Any], message: str) -> None:
-    with pytest.raises(ConfigurationError) as error:
+    with pytest.raises(ConfigurationError, match=f"^{message}") as error:
         KINDS[kind].config(values)
-    assert str(error.value).startswith(message)
     assert "\n" not in str(error.value)

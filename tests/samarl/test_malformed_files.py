@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 import torch
 
-from benchmarks.malformed import ACCEPTED, REFUSED, make_item, outcome
-from benchmarks.malformed_kinds import KINDS, POLICY, THROUGH_COMMANDS, Good
+from benchmarks.malformed import ACCEPTED, REFUSED, make_input, outcome
+from benchmarks.malformed_kinds import COMMAND_KINDS, KINDS, POLICY, ValidInputs
 from mrsan import ConfigurationError
 from samarl.configuration import scenario_of
 from samarl.policies.checkpoint import load_policy, make_policy, save_policy
@@ -19,11 +19,11 @@ def test_what_is_malformed_is_refused_in_words(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    good, kinds, wrong = Good(tmp_path), list(KINDS), []
+    valid, kinds, wrong = ValidInputs(tmp_path), list(KINDS), []
     for number in range(150):
-        if number >= SLOW and kinds[number % len(kinds)] in THROUGH_COMMANDS:
+        if number >= SLOW and kinds[number % len(kinds)] in COMMAND_KINDS:
             continue
-        item = make_item(number, good, seed=1)
+        item = make_input(number, valid, seed=1)
         found = outcome(item)
         if found not in (REFUSED, ACCEPTED):
             wrong.append(f"{number} {item.kind}: {found}")

@@ -151,7 +151,7 @@ def test_an_invalid_input_is_named_and_changes_nothing(
         one.step(OWN, [PERSON], 0.5)
     with pytest.raises(InputError) as error:
         driver.step(own, detections, time)
-    assert str(error.value).startswith(f"{field} is ")
+    assert str(error.value).startswith(f"{field} ")
     assert "\n" not in str(error.value)
     expected = undisturbed.step(OWN, [PERSON], 0.75)
     np.testing.assert_array_equal(driver.step(OWN, [PERSON], 0.75).action, expected.action)
@@ -206,10 +206,10 @@ def test_any_iterable_of_detections_is_the_same_as_a_list(
 
 
 def test_another_file_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConfigurationError, match="there is no file"):
+    with pytest.raises(ConfigurationError, match=r"nothing\.onnx"):
         Driver.load(tmp_path / "nothing.onnx")
     (tmp_path / "broken.onnx").write_bytes(b"no network")
-    with pytest.raises(ConfigurationError, match="is no ONNX file that can be run") as error:
+    with pytest.raises(ConfigurationError, match=r"broken\.onnx") as error:
         Driver.load(tmp_path / "broken.onnx")
     assert "\n" not in str(error.value)
 

@@ -95,7 +95,7 @@ def test_it_is_deployed_with_the_tanh_of_the_mean(action_size: int) -> None:
     world = World(scenario, 4)
     action = Deployed(policy, scenario).act(world.reset([0, 1, 2, 3]))
     assert action == pytest.approx(np.full((4, 2, action_size), math.tanh(3.0)), abs=0.01)
-    with pytest.raises(ConfigurationError, match=f"kinematics is .*this policy has {action_size}"):
+    with pytest.raises(ConfigurationError, match=rf"kinematics .* {action_size}\b"):
         squashed(action_size).check(
             Scenario(
                 kinematics=Kinematics.holonomic if action_size == 3 else "acceleration_heading"
@@ -109,7 +109,7 @@ def test_its_card_says_which_robots_it_drives(tmp_path: Path) -> None:
     save_policy(tmp_path / "policy.safetensors", squashed(), "squashed", made)
     agent = partial(Learned, checkpoint=str(tmp_path / "policy.safetensors"))
     agent(Scenario(kinematics=Kinematics.holonomic))
-    with pytest.raises(ConfigurationError, match=r"is unicycle; .* drives holonomic"):
+    with pytest.raises(ConfigurationError, match=r"kinematics .*unicycle.* holonomic"):
         agent(Scenario(kinematics=Kinematics.unicycle))
 
 
@@ -368,18 +368,18 @@ def test_the_target_networks_follow_slowly() -> None:
 def test_what_does_not_fit_is_refused() -> None:
     policy = squashed()
     for changes, message in (
-        ({"learning_starts": 2001}, "learning_starts is 2001; it must not exceed .* .2000."),
-        ({"critic_heads": 3}, "critic_width is 16; it must be a multiple of .*heads .3."),
+        ({"learning_starts": 2001}, r"learning_starts .*2001.*2000\b"),
+        ({"critic_heads": 3}, r"critic_width .*16.*critic_heads.*3\b"),
     ):
         with pytest.raises(ConfigurationError, match=message):
             learner(policy, **changes)
-    with pytest.raises(ConfigurationError, match="robots is 2; it must be 3"):
+    with pytest.raises(ConfigurationError, match=r"robots .*2.* 3\b"):
         learner(policy, critic="concatenation", robots=2).update([collected(policy)])
-    with pytest.raises(ConfigurationError, match="must be one that does not cap it: soft_actor"):
+    with pytest.raises(ConfigurationError, match="soft_actor_critic"):
         policy.bound_std("local", 0.1, 0.2)
     numbers = policy_numbers("flat", "gru")
     flat = make_policy(numbers.pop("name"), numbers, 2)
-    with pytest.raises(ConfigurationError, match=r"policy\.name must be squashed"):
+    with pytest.raises(ConfigurationError, match=r"policy\.name .*squashed"):
         learner(flat)  # type: ignore[arg-type]
 
 

@@ -68,7 +68,7 @@ def test_a_run_goes_on_bit_for_bit_with_worlds_that_are_taken_back(
 
 def test_a_seed_that_would_share_cases_with_another_is_refused(tmp_path: Path) -> None:
     for seed in (MOST_SEEDS, 2**63 - 1, -1):
-        with pytest.raises(ConfigurationError, match=r"^trainer.seed is .*; it must be") as error:
+        with pytest.raises(ConfigurationError, match=rf"^trainer\.seed .*{seed}\b.*0") as error:
             trainer(tmp_path / "run", seed=seed)
         assert "\n" not in str(error.value)
     assert not (tmp_path / "run").exists()
@@ -104,7 +104,7 @@ def test_fewer_worlds_than_minibatches_learn(tmp_path: Path) -> None:
 
 def test_two_trainings_cannot_share_a_folder(tmp_path: Path) -> None:
     first = RunDir(tmp_path / "run")
-    with pytest.raises(ConfigurationError, match=r"^run_dir is '.*run', into which") as error:
+    with pytest.raises(ConfigurationError, match=r"^run_dir .*run'") as error:
         trainer(tmp_path / "run")
     assert "\n" not in str(error.value)
     first.release()
@@ -115,19 +115,18 @@ def test_a_folder_of_another_configuration_is_refused(tmp_path: Path) -> None:
     made = trainer(tmp_path)
     made.save()
     made.run_dir.release()
-    with pytest.raises(ConfigurationError, match=r"^algorithm\.epochs is 2; .*run_dir"):
+    with pytest.raises(ConfigurationError, match=r"^algorithm\.epochs .*2.*run_dir"):
         trainer(tmp_path, algorithm={"epochs": 2})
     stages = [replace(STAGES[0], worlds=7), *STAGES[1:]]
-    with pytest.raises(ConfigurationError, match=r"^curriculum\.stages\[0\]\.worlds is 7; .* 6 "):
+    with pytest.raises(ConfigurationError, match=r"^curriculum\.stages\[0\]\.worlds .*7.* 6 "):
         trainer(tmp_path, stages)
-    fewer = r"^trainer\.steps is 1; it must be at least 1000000, .* 0 are done"
-    with pytest.raises(ConfigurationError, match=fewer):
+    with pytest.raises(ConfigurationError, match=r"^trainer\.steps .*1.* 1000000"):
         trainer(tmp_path, steps=1)
 
 
 @pytest.mark.parametrize("device", ["meta", "mkldnn", "xla", "hpu", "cuda:99", "gpu", ""])
 def test_a_device_that_cannot_compute_is_refused(device: str, tmp_path: Path) -> None:
-    with pytest.raises(ConfigurationError, match=rf"^trainer\.device is '{device}'") as error:
+    with pytest.raises(ConfigurationError, match=rf"^trainer\.device .*'{device}'") as error:
         trainer(tmp_path, device=device)
     assert "\n" not in str(error.value)
 

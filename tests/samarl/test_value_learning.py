@@ -117,16 +117,16 @@ def test_it_imitates_orca_and_explores_with_epsilon() -> None:
 
 def test_what_does_not_fit_together_is_refused() -> None:
     for encoder in ("gru", "spatio_temporal"):
-        with pytest.raises(ConfigurationError, match=f"policy.encoder is {encoder}, which rem"):
+        with pytest.raises(ConfigurationError, match=rf"policy\.encoder .*{encoder}"):
             lookahead(encoder=encoder)
-    with pytest.raises(ConfigurationError, match="must be one with values: lookahead"):
+    with pytest.raises(ConfigurationError, match=r"policy.*lookahead"):
         ALGORITHMS["value_learning"].made(
             make_policy(**_flat(), action_size=3),
             ALGORITHMS.config({"name": "value_learning", **VALUE_NUMBERS}),
         )
-    with pytest.raises(ConfigurationError, match="one that learns values: value_learning"):
+    with pytest.raises(ConfigurationError, match=r"algorithm.*value_learning"):
         ppo(lookahead()).set_progress(0.0)
-    with pytest.raises(ConfigurationError, match=r"learning_starts is 1001; it must not exceed"):
+    with pytest.raises(ConfigurationError, match=r"learning_starts .*1001.*1000\b"):
         learner(lookahead(), learning_starts=1001)
 
 

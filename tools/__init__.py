@@ -1,0 +1,1 @@
+"""Scripts behind the targets of the Makefile; run them from the repository root."""
