@@ -47,7 +47,7 @@ IMPLAUSIBLE = {
     "degrees": (scaled(position=1e-5), "fixy", "degrees of latitude"),
     "shares of a picture": (scaled(position=0.05), "fixy", "shares of the picture"),
     "pixels": (scaled(position=27), "fixy", "pixels.*recording_scale"),
-    "id before frame": (ROWS, "ifxy", "'id frame x y'. put the frame first"),
+    "id before frame": (ROWS, "ifxy", "the other way round. .*'id frame x y'"),
     "id last": (ROWS, "fxyi", "id of a person is .*; it must be a whole number"),
     "a constant column": (LINE, "fixy", "y is the same in all rows"),
     "nobody walks": (scaled(position=0.0), "fixy", "nobody moves"),
@@ -76,7 +76,26 @@ def test_what_is_implausible_is_refused_with_what_it_looks_like(name: str, tmp_p
         load_recording(written(tmp_path, rows, columns), None, 0.25)
 
 
-@pytest.mark.parametrize("name", set(IMPLAUSIBLE) - {"id last", "two scenes one after the other"})
+def test_frame_and_id_the_other_way_round_are_named_in_a_first_line(tmp_path: Path) -> None:
+    """Either order is read, with a header or with what a comment of PedPy's lets expect."""
+    truth = load_recording(TRUTH, None, 0.25)
+    for header, columns in (
+        ("id frame x y", "ifxy"),
+        ("# framerate: 25", "ifxy"),
+        ("# framerate: 25\n# frame id x y", "fixy"),
+    ):
+        path = written(tmp_path, ROWS, columns)
+        path.write_text(f"{header}\n{path.read_text()}")
+        np.testing.assert_array_equal(load_recording(path, None, 0.25).position, truth.position)
+    path = written(tmp_path, ROWS, "fixy")
+    path.write_text(f"# framerate: 25\n{path.read_text()}")
+    with pytest.raises(RecordingError, match="the other way round"):
+        load_recording(path, None, 0.25)
+
+
+@pytest.mark.parametrize(
+    "name", sorted({*IMPLAUSIBLE} - {"id last", "two scenes one after the other"})
+)
 def test_it_is_used_anyway_without_the_check(name: str, tmp_path: Path) -> None:
     rows, columns, _ = IMPLAUSIBLE[name]
     recording = load_recording(written(tmp_path, rows, columns), None, 0.25, check=False)

@@ -162,7 +162,10 @@ def _too_fast(people: People, s: Summary) -> str | None:
     if s.speed_median <= MAX_MEDIAN_SPEED and (s.speed_95 <= MAX_SPEED_95 or jumps):
         return None
     if _swapped(people):
-        hint = "are its columns 'id frame x y'? put the frame first, or name them in a first line"
+        hint = (
+            "are frame and id the other way round? then name the columns in a first line, such as "
+            "'id frame x y'"
+        )
     elif max(s.floor) > _LARGEST_CROWDED_FLOOR:
         hint = _scale_hint(people, s)
     else:
