@@ -101,15 +101,16 @@ class LookaheadPolicy(Policy):
     ) -> Decision:
         """See `Policy.act`; any `correlation` means to explore."""
         explore, shape = correlation is not None, observation.ego.shape[:2]
+        active = np.ones(shape, np.bool_) if active is None else active
+        decided = torch.from_numpy(active)
         tracks, features = self._perceive(observation, state, is_init, scenario)
+        action = torch.zeros(*shape, self.action_size)
         if explore and self.imitating:
-            action = torch.from_numpy(avoid(self.config, observation, scenario))
+            action[decided] = torch.from_numpy(avoid(self.config, observation, scenario))[decided]
         else:
-            active = np.ones(shape, np.bool_) if active is None else active
-            action = torch.zeros(*shape, self.action_size)
             epsilon = self.epsilon if explore else 0.0
-            action[torch.from_numpy(active)] = self._best(tracks, active, scenario, epsilon)
-        local = LevelStep(action, torch.zeros(shape), torch.ones(shape, dtype=torch.bool))
+            action[decided] = self._best(tracks, active, scenario, epsilon)
+        local = LevelStep(action, torch.zeros(shape), decided)
         step = PolicyStep(action.clamp(-1.0, 1.0), action, {LOCAL: local})
         return Decision(step, tracks, features, None if explore else self._scene(features))
 
