@@ -88,6 +88,7 @@ def main() -> None:
 def bench(config: DictConfig) -> None:
     """Play, print and write the table; say how each row compares with the committed one."""
     evaluation = evaluation_in(config)
+    _check_numbers(config)
     fewer = evaluation.cases if config.learned_cases is None else config.learned_cases
     learned = dataclasses.replace(evaluation, cases=min(fewer, evaluation.cases))
     everybody = [name for name in available_agents() if name not in config.leave_out]
@@ -99,10 +100,6 @@ def bench(config: DictConfig) -> None:
         raise ConfigurationError("agents and columns are empty; name at least one of each")
     if len({_place(scenario) for scenario in scenarios}) < len(scenarios):
         raise ConfigurationError(f"columns has two with the same {', '.join(Column._fields)}")
-    if config.jobs < 1 and config.jobs != -1:
-        raise ConfigurationError(
-            f"jobs is {config.jobs}; it must be 1 or more, or -1 for all cores"
-        )
     output = Path(config.output)
     check_writable(output / f"{config.name}.json", "output")
     commit = code_version()
@@ -149,6 +146,17 @@ def bench(config: DictConfig) -> None:
     text = page(config.name, config.about, rows, config.improvement_of, config.headline)
     write_atomically(output / f"{config.name}.md", text)
     print(f"\nwritten to {output}/{config.name}.json and {config.name}.md")
+
+
+def _check_numbers(config: DictConfig) -> None:
+    if config.jobs < 1 and config.jobs != -1:
+        raise ConfigurationError(
+            f"jobs is {config.jobs}; it must be 1 or more, or -1 for all cores"
+        )
+    if config.learned_cases is not None and config.learned_cases < 1:
+        raise ConfigurationError(
+            f"learned_cases is {config.learned_cases}; it must be null or at least 1"
+        )
 
 
 def _recorded_columns(config: DictConfig) -> list[dict[str, Any]]:

@@ -21,15 +21,13 @@ import hydra
 import numba
 from hydra.core.config_store import ConfigStore
 from hydra.core.hydra_config import HydraConfig
-from hydra.errors import HydraException
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
-from yaml import YAMLError
 
 import samarl
 from mrsan import ActionError, ConfigurationError
-from samarl.commands.composition import compose_cells
+from samarl.commands.composition import COMPOSITION_ERRORS, compose_cells, unreadable
 from samarl.commands.errors import explain
 from samarl.commands.help import help_text
 from samarl.commands.overrides import CommandLine
@@ -39,6 +37,8 @@ from samarl.launch import launcher, rank
 from samarl.messages import unknown_field
 
 _WAIT_FOR_FIRST = 5.0  # s, for the first process to say what is wrong
+# What a user's mistake raises in a task; other errors are bugs.
+_IN_A_TASK = (ConfigurationError, ActionError, OmegaConfBaseException, OSError, MemoryError)
 
 
 def run_command(
@@ -63,12 +63,11 @@ def run_command(
     _prepare_process(words)
     for name, schema in schemas.items():
         ConfigStore.instance().store(name=name, node=schema)
+    folder = None
     try:
         command = CommandLine.parse(words)
-    except ConfigurationError as error:
-        _fail(error)
-    try:
-        _check_folder(command.folder)
+        folder = command.folder
+        _check_folder(folder)
         command = command.quoted()
         if {"--help", "-h"} & set(words):
             print(help_text(config_name, command))
@@ -80,17 +79,10 @@ def run_command(
                     check(config)
     except KeyboardInterrupt:
         _stop("interrupted")
-    except _MISTAKES as error:
-        _fail(error, command.folder)
+    except (*_IN_A_TASK, *COMPOSITION_ERRORS) as error:
+        _fail(error, folder)
     sys.argv = [sys.argv[0], *command.words()]
-    _run_hydra(task, config_name, command.folder)
-
-
-# What a user's mistake raises in a command or while Hydra composes; other errors are bugs.
-_MISTAKES = (
-    ConfigurationError, ActionError, HydraException, OmegaConfBaseException, YAMLError, OSError,
-    MemoryError, UnicodeError,
-)  # fmt: skip
+    _run_hydra(task, config_name, folder)
 
 
 def _prepare_process(words: Sequence[str]) -> None:
@@ -133,9 +125,7 @@ def _run_hydra(task: Callable[[DictConfig], Any], config_name: str, folder: Path
             return result
         except BrokenPipeError:
             _leave_quietly()
-        except (
-            ConfigurationError, ActionError, OmegaConfBaseException, OSError, MemoryError
-        ) as error:  # fmt: skip
+        except _IN_A_TASK as error:
             _remove_empty_folder()
             _fail(error, folder)
         except KeyboardInterrupt:
@@ -148,13 +138,16 @@ def _run_hydra(task: Callable[[DictConfig], Any], config_name: str, folder: Path
         _leave_quietly()
     except KeyboardInterrupt as interruption:
         _stop("; ".join(["interrupted", *map(str, interruption.args)]))
-    except (HydraException, OmegaConfBaseException, YAMLError, OSError) as error:
+    except COMPOSITION_ERRORS as error:
+        if has_started and isinstance(error, UnicodeError):
+            raise
         _fail(error, folder)
     except Exception as error:
-        if has_started and not type(error).__module__.startswith("submitit"):  # a cell elsewhere
+        if type(error).__module__.startswith("submitit"):  # of a cell that ran elsewhere
+            _fail(error)
+        if has_started:
             raise
-        # Hydra, OmegaConf and PyYAML raise whatever they come across while they compose.
-        _fail(error, folder)
+        _fail(unreadable(error))
 
 
 def _check_plugins_and_keys(config: DictConfig) -> None:

@@ -12,10 +12,16 @@ from hydra.core.config_loader import ConfigLoader
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.types import Quote, QuotedString
+from hydra.errors import HydraException
 from omegaconf import DictConfig, open_dict
+from omegaconf.errors import OmegaConfBaseException
+from yaml import YAMLError
 
+from mrsan import ConfigurationError
 from samarl.commands.overrides import CommandLine
 from samarl.files import find_folder
+
+COMPOSITION_ERRORS = (HydraException, OmegaConfBaseException, YAMLError, OSError, UnicodeError)
 
 
 @contextlib.contextmanager
@@ -36,6 +42,29 @@ def config_loader(folder: Path | None) -> Iterator[tuple[ConfigLoader, list[str]
         yield GlobalHydra.instance().config_loader(), search_path
 
 
+def composed(config_name: str, settings: list[str]) -> DictConfig:
+    """Compose a configuration, with Hydra's own part.
+
+    Args:
+        config_name: the primary file in `conf/`.
+        settings: what is changed in it.
+
+    Raises:
+        ConfigurationError: or one of `COMPOSITION_ERRORS`: a setting or a file is wrong.
+    """
+    try:
+        return compose(config_name, settings, return_hydra_config=True)
+    except COMPOSITION_ERRORS:
+        raise
+    except Exception as error:
+        raise unreadable(error) from error
+
+
+def unreadable(error: Exception) -> ConfigurationError:
+    """Name the cause; Hydra, OmegaConf and PyYAML raise whatever they come across."""
+    return ConfigurationError(f"the configuration cannot be read ({error})")
+
+
 def compose_cells(config_name: str, command: CommandLine) -> Iterator[DictConfig]:
     """Compose the configuration of every cell of a sweep.
 
@@ -47,7 +76,7 @@ def compose_cells(config_name: str, command: CommandLine) -> Iterator[DictConfig
     """
     with config_loader(command.folder) as (loader, search_path):
         for cell in command.cells(loader):
-            config = compose(config_name, [*cell, *search_path], return_hydra_config=True)
+            config = composed(config_name, [*cell, *search_path])
             HydraConfig.instance().set_config(config)
             own = copy.deepcopy(config)
             with open_dict(own):

@@ -17,12 +17,11 @@ from enum import Enum
 from pathlib import Path
 from typing import Any
 
-from hydra import compose
 from omegaconf import DictConfig, OmegaConf
 
 from mrsan import Reward, Scenario
 from samarl.agents.build import find_class
-from samarl.commands.composition import config_loader
+from samarl.commands.composition import composed, config_loader
 from samarl.commands.overrides import CommandLine
 from samarl.evaluation.runner import Evaluation
 from samarl.files import find_folder
@@ -43,7 +42,7 @@ def help_text(config_name: str, command: CommandLine) -> str:
     folder = find_folder("conf").resolve()
     with config_loader(command.folder) as (loader, search_path):
         settings = [*command.settings, *search_path]
-        config = compose(config_name, settings, return_hydra_config=True)
+        config = composed(config_name, settings)
         choices = {
             group: str(choice) for group, choice in config.hydra.runtime.choices.items()
             if not group.startswith("hydra/")

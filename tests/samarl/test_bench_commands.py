@@ -112,3 +112,13 @@ def test_a_planner_that_is_five_points_worse_shows() -> None:
     worse = _row("perimeter", [{**agent, "radius": 7.0}], *played)
     assert 4.0 < good["success_rate"] - worse["success_rate"] < 6.0
     assert compare(worse, committed()).startswith("DIFFERS ")
+
+
+@pytest.mark.parametrize("setting", ["jobs=0", "learned_cases=0", "evaluation.cases=0"])
+def test_a_wrong_number_is_named(
+    setting: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit):
+        played(monkeypatch, setting)
+    name, _, value = setting.partition("=")
+    assert f"error: {name} is {value}; it must be" in capsys.readouterr().err
