@@ -31,7 +31,7 @@ lint: setup ## Check style and types
 train: setup ## Train SAMARL with the default recipe, or resume an interrupted training (an hour)
 	@$(BIN)/samarl-train
 
-results: setup ## Rewrite results/ and the README's tables and pictures (RECORDINGS=folder: recorded people, too)
+results: setup ## Rewrite results/ and the README's tables and pictures (RECORDINGS=folder of recordings)
 	@$(BIN)/python -m tools.rewrite_results $(if $(RECORDINGS),--recordings $(RECORDINGS))
 	@$(MAKE) --no-print-directory pictures
 

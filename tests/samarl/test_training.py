@@ -21,7 +21,7 @@ from samarl.agents import build_agent
 from samarl.algorithms.ppo import PPO
 from samarl.commands.train import main
 from samarl.evaluation.runner import Evaluation, run_cases
-from samarl.policies.checkpoint import load_policy, save_policy
+from samarl.policies.checkpoint import FORMAT, load_policy, save_policy
 from samarl.policies.policy import LOCAL
 from samarl.training.trainer import Trainer
 from tests.learning import policy
@@ -285,7 +285,7 @@ def test_a_foreign_or_damaged_checkpoint_is_refused_in_words(tmp_path: Path) -> 
     card.write_text("[]")
     refused(r"policy\.json")
     card.write_text(json.dumps({**json.loads(good), "format": 99}))
-    refused(r"format.* 99\b.* 2\b")
+    refused(rf"format.* 99\b.* {FORMAT}\b")
     content = json.loads(good)
     content["config"]["encoder"]["width"] = 32
     card.write_text(json.dumps(content))
