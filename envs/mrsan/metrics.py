@@ -34,7 +34,7 @@ class Episodes(NamedTuple):
     path_length: NDArray[np.float64]  # [B, N] driven, m
     straight_line: NDArray[np.float64]  # [B, N] from start to goal, m
     time: NDArray[np.float64]  # [B, N] until it arrived or the episode ended, s
-    closest_human: NDArray[np.float64]  # [B, N] smallest surface distance, m; inf: no humans
+    closest_human: NDArray[np.float64]  # [B, N] surface distance, also within steps, m; or inf
     close_share: NDArray[np.float64]  # [B, N] share of its steps within personal space
     personal_share: NDArray[np.float64]  # [B, N] from 0.45 to 1.2 m from the nearest human
     social_share: NDArray[np.float64]  # [B, N] from 1.2 to 3.6 m

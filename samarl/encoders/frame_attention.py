@@ -7,40 +7,38 @@ and compiled for the CPU.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numba
 import numpy as np
 import torch
 from numba import prange
 from torch import Tensor
 
-from samarl.encoders.windowed_attention import FASTMATH, MASKED, compiled, on_cpu
+from samarl.encoders.operators import FASTMATH, Operator, compiled, on_cpu, unflatten
+from samarl.encoders.windowed_attention import MASKED
 
 
-def frame_attention(query: Tensor, kept: Tensor, score: Tensor) -> Tensor:
+def frame_attention(query: Tensor, key_value: Tensor, score: Tensor) -> Tensor:
     """What each of T queries takes from the M tokens of its frame, [P, T, D].
 
     Args:
         query: [P, T, D], of several heads one after another, already scaled.
-        kept: [P, M, 2 D] keys and values; M is 1 at least.
+        key_value: [P, M, 2 D] keys and values; M is 1 at least.
         score: [P, M, heads] added to the products; it gets no gradient.
     """
     if query.numel() > 0 and on_cpu(query):
-        result: Tensor = _Attention.apply(query, kept, score)
-        return result
+        return _attention(query, key_value, score)[0]
     heads = score.shape[-1]
-    value = kept.unflatten(-1, (2, heads, -1)).select(-3, 1)  # [P, M, heads, d]
-    share = frame_shares(query, kept, score).to(value.dtype)
+    value = key_value.unflatten(-1, (2, heads, -1)).select(-3, 1)  # [P, M, heads, d]
+    share = frame_shares(query, key_value, score).to(value.dtype)
     return torch.einsum("phtm,pmhd->pthd", share, value).to(value.dtype).flatten(-2)
 
 
-def frame_shares(query: Tensor, kept: Tensor, score: Tensor) -> Tensor:
+def frame_shares(query: Tensor, key_value: Tensor, score: Tensor) -> Tensor:
     """The share of each query's attention that each token gets, [P, heads, T, M]."""
     heads = score.shape[-1]
-    key = kept.unflatten(-1, (2, heads, -1)).select(-3, 0)
-    found = torch.einsum("pthd,pmhd->phtm", query.unflatten(-1, (heads, -1)), key)
-    return torch.softmax(found + score.transpose(1, 2).unsqueeze(2), -1)
+    key = key_value.unflatten(-1, (2, heads, -1)).select(-3, 0)
+    product = torch.einsum("pthd,pmhd->phtm", query.unflatten(-1, (heads, -1)), key)
+    return torch.softmax(product + score.transpose(1, 2).unsqueeze(2), -1)
 
 
 def proximity_convolution(passed: Tensor, position: Tensor, known: Tensor, slope: float) -> Tensor:
@@ -53,54 +51,11 @@ def proximity_convolution(passed: Tensor, position: Tensor, known: Tensor, slope
         slope: shares are proportional to exp(-slope times the distance).
     """
     if passed.numel() > 0 and on_cpu(passed):
-        result: Tensor = _Convolution.apply(passed, position, known, slope)
-        return result
+        return _convolution(passed, position, known, slope)[0]
     distance = (position.unsqueeze(1) - position.unsqueeze(2)).square().sum(-1)
     masked = torch.where(known, 0.0, MASKED).unsqueeze(1)
     share = torch.softmax(masked - slope * distance.clamp_min(1e-12).sqrt(), -1)
     return torch.bmm(share.to(passed.dtype), passed)
-
-
-class _Attention(torch.autograd.Function):
-    @staticmethod
-    def forward(ctx: Any, query: Tensor, kept: Tensor, score: Tensor) -> Tensor:
-        p, t, width = query.shape
-        m, heads = score.shape[1:]
-        query = query.detach().contiguous().view(p, t, heads, width // heads)
-        kept = kept.detach().contiguous().view(p, m, 2, heads, width // heads)
-        out, share = torch.empty_like(query), query.new_empty(p, heads, t, m)
-        arrays = query, kept, score.detach().contiguous(), share, out
-        _attend(*(tensor.numpy() for tensor in arrays))
-        ctx.save_for_backward(query, kept, share)
-        return out.flatten(-2)
-
-    @staticmethod
-    def backward(ctx: Any, *gradients: Tensor) -> Any:
-        query, kept, share = ctx.saved_tensors
-        of_query, of_kept = torch.empty_like(query), torch.empty_like(kept)
-        given = gradients[0].contiguous().view_as(query)
-        arrays = query, kept, share, given, of_query, of_kept
-        _attend_backward(*(tensor.numpy() for tensor in arrays))
-        return of_query.flatten(-2), of_kept.flatten(2), None
-
-
-class _Convolution(torch.autograd.Function):
-    @staticmethod
-    def forward(ctx: Any, passed: Tensor, position: Tensor, known: Tensor, slope: float) -> Tensor:
-        passed = passed.detach().contiguous()
-        share, out = passed.new_empty(*known.shape, known.shape[1]), torch.empty_like(passed)
-        arrays = passed, position.contiguous(), known.contiguous(), share, out
-        _convolve(np.float32(slope), *(tensor.numpy() for tensor in arrays))
-        ctx.save_for_backward(share)
-        return out
-
-    @staticmethod
-    def backward(ctx: Any, *gradients: Tensor) -> Any:
-        (share,) = ctx.saved_tensors
-        given = gradients[0].contiguous()
-        of_passed = torch.empty_like(given)
-        _convolve_backward(share.numpy(), given.numpy(), of_passed.numpy())
-        return of_passed, None, None, None
 
 
 # Frames are independent of each other, so every thread takes its own.
@@ -205,3 +160,73 @@ def _convolve_backward(share, gradient, of_passed):
                 part, of_gift = share[p, i, j], of_passed[p, j]
                 for d in range(width):
                     of_gift[d] += part * given[d]
+
+
+def _empty_attention(query, key_value, score):
+    """The result [P, T, D] and the shares [P, heads, T, M]."""
+    p, m, heads = score.shape
+    return query.new_empty(query.shape), query.new_empty(p, heads, query.shape[1], m)
+
+
+def _launch_attention(query, key_value, score, out, share):
+    heads = score.shape[2]
+    query, key_value, out = (
+        unflatten(query, heads), unflatten(key_value, 2, heads), unflatten(out, heads)
+    )  # fmt: skip
+    _attend(query, key_value, score, share, out)
+
+
+def _empty_gradients(query, key_value, share, gradient):
+    return query.new_empty(query.shape), key_value.new_empty(key_value.shape)
+
+
+def _launch_gradients(query, key_value, share, gradient, of_query, of_key_value):
+    heads = share.shape[1]
+    query, key_value, gradient = (
+        unflatten(query, heads), unflatten(key_value, 2, heads), unflatten(gradient, heads)
+    )  # fmt: skip
+    of_query, of_key_value = unflatten(of_query, heads), unflatten(of_key_value, 2, heads)
+    _attend_backward(query, key_value, share, gradient, of_query, of_key_value)
+
+
+def _empty_convolution(passed, position, known, slope):
+    """The result [P, M, D] and the shares [P, M, M]."""
+    return passed.new_empty(passed.shape), passed.new_empty(*known.shape, known.shape[1])
+
+
+def _launch_convolution(passed, position, known, slope, out, share):
+    _convolve(np.float32(slope), passed, position, known, share, out)
+
+
+_attention = Operator(
+    "frame_attention",
+    "(Tensor query, Tensor key_value, Tensor score) -> (Tensor, Tensor)",
+    _empty_attention,
+    _launch_attention,
+)
+_attention_gradients = Operator(
+    "frame_attention_backward",
+    "(Tensor query, Tensor key_value, Tensor share, Tensor gradient) -> (Tensor, Tensor)",
+    _empty_gradients,
+    _launch_gradients,
+)
+_attention.register_gradient(
+    lambda inputs, outputs: (*inputs[:2], outputs[1]),
+    lambda *saved: (*_attention_gradients.op(*saved), None),
+)
+_convolution = Operator(
+    "proximity_convolution",
+    "(Tensor passed, Tensor position, Tensor known, float slope) -> (Tensor, Tensor)",
+    _empty_convolution,
+    _launch_convolution,
+)
+_convolution_gradient = Operator(
+    "proximity_convolution_backward",
+    "(Tensor share, Tensor gradient) -> Tensor",
+    lambda share, gradient: gradient.new_empty(gradient.shape),
+    _convolve_backward,
+)
+_convolution.register_gradient(
+    lambda inputs, outputs: (outputs[1],),
+    lambda *saved: (_convolution_gradient.op(*saved), None, None, None),
+)

@@ -6,83 +6,45 @@ reads keys and values in place instead of copying every window, several times as
 
 from __future__ import annotations
 
-from typing import Any
-
-import numba
 import numpy as np
 import torch
 from numba import prange
 from torch import Tensor
 
+from samarl.encoders.operators import Operator, compiled, on_cpu, unflatten
+
 MASKED = -1e9  # score of who must get no attention
-
-# Sums may be reordered here (vector units), unlike in the simulator; the result is still the same
-# every time on one machine, whatever the number of threads.
-FASTMATH = {"reassoc", "contract", "nsz"}
-compiled = numba.njit(cache=True, parallel=True, error_model="numpy", fastmath=FASTMATH)
-
-
-def on_cpu(tensor: Tensor) -> bool:
-    """Whether what is compiled can work on it; what is exported is made of torch's operations."""
-    exported = torch.onnx.is_in_onnx_export()
-    return tensor.device.type == "cpu" and tensor.dtype == torch.float32 and not exported
 
 
 def windowed_attention(
-    query: Tensor, kept: Tensor, window: Tensor, allowed: Tensor, bias: Tensor
+    query: Tensor, key_value: Tensor, window: Tensor, allowed: Tensor, bias: Tensor
 ) -> Tensor:
     """What each token takes from its own past, [P, M, D]; zero where no frame is allowed.
 
     Args:
         query: [P, M, D], of several heads one after another, already scaled.
-        kept: [F, M, 2 D] keys and values of all frames.
+        key_value: [F, M, 2 D] keys and values of all frames.
         window: [P, H] which frames.
         allowed: [P, H, M] which of them a token may look at.
-        bias: [heads, H] added to the scores.
+        bias: [heads, H] added to the scores; it gets no gradient.
     """
     if query.numel() == 0:
         return query
     if on_cpu(query):
-        result: Tensor = _OnCPU.apply(query, kept, window, allowed, bias)
-        return result
-    return by_torch(query, kept, window, allowed, bias)
+        return _attention(query, key_value, window, allowed, bias)[0]
+    return by_torch(query, key_value, window, allowed, bias)
 
 
-def by_torch(query: Tensor, kept: Tensor, window: Tensor, allowed: Tensor, bias: Tensor) -> Tensor:
+def by_torch(
+    query: Tensor, key_value: Tensor, window: Tensor, allowed: Tensor, bias: Tensor
+) -> Tensor:
     """`windowed_attention` of torch's own operations."""
     heads = len(bias)
-    key, value = kept[window].unflatten(-1, (2, heads, -1)).unbind(-3)  # [P, H, M, heads, d]
+    key, value = key_value[window].unflatten(-1, (2, heads, -1)).unbind(-3)  # [P, H, M, heads, d]
     score = (query.unflatten(-1, (heads, -1)).unsqueeze(1) * key).sum(-1) + bias.T.unsqueeze(1)
     share = torch.softmax(torch.where(allowed.unsqueeze(-1), score, MASKED), 1)
     share = share * allowed.any(1)[:, None, :, None]
     return (share.unsqueeze(-1) * value).sum(1).flatten(-2)
-
-
-class _OnCPU(torch.autograd.Function):
-    @staticmethod
-    def forward(
-        ctx: Any, query: Tensor, kept: Tensor, window: Tensor, allowed: Tensor, bias: Tensor
-    ) -> Tensor:
-        p, m, width = query.shape
-        heads = len(bias)
-        size = width // heads  # -1 would be ambiguous with nobody there
-        query = query.detach().contiguous().view(p, m, heads, size)
-        kept = kept.detach().contiguous().view(len(kept), m, 2, heads, size)
-        out, share = torch.empty_like(query), query.new_empty(p, m, *bias.shape)
-        arrays = query, kept, window.contiguous(), allowed.contiguous(), bias.contiguous()
-        _forward(*(tensor.numpy() for tensor in (*arrays, share, out)))
-        ctx.save_for_backward(query, kept, arrays[2], share)
-        return out.flatten(-2)
-
-    @staticmethod
-    def backward(ctx: Any, *gradients: Tensor) -> Any:
-        query, kept, window, share = ctx.saved_tensors
-        of_query, of_kept = torch.empty_like(query), torch.zeros_like(kept)
-        _backward(
-            *(tensor.numpy() for tensor in (query, kept, window, share)),
-            gradients[0].contiguous().view_as(query).numpy(), of_query.numpy(), of_kept.numpy(),
-        )  # fmt: skip
-        return of_query.flatten(-2), of_kept.flatten(2), None, None, None
 
 
 @compiled
@@ -154,3 +116,50 @@ def _backward(query, kept, window, share, gradient, of_query, of_kept):
                             for d in range(size):
                                 of_asks[d] += change * key[d]
                                 of_key[d] += change * asks[d]
+
+
+def _empty_attention(query, key_value, window, allowed, bias):
+    """The result [P, M, D] and the shares [P, M, heads, H]."""
+    return query.new_empty(query.shape), query.new_empty(*query.shape[:2], *bias.shape)
+
+
+def _attend(query, key_value, window, allowed, bias, out, share):
+    heads = len(bias)
+    query, key_value, out = (
+        unflatten(query, heads), unflatten(key_value, 2, heads), unflatten(out, heads)
+    )  # fmt: skip
+    _forward(query, key_value, window, allowed, bias, share, out)
+
+
+def _empty_gradients(query, key_value, window, share, gradient):
+    return query.new_empty(query.shape), key_value.new_empty(key_value.shape)
+
+
+def _attend_backward(query, key_value, window, share, gradient, of_query, of_key_value):
+    heads = share.shape[2]
+    query, key_value, gradient = (
+        unflatten(query, heads), unflatten(key_value, 2, heads), unflatten(gradient, heads)
+    )  # fmt: skip
+    of_key_value[:] = 0.0
+    of_query, of_key_value = unflatten(of_query, heads), unflatten(of_key_value, 2, heads)
+    _backward(query, key_value, window, share, gradient, of_query, of_key_value)
+
+
+_attention = Operator(
+    "windowed_attention",
+    "(Tensor query, Tensor key_value, Tensor window, Tensor allowed, Tensor bias)"
+    " -> (Tensor, Tensor)",
+    _empty_attention,
+    _attend,
+)
+_gradients = Operator(
+    "windowed_attention_backward",
+    "(Tensor query, Tensor key_value, Tensor window, Tensor share, Tensor gradient)"
+    " -> (Tensor, Tensor)",
+    _empty_gradients,
+    _attend_backward,
+)
+_attention.register_gradient(
+    lambda inputs, outputs: (*inputs[:3], outputs[1]),
+    lambda *saved: (*_gradients.op(*saved), None, None, None),
+)

@@ -6,7 +6,7 @@ the state on. Steps are counted exactly up to 16 million.
 
 TALLY = (
     "path_length",  # m
-    "closest_human",  # smallest surface distance, during steps too, m; inf: none
+    "closest_human",  # smallest surface distance at any moment of a step, m; inf: none
     "driven_steps",
     "close_steps",  # that ended within 0.45 m of the nearest human
     "personal_steps",  # of the others, within 1.2 m

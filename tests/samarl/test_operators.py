@@ -1,0 +1,116 @@
+"""The kernels of the encoders as operators of torch: registered correctly, opaque to compilers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+from torch.library import opcheck
+
+from mrsan import Scenario
+from samarl.encoders.frame_attention import frame_attention, proximity_convolution
+from samarl.encoders.windowed_attention import windowed_attention
+from samarl.training.curriculum import CurriculumStage
+from samarl.training.trainer import Trainer, TrainerConfig
+from tests.learning import ENCODERS, PPO_NUMBERS, policy_numbers
+
+P, T, M, H, HEADS, WIDTH, FRAMES = 5, 2, 3, 4, 2, 8, 6  # letters of `windowed_attention`
+PUBLIC: dict[str, Callable[..., Tensor]] = {
+    "frame_attention": frame_attention,
+    "proximity_convolution": proximity_convolution,
+    "windowed_attention": windowed_attention,
+}
+
+
+def arguments(name: str) -> tuple[Any, ...]:
+    torch.manual_seed(0)
+    query, key_value = (torch.randn(P, m, d) for m, d in ((T, WIDTH), (M, 2 * WIDTH)))
+    if name == "frame_attention":
+        return query.requires_grad_(), key_value.requires_grad_(), torch.randn(P, M, HEADS)
+    if name == "proximity_convolution":
+        return key_value.requires_grad_(), torch.randn(P, M, 2), torch.rand(P, M) < 0.5, 2.5
+    return (
+        torch.randn(P, M, WIDTH, requires_grad=True),
+        torch.randn(FRAMES, M, 2 * WIDTH, requires_grad=True),
+        torch.randint(0, FRAMES, (P, H)),
+        torch.rand(P, H, M) < 0.5,
+        torch.randn(HEADS, H),
+    )
+
+
+def value_and_gradients(call: Callable[..., Tensor], inputs: tuple[Any, ...]) -> list[Tensor]:
+    leaves = [x for x in inputs if isinstance(x, Tensor) and x.requires_grad]
+    out = call(*inputs)
+    weights = torch.linspace(-1, 1, out.numel()).view_as(out)
+    return [out.detach(), *torch.autograd.grad((out * weights).sum(), leaves)]
+
+
+@pytest.mark.parametrize("name", PUBLIC)
+def test_schema_fake_results_and_gradients_are_consistent(name: str) -> None:
+    opcheck(getattr(torch.ops.samarl, name).default, arguments(name))
+
+
+@pytest.mark.parametrize("name", PUBLIC)
+def test_a_call_without_gradients_gives_the_same_bits(name: str) -> None:
+    inputs = arguments(name)
+    with torch.no_grad():
+        direct = PUBLIC[name](*inputs)
+    assert not direct.requires_grad
+    through_torch = PUBLIC[name](*inputs)
+    assert through_torch.requires_grad
+    torch.testing.assert_close(direct, through_torch.detach(), rtol=0, atol=0)
+
+
+@pytest.mark.parametrize("name", PUBLIC)
+def test_an_operator_is_one_node_of_a_compiled_graph(name: str) -> None:
+    graphs: list[torch.fx.GraphModule] = []
+
+    def keep(graph: torch.fx.GraphModule, _: Any) -> Callable[..., Any]:
+        graphs.append(graph)
+        return graph.forward
+
+    inputs = arguments(name)
+    torch.compile(PUBLIC[name], backend=keep, fullgraph=True, dynamic=True)(*inputs)
+    targets = [node.target for graph in graphs for node in graph.graph.nodes]
+    assert targets.count(getattr(torch.ops.samarl, name).default) == 1
+    compiled = torch.compile(PUBLIC[name], backend="aot_eager", fullgraph=True, dynamic=True)
+    for one, other in zip(
+        value_and_gradients(compiled, inputs),
+        value_and_gradients(PUBLIC[name], inputs),
+        strict=True,
+    ):
+        torch.testing.assert_close(one, other)
+
+
+def trained(folder: Path, compiled: bool) -> tuple[dict[str, float], dict[str, Tensor]]:
+    """The losses of one round and the weights after it."""
+    config = TrainerConfig(
+        steps=1000, rollout=8, seed=0, threads=1, validate_every=1000, validation_cases=1,
+        save_every=1000, ema_decay=0.9, compile=compiled,
+    )  # fmt: skip
+    stages = [CurriculumStage(3, scenario=Scenario(humans=3, robots=2))]
+    encoder = {"name": "spatio_temporal", **ENCODERS["spatio_temporal"], "one_block": True}
+    policy, algorithm = policy_numbers("flat", encoder_numbers=encoder), {"name": "mappo"}
+    trainer = Trainer(folder, config, policy, algorithm | PPO_NUMBERS, stages, "test")
+    trainer.algorithm.set_progress(0.0)
+    row = trainer.round()
+    losses = {key: value for key, value in row.items() if key.startswith("losses")}
+    return losses, trainer.policy.state_dict()
+
+
+def test_a_training_with_compiled_encoders_is_the_same_training(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Traced as in any compilation, but without a minute of generating C++."""
+    monkeypatch.setattr(torch, "compile", partial(torch.compile, backend="eager"))
+    expected_losses, expected = trained(tmp_path / "plain", compiled=False)
+    losses, weights = trained(tmp_path / "compiled", compiled=True)
+    assert losses == pytest.approx(expected_losses, rel=1e-4, abs=1e-5)
+    assert weights.keys() == expected.keys()
+    for name, value in expected.items():
+        torch.testing.assert_close(weights[name], value, rtol=1e-4, atol=1e-5, msg=name)
