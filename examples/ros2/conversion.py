@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from mrsan.se2 import rotate
 from samarl.runtime import Command, Detection, OwnState
 
 
@@ -26,11 +27,10 @@ def own_state(odometry: Any, goal: Any) -> OwnState:
     """
     place, heading = odometry.pose.pose.position, yaw(odometry.pose.pose.orientation)
     ahead, left = odometry.twist.twist.linear.x, odometry.twist.twist.linear.y
-    cos, sin = math.cos(heading), math.sin(heading)
+    velocity = rotate(math.cos(heading), math.sin(heading), ahead, left)
     return OwnState(
-        place.x, place.y, heading, cos * ahead - sin * left, sin * ahead + cos * left,
-        goal.pose.position.x, goal.pose.position.y,
-    )  # fmt: skip
+        place.x, place.y, heading, *velocity, goal.pose.position.x, goal.pose.position.y
+    )
 
 
 def detections(people: Any, reliability: float = 0.5) -> list[Detection]:

@@ -34,6 +34,7 @@ from mrsan.kernels import function, kernel
 from mrsan.kernels.contact import closest_approach
 from mrsan.reward import step_reward_parts
 from mrsan.scenario import required
+from mrsan.se2 import rotate, unrotate, untransform
 from samarl.observations.tracker import AGE, Tracks
 from samarl.planning.tracking import move
 
@@ -167,12 +168,9 @@ def _turn_own(own, x, y, vx, vy, turn, p, out):
     for k in range(own.shape[0]):
         out[k] = own[k]
     for px, py in ((GOAL_X, GOAL_Y), (ORIGIN_X, ORIGIN_Y)):
-        dx, dy = own[px] - x, own[py] - y
-        out[px], out[py] = cos * dx + sin * dy, cos * dy - sin * dx
-    out[VELOCITY_X], out[VELOCITY_Y] = cos * vx + sin * vy, cos * vy - sin * vx
-    heading_cos, heading_sin = own[HEADING_COS], own[HEADING_SIN]
-    out[HEADING_COS] = heading_cos * cos - heading_sin * sin
-    out[HEADING_SIN] = heading_sin * cos + heading_cos * sin
+        out[px], out[py] = untransform(cos, sin, x, y, own[px], own[py])
+    out[VELOCITY_X], out[VELOCITY_Y] = unrotate(cos, sin, vx, vy)
+    out[HEADING_COS], out[HEADING_SIN] = rotate(cos, sin, own[HEADING_COS], own[HEADING_SIN])
     out[TIME] = own[TIME] + _ONE / np.float32(p.time_limit_steps)
 
 
@@ -196,9 +194,9 @@ def _turn_others(own, others, known, x, y, vx, vy, turn, p, out):
         radii = others[j, OTHER_RADIUS] + p.robot_radius
         hit = hit or closest_approach(before_x, before_y, dx, dy) < radii
         gap = min(gap, math.sqrt(dx * dx + dy * dy) - radii)
-        out[j, OTHER_X], out[j, OTHER_Y] = cos * dx + sin * dy, cos * dy - sin * dx
-        dvx, dvy = other_vx - vx, other_vy - vy
-        out[j, OTHER_VELOCITY_X] = cos * dvx + sin * dvy
-        out[j, OTHER_VELOCITY_Y] = cos * dvy - sin * dvx
+        out[j, OTHER_X], out[j, OTHER_Y] = unrotate(cos, sin, dx, dy)
+        out[j, OTHER_VELOCITY_X], out[j, OTHER_VELOCITY_Y] = untransform(
+            cos, sin, vx, vy, other_vx, other_vy
+        )
         out[j, OTHER_RADIUS], out[j, AGE] = others[j, OTHER_RADIUS], others[j, AGE]
     return hit, gap

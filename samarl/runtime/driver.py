@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from mrsan import EGO_FEATURES, OTHER_FEATURES, Observation
 from mrsan.features import GOAL
+from mrsan.se2 import unrotate
 from samarl.observations.route import route
 from samarl.observations.tracker import Tracker, TrackMemory, Tracks
 from samarl.planning.lookahead import Commands, command_set, look_ahead
@@ -126,7 +127,7 @@ class Driver:
         began = time if self._began is None else self._began
 
         def body(dx: float, dy: float) -> tuple[float, float]:
-            return cos * dx + sin * dy, cos * dy - sin * dx
+            return unrotate(cos, sin, dx, dy)
 
         ego = np.empty((1, 1, len(EGO_FEATURES)), np.float32)
         ego[0, 0] = (

@@ -33,6 +33,7 @@ _CORE_SOURCES = [
     *sorted(_PACKAGE.glob("kernels/*.py")),
     _PACKAGE / "features.py",
     _PACKAGE / "reward.py",
+    _PACKAGE / "se2.py",
 ]
 
 
