@@ -15,8 +15,8 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from mrsan.fields import ConfigurationError
 from mrsan.kernels.recurrent import swerve
-from mrsan.scenario import ConfigurationError
 from mrsan.se2 import rotate_vectors, unrotate_vectors
 from mrsan.state import Bools, Floats
 

@@ -18,7 +18,7 @@ from torch import Tensor, nn
 from torchrl.modules import ProbabilisticActor
 from torchrl.objectives import ClipPPOLoss
 
-from mrsan.scenario import number, required
+from mrsan.fields import number, required
 from samarl.algorithms.action_limits import excess
 from samarl.algorithms.advantages import macro_advantages, step_advantages, streams
 from samarl.algorithms.algorithm import Algorithm
@@ -41,28 +41,44 @@ is well in memory."""
 class PPOConfig:
     """Numbers of the update."""
 
-    learning_rate: float = required(0.0, 1.0)  # falls linearly
-    epochs: int = required(1, 100)
-    minibatches: int = required(1, 1000)
-    discount: float = required(0.0, 1.0)  # per step, of the macro level
-    local_discount: float = required(0.0, 0.9999)  # per step, of the local level
-    gae_lambda: float = required(0.0, 1.0)
-    clip_epsilon: float = required(0.0, 0.99)
-    entropy_coefficient: float = required(0.0, 10.0)
-    critic_coefficient: float = required(0.0, 100.0)
-    max_gradient_norm: float = required(0.0, 1e6)  # of the policy and of the critics, each
-    kept_share: float = required(0.01, 1.0)  # of the samples, those of the largest advantages
-    action_limit_penalty: float = required(0.0, 10.0)  # of commands beyond the robots' limits ...
-    action_limit_slack: float = required(0.0, 10.0)  # ... by more than so many deviations
-    path_penalty: float = required(0.0, 100.0)  # off the reward per metre, falls linearly to 0
-    shield_coefficient: float = required(0.0, 100.0)  # of acting as the shield would, where unsafe
-    std_start: float = required(0.01, 10.0)  # cap of the exploration noise ...
-    std_end: float = required(0.01, 10.0)  # ... falls linearly to this
-    macro_std: float = required(0.0, 10.0)  # the macro level's is at least this, unless capped
-    critic_width: int = required(8, 1024)  # of the critics' encoder
-    critic_heads: int = required(1, 64)
-    critic_features: int = required(8, 4096)
-    target_kl: float | None = number(None, 0.0, 1e6)  # no more epochs beyond it; None: all of them
+    learning_rate: float = required(0.0, 1.0, help="initial learning rate; falls linearly to 0")
+    epochs: int = required(1, 100, help="passes over each rollout")
+    minibatches: int = required(1, 1000, help="minibatches per epoch")
+    discount: float = required(0.0, 1.0, help="discount of the macro level, per step")
+    local_discount: float = required(0.0, 0.9999, help="discount of the local level, per step")
+    gae_lambda: float = required(0.0, 1.0, help="lambda of generalised advantage estimation")
+    clip_epsilon: float = required(0.0, 0.99, help="clipping range of the probability ratio")
+    entropy_coefficient: float = required(0.0, 10.0, help="weight of the entropy bonus")
+    critic_coefficient: float = required(0.0, 100.0, help="weight of the value loss")
+    max_gradient_norm: float = required(
+        0.0, 1e6, help="largest gradient norm, of the policy and of the critics separately"
+    )
+    kept_share: float = required(
+        0.01, 1.0, help="share of the samples to learn from, those with the largest advantages"
+    )
+    action_limit_penalty: float = required(
+        0.0, 10.0, help="penalty on means of actions beyond the robots' limits"
+    )
+    action_limit_slack: float = required(
+        0.0, 10.0, help="standard deviations beyond the limits that cost nothing"
+    )
+    path_penalty: float = required(0.0, 100.0, help="penalty per metre driven; falls linearly to 0")
+    shield_coefficient: float = required(
+        0.0, 100.0, help="weight of imitating the safety shield where it intervenes"
+    )
+    std_start: float = required(0.01, 10.0, help="initial upper bound of the exploration noise")
+    std_end: float = required(
+        0.01, 10.0, help="final upper bound of the exploration noise, approached linearly"
+    )
+    macro_std: float = required(
+        0.0, 10.0, help="lower bound of the macro level's noise, below its upper bound"
+    )
+    critic_width: int = required(8, 1024, help="width of the critics' encoder")
+    critic_heads: int = required(1, 64, help="attention heads of the critics' encoder")
+    critic_features: int = required(8, 4096, help="output size of the critics' encoder")
+    target_kl: float | None = number(
+        None, 0.0, 1e6, help="KL divergence beyond which epochs stop; null: never"
+    )
 
 
 class Prepared(NamedTuple):

@@ -30,10 +30,11 @@ from mrsan.features import (
     VELOCITY_X,
     VELOCITY_Y,
 )
+from mrsan.fields import required
 from mrsan.kernels import function, kernel
 from mrsan.kernels.contact import closest_approach
+from mrsan.parameters import kernel_parameters
 from mrsan.reward import step_reward_parts
-from mrsan.scenario import required
 from mrsan.se2 import rotate, unrotate, untransform
 from samarl.observations.tracker import AGE, Tracks
 from samarl.planning.tracking import move
@@ -50,9 +51,9 @@ _ONE = np.float32(1.0)
 class Commands:
     """A set of commands, each of which a robot can execute."""
 
-    turns: int = required(3, 99)  # from right to left, of robots with a heading
-    speeds: int = required(2, 20)  # of unicycles and holonomic robots
-    directions: int = required(1, 360)  # of holonomic robots
+    turns: int = required(3, 99, help="turns, from right to left, of robots with a heading")
+    speeds: int = required(2, 20, help="speeds of unicycles and holonomic robots")
+    directions: int = required(1, 360, help="directions of holonomic robots")
 
 
 class Outcomes(NamedTuple):
@@ -101,7 +102,7 @@ def look_ahead(
     )
     reward, ended = np.empty(shape, np.float32), np.empty(shape, np.bool_)
     _look_ahead(
-        len(robots), robots, *tracks, target, commands, scenario.parameters(),
+        len(robots), robots, *tracks, target, commands, kernel_parameters(scenario),
         own, humans, humans_known, others, others_known, reward, ended,
     )  # fmt: skip
     return Outcomes(Tracks(own, humans, humans_known, others, others_known), reward, ended)

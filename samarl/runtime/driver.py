@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from mrsan import EGO_FEATURES, OTHER_FEATURES, Observation
 from mrsan.features import GOAL
+from mrsan.parameters import kernel_parameters
 from mrsan.se2 import unrotate
 from samarl.observations.route import route
 from samarl.observations.tracker import Tracker, TrackMemory, Tracks
@@ -43,7 +44,7 @@ class Driver:
         """Drive with a loaded network; `load` is what one usually wants."""
         self._network, told = network, network.description
         self.description, self.scenario = told, told.make_scenario()
-        self._shield, self._parameters = told.make_shield(), self.scenario.parameters()
+        self._shield, self._parameters = told.make_shield(), kernel_parameters(self.scenario)
         policy, s = told.policy, self.scenario
         if network.looks_ahead:
             sizes = Commands(**{f.name: policy[f.name] for f in fields(Commands)})
