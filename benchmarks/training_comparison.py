@@ -20,7 +20,7 @@ import numpy as np
 from tqdm import trange
 
 from benchmarks.training import default_trainer
-from benchmarks.workload import add_output, interruptible, made_by, positive_whole_number
+from benchmarks.workload import add_output, interruptible, positive_whole_number, provenance
 from mrsan.threads import use_threads
 from samarl.evaluation.table import as_text
 from samarl.files import machine, write_json
@@ -53,7 +53,7 @@ def main() -> None:
             }
             for k, clock in enumerate(CLOCKS)
         }
-        | {"rounds": arguments.rounds, **made_by("training_comparison")}
+        | {"rounds": arguments.rounds, **provenance("training_comparison")}
     )
     write_json(arguments.output, result)
     header = ("clock", "settings", "median s a round", f"s in the first {arguments.warm_up}")

@@ -19,7 +19,7 @@ from omegaconf.errors import (
 )
 
 from mrsan import ConfigurationError
-from mrsan.scenario import check_numbers
+from mrsan.fields import check_numbers
 
 _FEW = 12  # names that an error lists
 _SYNONYMS = {

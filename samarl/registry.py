@@ -10,7 +10,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from mrsan import ConfigurationError
-from mrsan.scenario import check_numbers
+from mrsan.fields import check_numbers
 from samarl.messages import describe
 
 T = TypeVar("T")
@@ -25,9 +25,13 @@ class Entry(Generic[T]):
     config: type
 
 
-def needed() -> Any:
-    """A dataclass field without a default that is no number."""
-    return field()
+def needed(*, help: str = "") -> Any:
+    """Declare a dataclass field without a default that is not a number.
+
+    Args:
+        help: what it means, for `--help`.
+    """
+    return field(metadata={"help": help})
 
 
 def _check_named(values: Any, path: str) -> None:

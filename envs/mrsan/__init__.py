@@ -9,18 +9,12 @@ let_threads_sleep()  # before anything loads OpenMP
 ensure_compile_cache()  # before anything is compiled
 
 from mrsan.cases import Split
+from mrsan.choices import Crowd, Kinematics, Layout, TeamPerception
 from mrsan.features import EGO_FEATURES, OTHER_FEATURES
+from mrsan.fields import ConfigurationError
 from mrsan.metrics import Episodes, Outcome, social_score
 from mrsan.reward import RewardParts
-from mrsan.scenario import (
-    ConfigurationError,
-    Crowd,
-    Kinematics,
-    Layout,
-    Reward,
-    Scenario,
-    TeamPerception,
-)
+from mrsan.scenario import Reward, Scenario
 from mrsan.state import State
 from mrsan.world import ActionError, Observation, Step, World
 

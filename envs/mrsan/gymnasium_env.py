@@ -20,9 +20,10 @@ from mrsan.features import (
     RADIUS,
     TIME,
 )
+from mrsan.fields import ConfigurationError
 from mrsan.metrics import Outcome, episodes_of, social_score
 from mrsan.rendering import RENDER_MODES, Renderer
-from mrsan.scenario import ConfigurationError, Scenario, overridden
+from mrsan.scenario import Scenario, overridden
 from mrsan.world import ActionError, Observation, Step, World
 
 Array = NDArray[Any]

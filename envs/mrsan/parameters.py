@@ -1,93 +1,104 @@
-"""A scenario as the kernels take it."""
+"""A scenario in the units of the kernels: float32, radians and steps.
+
+Every number, switch and choice of `Scenario` is handed over under its own name, and those of
+`Reward` with the prefix `reward_`; a new field needs no change here. What kernels need in another
+form is computed in `_derived`.
+"""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import math
+from collections import namedtuple
+from collections.abc import Callable
+from dataclasses import fields
+from enum import Enum
+from typing import TYPE_CHECKING, Any, NamedTuple, get_type_hints
 
 import numpy as np
 
+from mrsan.choices import Kinematics
+from mrsan.scenario import Reward, Scenario
 
-class Parameters(NamedTuple):
-    """A scenario in the kernels' units: float32, radians, steps. See `Scenario` for meanings."""
+# Fields that no kernel reads, or only in the form that `_derived` gives them: every number that is
+# handed over costs time in each call.
+_NOT_COPIED = {
+    "robots", "humans", "goal_turn_degrees", "goal_turn_spread_degrees", "time_limit",
+    "max_turn_rate", "fov_degrees", "team_perception", "team_delay", "recorded_start_clear",
+    "recorded_slot_rest", "frame_seconds", "recording_scale", "recording_check",
+    "goal_change_interval", "late_time",
+    "reward_lookahead", "reward_lookahead_steps", "reward_lookahead_distance",
+}  # fmt: skip
 
-    humans_min: int
-    layout: int
-    circle_radius: np.float32
-    goal_turn: np.float32
-    goal_turn_spread: np.float32
-    floor_size: np.float32
-    crossing_width: np.float32
-    opposite_width: np.float32
-    robot_way_min: np.float32
-    robot_way_max: np.float32
-    spawn_jitter: np.float32
-    spawn_clearance: np.float32
-    arena_radius: np.float32
-    time_step: np.float32
-    time_limit_steps: int
-    collisions_end: bool
-    kinematics: int
-    instant_velocity: bool
-    robot_radius: np.float32
-    robot_speed: np.float32
-    max_acceleration: np.float32
-    max_turn: np.float32
-    min_turning_radius: np.float32
-    turn_in_place: bool
-    cos_half_fov: np.float32
-    sensing_range: np.float32
-    occlusion: bool
-    position_noise: np.float32
-    velocity_noise: np.float32
-    radius_noise: np.float32
-    missed_detection: np.float32
-    team_tracks: bool
-    team_range: np.float32
-    team_delay_steps: int
-    team_loss: np.float32
-    crowd: int
-    robots_visible: bool
-    human_radius_min: np.float32
-    human_radius_max: np.float32
-    human_speed_min: np.float32
-    human_speed_max: np.float32
-    human_safety_space: np.float32
-    goal_distance: np.float32
-    recorded_start_clear_steps: int
-    recorded_slot_rest_steps: int
-    goal_change_steps: int
-    goal_change_probability: np.float32
-    goal_change_probability_max: np.float32
-    stand_probability: np.float32
-    hurry_probability: np.float32
-    hurry_speed_min: np.float32
-    hurry_speed_max: np.float32
-    pair_probability: np.float32
-    late_probability: np.float32
-    late_steps: int
-    leave_probability: np.float32
-    people_come_and_go: bool
-    neighbor_distance: np.float32
-    max_neighbors: int
-    time_horizon: np.float32
-    relaxation_time: np.float32
-    force_strength: np.float32
-    force_range: np.float32
-    reward_none: np.float32
-    reward_arrival: np.float32
-    reward_team: np.float32
-    reward_collision: np.float32
-    reward_discomfort: np.float32
-    reward_discomfort_limit: np.float32
-    discomfort_distance: np.float32
-    reward_progress: np.float32
-    reward_goal_distance: np.float32
-    reward_time: np.float32
-    reward_literal: bool
+_f = np.float32
+
+
+def _derived(s: Scenario) -> dict[str, Any]:
+    """Return the numbers that are not copied from a field, or replace the copy."""
+    probability = s.goal_change_probability
+    probability_max = s.goal_change_probability_max
+    return {
+        "humans_min": s.humans if s.humans_min is None else s.humans_min,
+        "goal_turn": _f(math.radians(s.goal_turn_degrees)),
+        "goal_turn_spread": _f(math.radians(s.goal_turn_spread_degrees)),
+        "arena_radius": _f(np.inf if s.arena_radius is None else s.arena_radius),
+        "time_limit_steps": s.time_limit_steps,
+        "instant_velocity": s.kinematics is not Kinematics.acceleration_heading,
+        "max_turn": _f(s.max_turn),  # in one step
+        "cos_half_fov": _f(math.cos(math.radians(s.fov_degrees / 2))),
+        "team_tracks": s.team_tracks,
+        "team_delay_steps": s.team_delay_steps,
+        "recorded_start_clear_steps": s.steps(s.recorded_start_clear),
+        "recorded_slot_rest_steps": s.steps(s.recorded_slot_rest),
+        "goal_change_steps": max(1, s.steps(s.goal_change_interval)),
+        "goal_change_probability_max": _f(
+            probability if probability_max is None else probability_max
+        ),
+        "late_steps": s.steps(s.late_time),
+        "people_come_and_go": s.late_probability > 0 or s.leave_probability > 0,
+        "reward_none": _f(0.0),
+        "reward_goal_distance": _f(s.reward.goal_distance / s.circle_radius**2),
+    }
+
+
+_FORMS: dict[Any, Callable[[Any], Any]] = {float: np.float32, int: int, bool: bool}
+
+
+def _forms(cls: type, prefix: str = "") -> dict[str, tuple[str, Callable[[Any], Any]]]:
+    """Return of each field to copy, by its name in kernels: its own name and its conversion."""
+    found = {}
+    for field in fields(cls):
+        hint, name = get_type_hints(cls)[field.name], prefix + field.name
+        if name in _NOT_COPIED:
+            continue
+        if isinstance(hint, type) and issubclass(hint, Enum):
+            found[name] = (field.name, lambda choice: choice.value)
+        elif hint in _FORMS:
+            found[name] = (field.name, _FORMS[hint])
+    return found
+
+
+_OF_SCENARIO, _OF_REWARD = _forms(Scenario), _forms(Reward, "reward_")
+
+
+def _numbers(s: Scenario) -> dict[str, Any]:
+    copied = {name: form(getattr(s, own)) for name, (own, form) in _OF_SCENARIO.items()}
+    reward = {name: form(getattr(s.reward, own)) for name, (own, form) in _OF_REWARD.items()}
+    return copied | reward | _derived(s)
+
+
+if TYPE_CHECKING:
+    Parameters = Any  # its fields are those of `Scenario`, which type checkers cannot follow
+else:
+    Parameters = namedtuple("Parameters", _numbers(Scenario()))
+
+
+def kernel_parameters(scenario: Scenario) -> Parameters:
+    """Return the numbers of a scenario as a named tuple, the form that Numba takes."""
+    return Parameters(**_numbers(scenario))
 
 
 class Sensor(NamedTuple):
-    """What of `Parameters` decides what a robot sees: fewer numbers are handed over faster."""
+    """The part of `Parameters` that decides what a robot sees: a short tuple is passed faster."""
 
     robot_radius: np.float32
     robot_speed: np.float32
@@ -102,5 +113,5 @@ class Sensor(NamedTuple):
 
     @classmethod
     def of(cls, parameters: Parameters) -> Sensor:
-        """That of a scenario's parameters."""
+        """Return the sensor of a scenario's parameters."""
         return cls(*(getattr(parameters, name) for name in cls._fields))

@@ -15,8 +15,9 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from mrsan.fields import ConfigurationError
 from mrsan.kernels.recurrent import swerve
-from mrsan.scenario import ConfigurationError
+from mrsan.se2 import rotate_vectors, unrotate_vectors
 from mrsan.state import Bools, Floats
 
 SHIPPED = Path(__file__).parent / "predictors"
@@ -99,7 +100,7 @@ class RecurrentPredictor(ConstantVelocity):
         )  # fmt: skip
         aside = aside.reshape(*velocity.shape[:-1], steps, 2)
         straight = super().predict(past, known, velocity, steps)
-        return straight + turned(aside, ahead[..., None, :])
+        return straight + rotate_vectors(aside, ahead[..., None, :])
 
 
 def shapes(size: int) -> dict[str, tuple[int, ...]]:
@@ -130,13 +131,7 @@ def own_frame(
     ahead = np.take_along_axis(velocities, last[..., None], -2)[..., 0, :]
     ahead = ahead / np.maximum(np.take_along_axis(speed, last, -1), np.float32(MOVING))
     ahead = np.where(moved.any(-1, keepdims=True), ahead, np.float32(0.0))
-    return turned(velocities, ahead[..., None, :] * np.array([1, -1], np.float32)), readable, ahead
-
-
-def turned(vectors: Floats, direction: Floats) -> Floats:
-    """Vectors [..., 2] turned by the angle of a direction [..., 2]; nothing for a direction 0."""
-    x, y, cos, sin = vectors[..., 0], vectors[..., 1], direction[..., 0], direction[..., 1]
-    return np.stack([cos * x - sin * y, sin * x + cos * y], -1)
+    return unrotate_vectors(velocities, ahead[..., None, :]), readable, ahead
 
 
 def find_predictor(name: str, time_step: float, field: str = "predictor") -> Predictor:

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from mrsan.scenario import ConfigurationError, Scenario
+from mrsan.fields import ConfigurationError
+from mrsan.scenario import Scenario
 from mrsan.world import World
 
 RENDER_MODES = ["rgb_array", "human"]

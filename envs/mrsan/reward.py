@@ -61,7 +61,7 @@ def step_reward_parts(
             return none, none, bonus, none, none, none, none
     if collided or not driving:
         return none, none, none, crash, none, none, none
-    if human_gap <= p.discomfort_distance:
+    if human_gap <= p.reward_discomfort_distance:
         if -human_gap * p.reward_discomfort_limit <= p.reward_discomfort:
             return none, none, none, none, p.reward_discomfort_limit, far, late
         return none, none, none, none, -p.reward_discomfort / human_gap, far, late

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mrsan.features import EGO_FEATURES, OTHER_FEATURES
+from mrsan.fields import ConfigurationError
 from mrsan.kernels.sensing import observe
 from mrsan.kernels.spawn import NO_ROOM_FOR_ROBOTS, begin_episodes
 from mrsan.kernels.step import advance
@@ -21,9 +22,9 @@ from mrsan.kernels.tally import TALLY
 from mrsan.kernels.team import tell
 from mrsan.lookahead import LookaheadReward
 from mrsan.metrics import Episodes, episodes_of
-from mrsan.parameters import Sensor
+from mrsan.parameters import Sensor, kernel_parameters
 from mrsan.reward import RewardParts
-from mrsan.scenario import ConfigurationError, Scenario
+from mrsan.scenario import Scenario
 from mrsan.state import Bools, Floats, Ints, State
 
 _INTERRUPTIBLE = 128  # worlds that begin an episode between two chances to stop with Ctrl-C
@@ -105,10 +106,10 @@ class World:
         self._lookahead = LookaheadReward(scenario) if scenario.reward.lookahead else None
         looked_back = self._lookahead.predictor.history if self._lookahead else 0
         self.state = _empty_state(worlds, scenario, looked_back)
-        self._parameters = scenario.parameters()
+        self._parameters = kernel_parameters(scenario)
         self._recording = scenario.load_recording()
         self._sensor = Sensor.of(self._parameters)
-        self._all_seeing = Sensor.of(_without_limits(scenario).parameters())
+        self._all_seeing = Sensor.of(kernel_parameters(_without_limits(scenario)))
 
     def reset(self, cases: ArrayLike | None = None, worlds: ArrayLike | None = None) -> Observation:
         """Begin an episode in every world, or in some.
@@ -156,7 +157,9 @@ class World:
         if problem.any():
             world = int(np.flatnonzero(problem)[0])
             robots = problem[world] == NO_ROOM_FOR_ROBOTS
-            raise ConfigurationError(self.scenario.no_room(robots, int(self.state.case[world])))
+            raise ConfigurationError(
+                self.scenario.describe_shortage(robots, int(self.state.case[world]))
+            )
 
     def snapshot(self) -> State:
         """The whole state of all worlds, copied: what `restore` goes back to.

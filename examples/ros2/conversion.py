@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from mrsan.se2 import rotate
 from samarl.runtime import Command, Detection, OwnState
 
 
@@ -24,14 +25,12 @@ def own_state(odometry: Any, goal: Any) -> OwnState:
 
     Both must be in the same frame. The twist of the odometry is in the frame of the robot.
     """
-    position, heading = odometry.pose.pose.position, yaw(odometry.pose.pose.orientation)
-    forward, lateral = odometry.twist.twist.linear.x, odometry.twist.twist.linear.y
-    cos, sin = math.cos(heading), math.sin(heading)
+    place, heading = odometry.pose.pose.position, yaw(odometry.pose.pose.orientation)
+    ahead, left = odometry.twist.twist.linear.x, odometry.twist.twist.linear.y
+    velocity = rotate(math.cos(heading), math.sin(heading), ahead, left)
     return OwnState(
-        position.x, position.y, heading,
-        cos * forward - sin * lateral, sin * forward + cos * lateral,
-        goal.pose.position.x, goal.pose.position.y,
-    )  # fmt: skip
+        place.x, place.y, heading, *velocity, goal.pose.position.x, goal.pose.position.y
+    )
 
 
 def detections(people: Any, reliability: float = 0.5) -> list[Detection]:

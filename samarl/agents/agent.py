@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrsan import Observation, Scenario
-from mrsan.scenario import check_numbers
+from mrsan.fields import check_numbers
 from samarl.policies.explanation import Explanation
 
 

@@ -11,12 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrsan import ConfigurationError, Kinematics, Observation, Scenario
+from mrsan.fields import setting
+from mrsan.parameters import kernel_parameters
 from samarl.agents.agent import Agent
 from samarl.planning.tracking import as_driven
 from samarl.policies.checkpoint import find_policy, load_policy
 from samarl.policies.explanation import Explanation
 from samarl.policies.hierarchical import HierarchicalPolicy, Waypoints
 from samarl.policies.policy import Decision, Policy
+from samarl.registry import needed
 
 # Fields of a scenario outside of whose trained values a policy may fail, with label and unit.
 _SCOPE = {
@@ -85,9 +88,11 @@ class Deployed:
 class Learned(Agent):
     """A policy from a checkpoint."""
 
-    checkpoint: str  # a file, or the name of one that is shipped
-    waypoints: Waypoints = Waypoints.learned
-    track_velocity: bool = False  # of robots of another kind than it was trained on: its velocities
+    checkpoint: str = needed(help="checkpoint file, or the name of one that ships")
+    waypoints: Waypoints = setting(Waypoints.learned, help="source of the waypoints")
+    track_velocity: bool = setting(
+        False, help="track the velocities of robots of the kind it was trained on"
+    )
 
     def __post_init__(self) -> None:
         """Load the checkpoint.
@@ -154,7 +159,7 @@ class Learned(Agent):
         action = self._deployed.act(observation)
         if not self.is_foreign:
             return action
-        own, here = self._own.parameters(), self.scenario.parameters()
+        own, here = kernel_parameters(self._own), kernel_parameters(self.scenario)
         return as_driven(observation.ego, action, own, here)
 
     def explain(self) -> Explanation | None:

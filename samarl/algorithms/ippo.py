@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 from torch import Tensor
 
+from mrsan.fields import setting
 from samarl.algorithms.algorithm import ALGORITHMS
 from samarl.algorithms.critics import SetEncoder
 from samarl.algorithms.ppo import PPO, PPOConfig
@@ -19,7 +20,9 @@ from samarl.rollout import Rollout
 class IPPOConfig(PPOConfig):
     """Hyperparameters of independent PPO."""
 
-    team_reward: bool = field(default=False, kw_only=True)  # include the team bonus, as MAPPO does
+    team_reward: bool = setting(
+        False, kw_only=True, help="reward every robot when all have arrived, as in MAPPO"
+    )
 
 
 @ALGORITHMS.register("ippo", IPPOConfig)

@@ -19,7 +19,7 @@ from torchrl.modules import ProbabilisticActor
 from torchrl.objectives import ClipPPOLoss
 
 from mrsan import ConfigurationError
-from mrsan.scenario import number, required
+from mrsan.fields import number, required
 from samarl.algorithms.action_limits import excess
 from samarl.algorithms.advantages import macro_advantages, step_advantages, streams
 from samarl.algorithms.algorithm import Algorithm
@@ -45,28 +45,44 @@ CHUNK_SIZE = 16384
 class PPOConfig:
     """Hyperparameters of the update."""
 
-    learning_rate: float = required(0.0, 1.0)  # falls linearly
-    epochs: int = required(1, 100)
-    minibatches: int = required(1, 1000)
-    discount: float = required(0.0, 1.0)  # per environment step, of the macro level
-    local_discount: float = required(0.0, 0.9999)  # per environment step, of the local level
-    gae_lambda: float = required(0.0, 1.0)
-    clip_epsilon: float = required(0.0, 0.99)
-    entropy_coefficient: float = required(0.0, 10.0)
-    critic_coefficient: float = required(0.0, 100.0)
-    max_gradient_norm: float = required(0.0, 1e6)  # of the policy and of the critics, each
-    advantage_filter_fraction: float = required(0.01, 1.0)  # samples kept, largest advantages first
-    action_limit_penalty: float = required(0.0, 10.0)  # of mean actions beyond the limits ...
-    action_limit_slack: float = required(0.0, 10.0)  # ... by more than so many deviations
-    path_penalty: float = required(0.0, 100.0)  # subtracted per metre driven, decays to 0
-    shield_coefficient: float = required(0.0, 100.0)  # of imitating the shield where it corrects
-    std_start: float = required(0.01, 10.0)  # upper bound of the exploration noise ...
-    std_end: float = required(0.01, 10.0)  # ... decays linearly to this
-    macro_std: float = required(0.0, 10.0)  # lower bound of the macro level's noise
-    critic_width: int = required(8, 1024)  # of the critics' encoder
-    critic_heads: int = required(1, 64)
-    critic_features: int = required(8, 4096)
-    target_kl: float | None = number(None, 0.0, 1e6)  # stop the epochs beyond it; None: never
+    learning_rate: float = required(0.0, 1.0, help="initial learning rate; falls linearly to 0")
+    epochs: int = required(1, 100, help="passes over each rollout")
+    minibatches: int = required(1, 1000, help="minibatches per epoch")
+    discount: float = required(0.0, 1.0, help="discount of the macro level, per step")
+    local_discount: float = required(0.0, 0.9999, help="discount of the local level, per step")
+    gae_lambda: float = required(0.0, 1.0, help="lambda of generalised advantage estimation")
+    clip_epsilon: float = required(0.0, 0.99, help="clipping range of the probability ratio")
+    entropy_coefficient: float = required(0.0, 10.0, help="weight of the entropy bonus")
+    critic_coefficient: float = required(0.0, 100.0, help="weight of the value loss")
+    max_gradient_norm: float = required(
+        0.0, 1e6, help="largest gradient norm, of the policy and of the critics separately"
+    )
+    advantage_filter_fraction: float = required(
+        0.01, 1.0, help="share of the samples to learn from, those with the largest advantages"
+    )
+    action_limit_penalty: float = required(
+        0.0, 10.0, help="penalty on means of actions beyond the robots' limits"
+    )
+    action_limit_slack: float = required(
+        0.0, 10.0, help="standard deviations beyond the limits that cost nothing"
+    )
+    path_penalty: float = required(0.0, 100.0, help="penalty per metre driven; falls linearly to 0")
+    shield_coefficient: float = required(
+        0.0, 100.0, help="weight of imitating the safety shield where it intervenes"
+    )
+    std_start: float = required(0.01, 10.0, help="initial upper bound of the exploration noise")
+    std_end: float = required(
+        0.01, 10.0, help="final upper bound of the exploration noise, approached linearly"
+    )
+    macro_std: float = required(
+        0.0, 10.0, help="lower bound of the macro level's noise, below its upper bound"
+    )
+    critic_width: int = required(8, 1024, help="width of the critics' encoder")
+    critic_heads: int = required(1, 64, help="attention heads of the critics' encoder")
+    critic_features: int = required(8, 4096, help="output size of the critics' encoder")
+    target_kl: float | None = number(
+        None, 0.0, 1e6, help="KL divergence beyond which epochs stop; null: never"
+    )
 
 
 class LevelBatch(NamedTuple):

@@ -17,7 +17,7 @@ from torch import Tensor, nn
 from torchrl.data import LazyTensorStorage, ReplayBuffer
 
 from mrsan import ConfigurationError
-from mrsan.scenario import required
+from mrsan.fields import required
 from samarl.algorithms.action_values import (
     Aggregation,
     AttentionCritic,
@@ -40,21 +40,29 @@ from samarl.rollout import Rollout
 class SoftActorCriticConfig:
     """Numbers of the update."""
 
-    learning_rate: float = required(0.0, 1.0)  # falls linearly
-    discount: float = required(0.0, 0.9999)  # per step
-    temperature_start: float = required(1e-6, 100.0)  # what entropy is worth, alpha; it is learned
-    target_rate: float = required(0.0, 1.0)  # of the way the target networks follow per update
-    policy_delay: int = required(1, 1000)  # updates of the critics for one of the actor
-    replay: int = required(1, 10**9)  # environment steps that are kept
-    learning_starts: int = required(1, 10**9)  # with so many of them, also after a resume
-    batch: int = required(1, 10**6)  # sequences in an update
-    updates: int = required(1, 10**6)  # per round
-    max_gradient_norm: float = required(0.0, 1e6)  # of the critics and of the actor, each
-    critic: Aggregation = needed()
-    critic_width: int = required(8, 4096)
-    critic_heads: int = required(1, 64)  # of its attention
-    robots: int = required(1, 16)  # with `concatenation`: how many there must be
-    team_reward: bool = needed()  # every robot is paid what all are paid together (MSA3C, Eq. 5)
+    learning_rate: float = required(0.0, 1.0, help="initial learning rate; falls linearly to 0")
+    discount: float = required(0.0, 0.9999, help="discount per step")
+    temperature_start: float = required(
+        1e-6, 100.0, help="initial temperature alpha, the weight of the entropy; it is learned"
+    )
+    target_rate: float = required(
+        0.0, 1.0, help="share by which the target networks follow, per update"
+    )
+    policy_delay: int = required(1, 1000, help="critic updates per actor update")
+    replay: int = required(1, 10**9, help="capacity of the replay buffer, environment steps")
+    learning_starts: int = required(
+        1, 10**9, help="environment steps in the buffer before updates begin, also after a resume"
+    )
+    batch: int = required(1, 10**6, help="sequences per update")
+    updates: int = required(1, 10**6, help="updates per round")
+    max_gradient_norm: float = required(
+        0.0, 1e6, help="largest gradient norm, of the critics and of the actor separately"
+    )
+    critic: Aggregation = needed(help="how critics combine the robots")
+    critic_width: int = required(8, 4096, help="width of the critics")
+    critic_heads: int = required(1, 64, help="heads of the critics' attention")
+    robots: int = required(1, 16, help="number of robots, which `concatenation` fixes")
+    team_reward: bool = needed(help="every robot receives the sum of all rewards (MSA3C, Eq. 5)")
 
 
 @ALGORITHMS.register("soft_actor_critic", SoftActorCriticConfig)

@@ -17,7 +17,7 @@ from torch.nn import functional
 from torchrl.data import LazyTensorStorage, ReplayBuffer
 
 from mrsan import ConfigurationError
-from mrsan.scenario import required
+from mrsan.fields import required
 from samarl.algorithms.advantages import streams
 from samarl.algorithms.algorithm import ALGORITHMS, Algorithm
 from samarl.distributed import average_gradients, exchanged
@@ -34,17 +34,23 @@ OTHERS = ("humans", "humans_known", "robots", "robots_known")  # `Frames` with s
 class ValueLearningConfig:
     """Numbers of the update; discounted as the policy does it."""
 
-    learning_rate: float = required(0.0, 1.0)  # falls linearly
-    imitation: float = required(0.0, 1.0)  # share of the training in which ORCA drives, first
-    epsilon_start: float = required(0.0, 1.0)  # probability of a random command after that ...
-    epsilon_end: float = required(0.0, 1.0)  # ... falls linearly to this ...
-    epsilon_share: float = required(0.0, 1.0)  # ... within this share of the training
-    replay: int = required(1, 10**8)  # samples that are kept, each a step of one robot
-    learning_starts: int = required(1, 10**8)  # with so many samples, also after a resume
-    batch: int = required(1, 10**6)  # samples of a gradient step
-    updates: int = required(1, 10**6)  # gradient steps per round
-    target_every: int = required(1, 10**6)  # rounds until the target network is renewed
-    max_gradient_norm: float = required(0.0, 1e6)
+    learning_rate: float = required(0.0, 1.0, help="initial learning rate; falls linearly to 0")
+    imitation: float = required(0.0, 1.0, help="initial share of the training in which ORCA drives")
+    epsilon_start: float = required(
+        0.0, 1.0, help="probability of a random command after imitation"
+    )
+    epsilon_end: float = required(0.0, 1.0, help="final probability of a random command")
+    epsilon_share: float = required(
+        0.0, 1.0, help="share of the training over which the probability falls linearly"
+    )
+    replay: int = required(1, 10**8, help="capacity of the replay buffer, steps of one robot")
+    learning_starts: int = required(
+        1, 10**8, help="samples in the buffer before updates begin, also after a resume"
+    )
+    batch: int = required(1, 10**6, help="samples per gradient step")
+    updates: int = required(1, 10**6, help="gradient steps per round")
+    target_every: int = required(1, 10**6, help="rounds between updates of the target network")
+    max_gradient_norm: float = required(0.0, 1e6, help="largest gradient norm")
 
 
 @ALGORITHMS.register("value_learning", ValueLearningConfig)

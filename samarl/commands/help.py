@@ -1,17 +1,13 @@
 """`--help`: every setting with its default, its range, its unit and what it means.
 
-Nothing is written twice: ranges and meanings come from the dataclasses that check the settings and
-from the comments in `conf/`.
+Nothing is written twice: ranges and meanings come from the fields of the dataclasses that check the
+settings (`mrsan.fields`), and from the comments in `conf/`.
 """
 
 from __future__ import annotations
 
-import ast
 import dataclasses
-import inspect
-import io
 import re
-import tokenize
 from collections.abc import Iterator
 from enum import Enum
 from pathlib import Path
@@ -20,6 +16,7 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 
 from mrsan import Reward, Scenario
+from mrsan.fields import permitted_range
 from samarl.agents.build import find_class
 from samarl.commands.composition import composed, config_loader
 from samarl.commands.overrides import CommandLine
@@ -116,42 +113,19 @@ def _lines_with_paths(yaml: str) -> Iterator[tuple[str, str]]:
 
 
 def meanings_in_class(cls: type) -> dict[str, tuple[str, str]]:
-    """Of each field of a dataclass the comment behind it, and the range or the choices."""
-    found: dict[str, tuple[str, str]] = {}
-    notes: dict[str, str] = {}
-    for base in reversed(cls.__mro__[:-1]):
-        if dataclasses.is_dataclass(base):
-            notes |= _comments_behind_fields(base)
+    """Return of each field of a dataclass its meaning with the unit, and its range or choices."""
+    meanings: dict[str, tuple[str, str]] = {}
     for field in dataclasses.fields(cls):
-        limits, default = "", field.default
-        if "low" in field.metadata:
-            bracket = "(" if field.metadata["above"] else "["
-            limits = f"{bracket}{field.metadata['low']:g}, {field.metadata['high']:g}]"
-        elif isinstance(default, Enum):
-            limits = " | ".join(type(default).__members__)
-        found[field.name] = (notes.get(field.name, ""), limits)
-    return found
-
-
-def _comments_behind_fields(cls: type) -> Meanings:
-    try:
-        source = inspect.cleandoc("\n" + inspect.getsource(cls))
-    except (OSError, TypeError):
-        return {}
-    comments = {
-        token.start[0]: token.string.lstrip("# ")
-        for token in tokenize.generate_tokens(io.StringIO(source).readline)
-        if token.type == tokenize.COMMENT
-    }
-    (tree,) = ast.parse(source).body
-    assert isinstance(tree, ast.ClassDef)
-    return {
-        node.target.id: comments[line]
-        for node in tree.body
-        if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name)
-        for line in range(node.lineno, (node.end_lineno or 0) + 1)
-        if line in comments
-    }
+        limits, metadata = "", field.metadata
+        if "low" in metadata:
+            limits = permitted_range(metadata)
+        elif isinstance(field.default, Enum):
+            limits = " | ".join(type(field.default).__members__)
+        meaning = ", ".join(filter(None, [metadata.get("help"), metadata.get("unit")]))
+        if meaning and isinstance(field.default, Enum):
+            meaning += ":"
+        meanings[field.name] = (meaning, limits)
+    return meanings
 
 
 def _comments_of_choice(folder: Path, choice: str) -> Meanings:

@@ -10,8 +10,8 @@ import numpy as np
 from omegaconf import MISSING, DictConfig, OmegaConf
 
 from mrsan import ConfigurationError, Split
+from mrsan.fields import check_numbers, number
 from mrsan.prediction import find_predictor
-from mrsan.scenario import check_numbers, number
 from samarl.commands.cli import command_line, run_command
 from samarl.commands.recordings import recordings_in
 from samarl.configuration import scenario_of
@@ -32,8 +32,8 @@ class Predictor:
     predictor: str | None = None
     training: Any = MISSING
     crowds: dict[str, Any] = field(default_factory=dict)
-    validation_cases: int = number(MISSING, 1, 10**6)
-    shown_steps: int = number(MISSING, 1, 200)
+    validation_cases: int = number(MISSING, 1, 10**6, help="validation cases per crowd")
+    shown_steps: int = number(MISSING, 1, 200, help="steps ahead for which errors are shown")
     recordings: str | None = None
     frame_seconds: dict[str, float] = field(default_factory=dict)
     output: str = MISSING

@@ -12,7 +12,7 @@ from omegaconf import MISSING, DictConfig
 
 from mrsan import ConfigurationError, Split
 from mrsan.cases import CASES_PER_SPLIT
-from mrsan.scenario import check_numbers, number
+from mrsan.fields import check_numbers, number
 from samarl.agents import build_agent
 from samarl.commands.agents import check_agent, chosen_agent, print_scope_warning
 from samarl.commands.cli import run_command
@@ -25,7 +25,7 @@ from samarl.files import check_writable
 class Render:
     """Schema of `conf/render.yaml`."""
 
-    case: int = number(MISSING, 0, len(Split) * CASES_PER_SPLIT - 1)
+    case: int = number(MISSING, 0, len(Split) * CASES_PER_SPLIT - 1, help="case number")
     split: Split = Split.test
     output: str = MISSING
     scenario: Any = MISSING

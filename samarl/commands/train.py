@@ -13,7 +13,7 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import MISSING, DictConfig, OmegaConf
 
 from mrsan import ConfigurationError
-from mrsan.scenario import check_numbers
+from mrsan.fields import check_numbers
 from samarl.commands.cli import command_line, run_command
 from samarl.launch import launcher, rank
 from samarl.registry import checked_fields

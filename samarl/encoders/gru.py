@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from mrsan.scenario import required
+from mrsan.fields import required
 from samarl.encoders.encoder import ENCODERS, Encoder, State
 from samarl.observations.frames import Frames
 
@@ -17,8 +17,8 @@ from samarl.observations.frames import Frames
 class GRUConfig:
     """Sizes of the recurrent encoder."""
 
-    width: int = required(8, 1024)  # of the embeddings and of the hidden state
-    features: int = required(8, 4096)  # length of Y
+    width: int = required(8, 1024, help="width of the embeddings and of the hidden state")
+    features: int = required(8, 4096, help="length of the output Y")
 
 
 @ENCODERS.register("gru", GRUConfig)

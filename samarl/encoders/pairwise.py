@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-from mrsan.scenario import required
+from mrsan.fields import required
 from samarl.encoders.encoder import ENCODERS, Encoder, State, single_frames
 from samarl.observations.frames import Frames
 
@@ -20,7 +20,7 @@ from samarl.observations.frames import Frames
 class PairwiseConfig:
     """Sizes of the pairwise network."""
 
-    width: int = required(8, 1024)  # of both hidden layers
+    width: int = required(8, 1024, help="width of both hidden layers")
 
 
 @ENCODERS.register("pairwise", PairwiseConfig)

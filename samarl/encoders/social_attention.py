@@ -12,7 +12,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from mrsan.scenario import required
+from mrsan.fields import required
 from samarl.encoders.encoder import ENCODERS, Encoder, State, single_frames
 from samarl.encoders.windowed_attention import MASKED
 from samarl.observations.frames import Frames
@@ -22,8 +22,8 @@ from samarl.observations.frames import Frames
 class SocialAttentionConfig:
     """Sizes of the networks."""
 
-    embedding: int = required(8, 1024)  # of an encounter, and of the layers of the attention
-    interaction: int = required(8, 1024)  # of what it tells of the crowd
+    embedding: int = required(8, 1024, help="width of an encounter and of the attention layers")
+    interaction: int = required(8, 1024, help="width of the crowd feature")
 
 
 @ENCODERS.register("social_attention", SocialAttentionConfig)

@@ -9,7 +9,7 @@ in view.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import torch
@@ -17,7 +17,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from mrsan import ConfigurationError
-from mrsan.scenario import required
+from mrsan.fields import required, setting
 from samarl.encoders.encoder import ENCODERS, Encoder, State, frame_numbers
 from samarl.encoders.frame_attention import frame_attention, frame_shares, proximity_convolution
 from samarl.encoders.windowed_attention import MASKED, windowed_attention
@@ -29,14 +29,14 @@ from samarl.observations.frames import Frames
 class SpatioTemporalConfig:
     """Sizes of the transformer."""
 
-    width: int = required(8, 1024)  # of every token, D
-    heads: int = required(1, 64)
-    history: int = required(1, 64)  # frames, H; 1: without the temporal transformer
-    features: int = required(8, 4096)  # length of Y
+    width: int = required(8, 1024, help="width D of every token")
+    heads: int = required(1, 64, help="attention heads")
+    history: int = required(1, 64, help="history frames H; 1: no temporal transformer")
+    features: int = required(8, 4096, help="length of the output Y")
     # Ablations:
-    graph: bool = field(default=True, kw_only=True)  # convolution weighted by proximity
-    cross_modal: bool = field(default=True, kw_only=True)  # attention between the four features
-    one_block: bool = field(default=False, kw_only=True)  # humans and robots are all the same
+    graph: bool = setting(True, kw_only=True, help="graph convolution weighted by proximity")
+    cross_modal: bool = setting(True, kw_only=True, help="attention between the four features")
+    one_block: bool = setting(False, kw_only=True, help="treat people and robots alike")
 
 
 def nearness(others: Tensor, known: Tensor, heads: int) -> Tensor:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-from mrsan.scenario import required
+from mrsan.fields import required
 from samarl.encoders.encoder import ENCODERS
 from samarl.encoders.recurrent_graph import GraphScene, RecurrentGraph, RecurrentUnit, Unit
 from samarl.encoders.windowed_attention import MASKED
@@ -23,11 +23,11 @@ from samarl.observations.frames import Frames
 class StructuralRNNConfig:
     """Sizes of the structural RNN."""
 
-    embedding: int = required(8, 1024)  # of what each unit is given
-    edge: int = required(8, 1024)  # hidden state of an edge, D
-    node: int = required(8, 1024)  # hidden state of the node
-    attention: int = required(8, 1024)  # queries and keys
-    features: int = required(8, 4096)  # length of Y
+    embedding: int = required(8, 1024, help="width of the input of each unit")
+    edge: int = required(8, 1024, help="hidden size D of an edge")
+    node: int = required(8, 1024, help="hidden size of the node")
+    attention: int = required(8, 1024, help="width of queries and keys")
+    features: int = required(8, 4096, help="length of the output Y")
 
 
 @ENCODERS.register("structural_rnn", StructuralRNNConfig)

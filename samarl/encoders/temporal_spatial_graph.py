@@ -12,7 +12,7 @@ import torch
 from torch import Tensor, nn
 
 from mrsan import ConfigurationError
-from mrsan.scenario import required
+from mrsan.fields import required
 from samarl.encoders.encoder import ENCODERS
 from samarl.encoders.recurrent_graph import GraphScene, RecurrentGraph, RecurrentUnit, Unit
 from samarl.encoders.windowed_attention import MASKED
@@ -24,12 +24,12 @@ from samarl.observations.frames import Frames
 class TemporalSpatialGraphConfig:
     """Sizes of the graph."""
 
-    embedding: int = required(8, 1024)  # of what each unit is given
-    edge: int = required(8, 1024)  # hidden state of an edge, D
-    node: int = required(8, 1024)  # hidden state of the node
-    attention: int = required(8, 1024)  # queries, keys and values, of all heads together
-    heads: int = required(1, 64)  # of the attention
-    features: int = required(8, 4096)  # length of Y
+    embedding: int = required(8, 1024, help="width of the input of each unit")
+    edge: int = required(8, 1024, help="hidden size D of an edge")
+    node: int = required(8, 1024, help="hidden size of the node")
+    attention: int = required(8, 1024, help="width of queries, keys and values, all heads together")
+    heads: int = required(1, 64, help="attention heads")
+    features: int = required(8, 4096, help="length of the output Y")
 
 
 def embedding(inputs: int, outputs: int) -> nn.Sequential:

@@ -10,18 +10,20 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from mrsan import Episodes, Observation, Scenario, Split, World
+from mrsan.fields import check_numbers, number, setting
 from mrsan.metrics import episodes_of
-from mrsan.scenario import check_numbers, number
 
 
 @dataclass
 class Evaluation:
     """Which cases are played."""
 
-    split: Split = Split.test
-    first_case: int = number(0, 0, 10**9)  # within the split
-    cases: int = number(500, 1, 10**6)  # how many
-    batch: int = number(128, 1, 10**5)  # worlds side by side; the result does not depend on it
+    split: Split = setting(Split.test, help="cases to draw from")
+    first_case: int = number(0, 0, 10**9, help="first case within the split")
+    cases: int = number(500, 1, 10**6, help="number of cases")
+    batch: int = number(
+        128, 1, 10**5, help="worlds simulated side by side; does not affect the result"
+    )
 
     def __post_init__(self) -> None:
         """Check every number."""

@@ -27,6 +27,7 @@ from mrsan.features import (
     TIME,
     VELOCITY,
 )
+from mrsan.se2 import rotate, untransform
 from samarl.observations.frames import Frames
 from samarl.observations.tracker import AGE, Tracks
 
@@ -94,16 +95,14 @@ def to_world(point: A, ego: A) -> A:
     """From the body frames of robots `ego` [..., 11] to the world frame, [..., 2]."""
     cos, sin = ego[..., HEADING_COS], ego[..., HEADING_SIN]
     dx, dy = point[..., 0] - ego[..., ORIGIN_X], point[..., 1] - ego[..., ORIGIN_Y]
-    return _stacked(cos * dx - sin * dy, sin * dx + cos * dy)
+    return _stacked(*rotate(cos, sin, dx, dy))
 
 
 def to_body(point: A, ego: A) -> A:
     """From the world frame to the body frames of robots `ego` [..., 11], [..., 2]."""
     cos, sin = ego[..., HEADING_COS], ego[..., HEADING_SIN]
-    x = -(cos * ego[..., ORIGIN_X] - sin * ego[..., ORIGIN_Y])
-    y = -(sin * ego[..., ORIGIN_X] + cos * ego[..., ORIGIN_Y])
-    dx, dy = point[..., 0] - x, point[..., 1] - y
-    return _stacked(cos * dx + sin * dy, cos * dy - sin * dx)
+    x, y = rotate(cos, sin, ego[..., ORIGIN_X], ego[..., ORIGIN_Y])
+    return _stacked(*untransform(cos, sin, -x, -y, point[..., 0], point[..., 1]))
 
 
 def _stacked(x: A, y: A) -> A:

@@ -23,6 +23,7 @@ from mrsan.features import (
     VELOCITY_Y,
 )
 from mrsan.kernels import function, kernel
+from mrsan.se2 import rotate, transform, unrotate, untransform
 
 TRACK_FEATURES = (*OTHER_FEATURES, "age")  # age: share of the longest time a track is kept
 AGE = 5
@@ -114,23 +115,28 @@ def _track(chunks, ego, seen, visible, steps, dt, aged, tracks, age, out, alive)
 
 
 @function
+def _pose(ego):
+    """Return cosine and sine of the robot's heading, and its position in the world frame."""
+    cos, sin = ego[HEADING_COS], ego[HEADING_SIN]
+    x, y = rotate(cos, sin, ego[ORIGIN_X], ego[ORIGIN_Y])  # from the robot to the origin
+    return cos, sin, -x, -y
+
+
+@function
 def _take_in(ego, seen, visible, steps, dt, aged, tracks, age):
     """Coast every track [M, 5] (world frame) by `dt` and replace those that are seen.
 
     `aged` is the same time in steps.
     """
-    cos, sin = ego[HEADING_COS], ego[HEADING_SIN]
-    x = -(cos * ego[ORIGIN_X] - sin * ego[ORIGIN_Y])
-    y = -(sin * ego[ORIGIN_X] + cos * ego[ORIGIN_Y])
+    cos, sin, x, y = _pose(ego)
     for j in range(seen.shape[0]):
         if visible[j]:
-            dx, dy = seen[j, OTHER_X], seen[j, OTHER_Y]
+            tracks[j, OTHER_X], tracks[j, OTHER_Y] = transform(
+                cos, sin, x, y, seen[j, OTHER_X], seen[j, OTHER_Y]
+            )
             vx = seen[j, OTHER_VELOCITY_X] + ego[VELOCITY_X]
             vy = seen[j, OTHER_VELOCITY_Y] + ego[VELOCITY_Y]
-            tracks[j, OTHER_X] = x + cos * dx - sin * dy
-            tracks[j, OTHER_Y] = y + sin * dx + cos * dy
-            tracks[j, OTHER_VELOCITY_X] = cos * vx - sin * vy
-            tracks[j, OTHER_VELOCITY_Y] = sin * vx + cos * vy
+            tracks[j, OTHER_VELOCITY_X], tracks[j, OTHER_VELOCITY_Y] = rotate(cos, sin, vx, vy)
             tracks[j, OTHER_RADIUS] = seen[j, OTHER_RADIUS]
             age[j] = _ZERO
         elif age[j] >= _ZERO:
@@ -142,18 +148,19 @@ def _take_in(ego, seen, visible, steps, dt, aged, tracks, age):
 @function
 def _recall(ego, steps, tracks, age, out, alive):
     """The tracks seen from the robot."""
-    cos, sin = ego[HEADING_COS], ego[HEADING_SIN]
-    x = -(cos * ego[ORIGIN_X] - sin * ego[ORIGIN_Y])
-    y = -(sin * ego[ORIGIN_X] + cos * ego[ORIGIN_Y])
+    cos, sin, x, y = _pose(ego)
     for j in range(age.shape[0]):
         alive[j] = age[j] >= _ZERO
         if not alive[j]:
             out[j, :] = _ZERO
             continue
-        dx, dy = tracks[j, OTHER_X] - x, tracks[j, OTHER_Y] - y
-        vx, vy = tracks[j, OTHER_VELOCITY_X], tracks[j, OTHER_VELOCITY_Y]
-        out[j, OTHER_X], out[j, OTHER_Y] = cos * dx + sin * dy, cos * dy - sin * dx
-        out[j, OTHER_VELOCITY_X] = cos * vx + sin * vy - ego[VELOCITY_X]
-        out[j, OTHER_VELOCITY_Y] = cos * vy - sin * vx - ego[VELOCITY_Y]
+        out[j, OTHER_X], out[j, OTHER_Y] = untransform(
+            cos, sin, x, y, tracks[j, OTHER_X], tracks[j, OTHER_Y]
+        )
+        vx, vy = unrotate(cos, sin, tracks[j, OTHER_VELOCITY_X], tracks[j, OTHER_VELOCITY_Y])
+        out[j, OTHER_VELOCITY_X], out[j, OTHER_VELOCITY_Y] = (
+            vx - ego[VELOCITY_X],
+            vy - ego[VELOCITY_Y],
+        )
         out[j, OTHER_RADIUS] = tracks[j, OTHER_RADIUS]
         out[j, AGE] = age[j] / np.float32(max(steps, 1))

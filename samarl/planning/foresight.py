@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 from mrsan import Observation, Scenario
 from mrsan.features import HEADING_COS, HEADING_SIN
 from mrsan.kernels import function
-from mrsan.prediction import ConstantVelocity, Predictor, find_predictor, turned
+from mrsan.prediction import ConstantVelocity, Predictor, find_predictor
+from mrsan.se2 import unrotate_vectors
 from samarl.observations.tracker import Tracker, TrackMemory, Tracks
 
 STRAIGHT = "constant_velocity"
@@ -50,9 +51,11 @@ class Foresight:
         self._past[..., -1, :], self._known[..., -1] = memory.humans[..., :2], seen
         known = self._past, self._known, memory.humans[..., 2:4], self.steps
         aside = self.predictor.predict(*known) - self._straight.predict(*known)
-        back = np.stack([ego[..., HEADING_COS], -ego[..., HEADING_SIN]], -1)[:, :, None, None]
+        heading = np.stack([ego[..., HEADING_COS], ego[..., HEADING_SIN]], -1)[:, :, None, None]
         found = np.zeros((*seen.shape, 1 + self.steps, 2), np.float32)
-        found[..., 1:, :] = np.where(seen[..., None, None], turned(aside, back), np.float32(0.0))
+        found[..., 1:, :] = np.where(
+            seen[..., None, None], unrotate_vectors(aside, heading), np.float32(0.0)
+        )
         return found
 
 

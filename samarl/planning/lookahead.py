@@ -30,10 +30,12 @@ from mrsan.features import (
     VELOCITY_X,
     VELOCITY_Y,
 )
+from mrsan.fields import required
 from mrsan.kernels import function, kernel
 from mrsan.kernels.contact import closest_approach
+from mrsan.parameters import kernel_parameters
 from mrsan.reward import step_reward_parts
-from mrsan.scenario import required
+from mrsan.se2 import rotate, unrotate, untransform
 from samarl.observations.tracker import AGE, Tracks
 from samarl.planning.tracking import move
 
@@ -49,9 +51,9 @@ _ONE = np.float32(1.0)
 class Commands:
     """A set of commands, each of which a robot can execute."""
 
-    turns: int = required(3, 99)  # from right to left, of robots with a heading
-    speeds: int = required(2, 20)  # of unicycles and holonomic robots
-    directions: int = required(1, 360)  # of holonomic robots
+    turns: int = required(3, 99, help="turns, from right to left, of robots with a heading")
+    speeds: int = required(2, 20, help="speeds of unicycles and holonomic robots")
+    directions: int = required(1, 360, help="directions of holonomic robots")
 
 
 class Outcomes(NamedTuple):
@@ -100,7 +102,7 @@ def look_ahead(
     )
     reward, ended = np.empty(shape, np.float32), np.empty(shape, np.bool_)
     _look_ahead(
-        len(robots), robots, *tracks, target, commands, scenario.parameters(),
+        len(robots), robots, *tracks, target, commands, kernel_parameters(scenario),
         own, humans, humans_known, others, others_known, reward, ended,
     )  # fmt: skip
     return Outcomes(Tracks(own, humans, humans_known, others, others_known), reward, ended)
@@ -167,12 +169,9 @@ def _turn_own(own, x, y, vx, vy, turn, p, out):
     for k in range(own.shape[0]):
         out[k] = own[k]
     for px, py in ((GOAL_X, GOAL_Y), (ORIGIN_X, ORIGIN_Y)):
-        dx, dy = own[px] - x, own[py] - y
-        out[px], out[py] = cos * dx + sin * dy, cos * dy - sin * dx
-    out[VELOCITY_X], out[VELOCITY_Y] = cos * vx + sin * vy, cos * vy - sin * vx
-    heading_cos, heading_sin = own[HEADING_COS], own[HEADING_SIN]
-    out[HEADING_COS] = heading_cos * cos - heading_sin * sin
-    out[HEADING_SIN] = heading_sin * cos + heading_cos * sin
+        out[px], out[py] = untransform(cos, sin, x, y, own[px], own[py])
+    out[VELOCITY_X], out[VELOCITY_Y] = unrotate(cos, sin, vx, vy)
+    out[HEADING_COS], out[HEADING_SIN] = rotate(cos, sin, own[HEADING_COS], own[HEADING_SIN])
     out[TIME] = own[TIME] + _ONE / np.float32(p.time_limit_steps)
 
 
@@ -196,9 +195,9 @@ def _turn_others(own, others, known, x, y, vx, vy, turn, p, out):
         radii = others[j, OTHER_RADIUS] + p.robot_radius
         hit = hit or closest_approach(before_x, before_y, dx, dy) < radii
         gap = min(gap, math.sqrt(dx * dx + dy * dy) - radii)
-        out[j, OTHER_X], out[j, OTHER_Y] = cos * dx + sin * dy, cos * dy - sin * dx
-        dvx, dvy = other_vx - vx, other_vy - vy
-        out[j, OTHER_VELOCITY_X] = cos * dvx + sin * dvy
-        out[j, OTHER_VELOCITY_Y] = cos * dvy - sin * dvx
+        out[j, OTHER_X], out[j, OTHER_Y] = unrotate(cos, sin, dx, dy)
+        out[j, OTHER_VELOCITY_X], out[j, OTHER_VELOCITY_Y] = untransform(
+            cos, sin, vx, vy, other_vx, other_vy
+        )
         out[j, OTHER_RADIUS], out[j, AGE] = others[j, OTHER_RADIUS], others[j, AGE]
     return hit, gap

@@ -10,9 +10,10 @@ from numba import prange
 from numpy.typing import NDArray
 
 from mrsan import Observation, Scenario
+from mrsan.fields import required
 from mrsan.kernels import kernel
 from mrsan.kernels.orca import orca_room, orca_velocity
-from mrsan.scenario import required
+from mrsan.parameters import kernel_parameters
 from samarl.planning.tracking import gather, preferred_velocity, track_velocity
 
 
@@ -20,10 +21,14 @@ from samarl.planning.tracking import gather, preferred_velocity, track_velocity
 class Avoidance:
     """Numbers of optimal reciprocal collision avoidance (van den Berg et al., 2011)."""
 
-    neighbor_distance: float = required(0.1, 1000.0)  # only agents nearer than this count, m
-    max_neighbors: int = required(1, 80)  # only so many of the nearest count
-    time_horizon: float = required(0.01, 100.0)  # the velocity must be safe for so long, s
-    safety_space: float = required(0.0, 5.0)  # added to every radius, m
+    neighbor_distance: float = required(
+        0.1, 1000.0, unit="m", help="agents farther away are ignored"
+    )
+    max_neighbors: int = required(1, 80, help="largest number of neighbours considered")
+    time_horizon: float = required(
+        0.01, 100.0, unit="s", help="time for which velocities are free of collisions"
+    )
+    safety_space: float = required(0.0, 5.0, unit="m", help="margin added to every radius")
 
 
 def avoid(numbers: Avoidance, observation: Observation, scenario: Scenario) -> NDArray[np.float32]:
@@ -33,7 +38,7 @@ def avoid(numbers: Avoidance, observation: Observation, scenario: Scenario) -> N
     _orca(
         worlds,
         *observation.known,
-        scenario.parameters(),
+        kernel_parameters(scenario),
         np.float32(numbers.neighbor_distance),
         numbers.max_neighbors,
         np.float32(numbers.time_horizon),

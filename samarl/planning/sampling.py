@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from mrsan import Scenario
 from mrsan.features import GOAL_X, GOAL_Y
+from mrsan.fields import required
 from mrsan.kernels import function, kernel
-from mrsan.scenario import required
+from mrsan.parameters import kernel_parameters
 from samarl.planning.foresight import gather_aside
 from samarl.planning.tracking import gather, move, steer, track_velocity
 
@@ -32,16 +33,18 @@ class Plans:
     is fixed, not random, so a decision is a function of what is known.
     """
 
-    horizon: float = required(0.01, 100.0)  # looked ahead, s
-    directions: int = required(1, 360)
-    speeds: int = required(1, 20)
-    holds: int = required(1, 20)  # for how long: the whole horizon, a half, a third, ...
-    human_margin: float = required(0.0, 5.0)  # added to the radius of humans, m
-    robot_margin: float = required(0.0, 5.0)  # added to the radius of robots, m
-    comfort: float = required(0.0, 5.0)  # distance that costs nothing, m
-    comfort_weight: float = required(0.0, 1e6)  # per second at contact
-    collision_weight: float = required(0.0, 1e6)
-    collision_discount: float = required(0.0, 1.0)  # per second: a late collision may not happen
+    horizon: float = required(0.01, 100.0, unit="s", help="duration of a plan")
+    directions: int = required(1, 360, help="directions that are tried")
+    speeds: int = required(1, 20, help="speeds that are tried")
+    holds: int = required(
+        1, 20, help="durations that are tried: the horizon, half of it, a third, ..."
+    )
+    human_margin: float = required(0.0, 5.0, unit="m", help="margin added to the radius of people")
+    robot_margin: float = required(0.0, 5.0, unit="m", help="margin added to the radius of robots")
+    comfort: float = required(0.0, 5.0, unit="m", help="distance that costs nothing")
+    comfort_weight: float = required(0.0, 1e6, help="cost per second at contact")
+    collision_weight: float = required(0.0, 1e6, help="cost of a collision")
+    collision_discount: float = required(0.0, 1.0, help="discount of later collisions, per second")
 
 
 def first_action(
@@ -61,7 +64,7 @@ def first_action(
         worlds,
         *known,
         aside,
-        scenario.parameters(),
+        kernel_parameters(scenario),
         max(1, scenario.steps(plans.horizon)),
         plans.directions,
         plans.speeds,

@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 
 from mrsan import Observation, Scenario
 from mrsan.features import GOAL_X, GOAL_Y
+from mrsan.fields import check_numbers, number, setting
 from mrsan.kernels import function, kernel
 from mrsan.kernels.contact import closest_approach
-from mrsan.scenario import check_numbers, number
+from mrsan.parameters import kernel_parameters
 from samarl.observations.tracker import Tracks
 from samarl.planning.detour import way_left
 from samarl.planning.foresight import STRAIGHT, gather_aside, straight_on
@@ -43,11 +44,21 @@ _TWO_PI = np.float32(2.0 * math.pi)
 class Shield:
     """The numbers of the shield; chosen on validation cases."""
 
-    horizon: float = number(2.0, 0.0, 100.0, above=True)  # actions are checked so far ahead, s
-    human_margin: float = number(0.05, 0.0, 5.0)  # added to the radius of humans, m
-    robot_margin: float = number(0.1, 0.0, 5.0)  # added to the radius of robots, m
-    track_time: float = number(6.0, 0.0, 1000.0)  # those out of view are remembered so long, s
-    predictor: str = STRAIGHT  # of the people in view: a name or a file of weights
+    horizon: float = number(
+        2.0, 0.0, 100.0, above=True, unit="s", help="time for which actions are checked"
+    )
+    human_margin: float = number(
+        0.05, 0.0, 5.0, unit="m", help="margin added to the radius of people"
+    )
+    robot_margin: float = number(
+        0.1, 0.0, 5.0, unit="m", help="margin added to the radius of robots"
+    )
+    track_time: float = number(
+        6.0, 0.0, 1000.0, unit="s", help="time for which agents out of view are remembered"
+    )
+    predictor: str = setting(
+        STRAIGHT, help="predictor of the people in view: a name or a weights file"
+    )
 
     def __post_init__(self) -> None:
         """Check every number.
@@ -76,7 +87,7 @@ def shielded(
     margins = np.float32(shield.human_margin), np.float32(shield.robot_margin)
     aside = straight_on(known[2]) if aside is None else aside
     steps = max(1, scenario.steps(shield.horizon)), scenario.steps(TEAM_MATE_UNCERTAIN)
-    _check(len(checked), *known[:5], aside, scenario.parameters(), *steps, *margins, checked)
+    _check(len(checked), *known[:5], aside, kernel_parameters(scenario), *steps, *margins, checked)
     return checked
 
 

@@ -23,6 +23,7 @@ from mrsan.features import (
 from mrsan.kernels import function, kernel
 from mrsan.kernels.kinematics import ACCELERATION_HEADING, HOLONOMIC, next_velocity
 from mrsan.parameters import Parameters
+from mrsan.se2 import unrotate
 
 _ZERO = np.float32(0.0)
 _HALF = np.float32(0.5)
@@ -74,9 +75,8 @@ def preferred_velocity(own, p):
 @function
 def steer(vx, vy, heading, wanted_x, wanted_y, action, p, sharp=SHARP):
     """`track_velocity` for a robot that moves and heads like that in the frame of what it wants."""
-    cos, sin = math.cos(heading), math.sin(heading)
-    ahead, aside = cos * wanted_x + sin * wanted_y, cos * wanted_y - sin * wanted_x
-    track_velocity(ahead, aside, math.sqrt(vx * vx + vy * vy), action, p, sharp)
+    ahead, left = unrotate(math.cos(heading), math.sin(heading), wanted_x, wanted_y)
+    track_velocity(ahead, left, math.sqrt(vx * vx + vy * vy), action, p, sharp)
 
 
 @function

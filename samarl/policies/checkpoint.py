@@ -23,7 +23,7 @@ from torch.nn.modules.module import register_module_parameter_registration_hook
 from torch.utils._pytree import tree_flatten, tree_leaves, tree_unflatten
 
 from mrsan import ConfigurationError
-from mrsan.scenario import ACTION_SIZE
+from mrsan.choices import ACTION_SIZE
 from samarl.files import find_folder, read_json, unfinished, write_json
 from samarl.messages import choice_hint
 from samarl.policies import (  # noqa: F401 (makes them known)

@@ -14,7 +14,7 @@ from torch import Tensor
 from torch.jit import is_tracing  # type: ignore[attr-defined]
 
 from mrsan import Observation, RewardParts, Scenario
-from mrsan.scenario import required
+from mrsan.fields import required
 from samarl.encoders import Encoder
 from samarl.encoders.encoder import samples_of
 from samarl.observations.features import (
@@ -62,12 +62,20 @@ class Waypoints(Enum):
 class HierarchicalConfig(PolicyConfig):
     """Numbers of the two levels."""
 
-    macro_steps: int = required(1, 200)  # steps between two waypoints, K
-    waypoint_ahead: float = required(0.1, 100.0)  # of a zero macro action: along the route, m
-    waypoint_range: float = required(0.1, 100.0)  # how far the macro action may move it, m
-    waypoint_progress: float = required(0.0, 100.0)  # reward of the local level per metre
-    local_goal: bool = needed()  # the local level sees the goal as well
-    arrival_bonus: float = required(0.0, 1000.0)  # of the local level, on top of the task's
+    macro_steps: int = required(1, 200, help="steps between two waypoints, K")
+    waypoint_ahead: float = required(
+        0.1, 100.0, unit="m", help="distance of the default waypoint along the route"
+    )
+    waypoint_range: float = required(
+        0.1, 100.0, unit="m", help="largest distance by which the macro level moves a waypoint"
+    )
+    waypoint_progress: float = required(
+        0.0, 100.0, help="reward of the local level per metre towards its waypoint"
+    )
+    local_goal: bool = needed(help="the local level also observes the goal")
+    arrival_bonus: float = required(
+        0.0, 1000.0, help="additional reward of the local level for arriving"
+    )
 
 
 @POLICIES.register("hierarchical", HierarchicalConfig)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from mrsan import ConfigurationError, Observation, Scenario
-from mrsan.scenario import required
+from mrsan.fields import required
 from samarl.encoders import Encoder
 from samarl.observations.features import frames_of
 from samarl.observations.frames import Frames
@@ -43,7 +43,7 @@ VALUE_SCALE = 10.0  # what is 1 to the networks; SAMARL's rewards add up to some
 class LookaheadConfig(Avoidance, Commands, PolicyConfig):
     """Numbers of the lookahead, and of ORCA, which drives while it is imitated."""
 
-    discount: float = required(0.0, 0.9999)  # per step
+    discount: float = required(0.0, 0.9999, help="discount per step")
 
 
 @POLICIES.register("lookahead", LookaheadConfig)

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,7 +23,7 @@ from torch.utils._pytree import tree_map
 
 from mrsan import ConfigurationError, Observation, RewardParts, Scenario
 from mrsan.features import GOAL
-from mrsan.scenario import required
+from mrsan.fields import required, setting
 from samarl.encoders import ENCODERS, Encoder
 from samarl.encoders.encoder import samples_of
 from samarl.observations.features import (
@@ -49,13 +49,24 @@ PolicyState = dict[str, Any]  # nested dicts and tuples of tensors, [B, ...] eac
 class PolicyConfig:
     """What all policies share."""
 
-    num_parameter_sets: int = required(1, 16)  # 1: all robots share one; N: each robot has its own
-    hidden: int = required(8, 4096)  # width of the heads
-    track_time: float = required(0.0, 1000.0)  # those out of view are remembered so long, s
-    round_below: float = required(0.0, 360.0)  # a narrower view goes round the crowd, degrees ...
-    round_radius: float = required(0.1, 1000.0)  # ... on a circle about the origin, m
-    encoder: dict[str, Any] = needed()  # its name and numbers
-    known_origin: bool = field(default=True, kw_only=True)  # the policy sees the map's origin
+    num_parameter_sets: int = required(
+        1, 16, help="1: all robots share their parameters; N: each robot has its own"
+    )
+    hidden: int = required(8, 4096, help="width of the heads")
+    track_time: float = required(
+        0.0, 1000.0, unit="s", help="time for which agents out of view are remembered"
+    )
+    round_below: float = required(
+        0.0,
+        360.0,
+        unit="degrees",
+        help="robots with a narrower field of view drive round the crowd",
+    )
+    round_radius: float = required(
+        0.1, 1000.0, unit="m", help="radius of the circle on which they do, about the origin"
+    )
+    encoder: dict[str, Any] = needed(help="name and settings of the encoder")
+    known_origin: bool = setting(True, kw_only=True, help="the policy observes where the origin is")
 
 
 class LevelStep(NamedTuple):

@@ -24,8 +24,8 @@ from mrsan.prediction import (
     RecurrentPredictor,
     own_frame,
     shapes,
-    turned,
 )
+from mrsan.se2 import unrotate_vectors
 from samarl.files import write_json
 from samarl.policies.checkpoint import attribute_errors_to, check_finite, write_tensors
 from samarl.prediction.training import Training
@@ -133,9 +133,8 @@ class Learner:
         straight = ConstantVelocity(self.time_step).predict(
             windows.past, known, windows.velocity, t.steps
         )
-        back = ahead * np.array([1, -1], np.float32)
-        wanted = turned(windows.future - straight, back[:, None])
-        tensors = [torch.from_numpy(array) for array in (velocities, readable, wanted)]
+        displacements = unrotate_vectors(windows.future - straight, ahead[:, None])
+        tensors = [torch.from_numpy(array) for array in (velocities, readable, displacements)]
         order = torch.from_numpy(rng.permutation(np.flatnonzero(ahead.any(-1))))
         for group in self.optimiser.param_groups:
             group["lr"] = 0.5 * t.learning_rate * (1 + np.cos(np.pi * self.round / t.rounds))

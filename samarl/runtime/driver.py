@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 
 from mrsan import EGO_FEATURES, OTHER_FEATURES, Observation
 from mrsan.features import GOAL
+from mrsan.parameters import kernel_parameters
+from mrsan.se2 import unrotate
 from samarl.observations.route import route
 from samarl.observations.tracker import Tracker, TrackMemory, Tracks
 from samarl.planning.lookahead import Commands, command_set, look_ahead
@@ -42,7 +44,7 @@ class Driver:
         """Drive with a loaded network; `load` is what one usually wants."""
         self._network, told = network, network.description
         self.description, self.scenario = told, told.make_scenario()
-        self._shield, self._parameters = told.make_shield(), self.scenario.parameters()
+        self._shield, self._parameters = told.make_shield(), kernel_parameters(self.scenario)
         policy, s = told.policy, self.scenario
         if network.looks_ahead:
             sizes = Commands(**{f.name: policy[f.name] for f in fields(Commands)})
@@ -126,7 +128,7 @@ class Driver:
         began = time if self._began is None else self._began
 
         def body(dx: float, dy: float) -> tuple[float, float]:
-            return cos * dx + sin * dy, cos * dy - sin * dx
+            return unrotate(cos, sin, dx, dy)
 
         ego = np.empty((1, 1, len(EGO_FEATURES)), np.float32)
         ego[0, 0] = (

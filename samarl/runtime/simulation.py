@@ -15,6 +15,7 @@ from mrsan.features import (
     VELOCITY_X,
     VELOCITY_Y,
 )
+from mrsan.se2 import rotate
 from samarl.runtime.inputs import Detection, OwnState
 
 
@@ -33,7 +34,7 @@ def as_seen(
     cos, sin = ego[HEADING_COS], ego[HEADING_SIN]
 
     def fixed(ahead: float, left: float) -> tuple[float, float]:
-        return cos * ahead - sin * left, sin * ahead + cos * left
+        return rotate(cos, sin, ahead, left)
 
     from_x, from_y = fixed(ego[ORIGIN_X], ego[ORIGIN_Y])
     goal_x, goal_y = fixed(ego[GOAL_X], ego[GOAL_Y])

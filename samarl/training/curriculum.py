@@ -7,19 +7,25 @@ from dataclasses import dataclass, field
 from omegaconf import MISSING
 
 from mrsan import ConfigurationError, Scenario
-from mrsan.scenario import check_numbers, number
+from mrsan.fields import check_numbers, number
 
 
 @dataclass
 class CurriculumStage:
     """A scenario that is trained on, in how many worlds, and when."""
 
-    worlds: int = number(MISSING, 1, 10**6)
-    begin: float = number(0.0, 0.0, 1.0)  # share of the training after which it is trained on ...
-    end: float = number(1.0, 0.0, 1.0)  # ... and until which
-    midway_start_probability: float = number(0.0, 0.0, 1.0)  # of an episode: round the crowd
-    failure_restart_probability: float = number(0.0, 0.0, 1.0)  # of a collision: tried again
-    noise_correlation: float = number(0.0, 0.0, 0.99)  # of the local level, from step to step
+    worlds: int = number(MISSING, 1, 10**6, help="worlds simulated side by side")
+    begin: float = number(0.0, 0.0, 1.0, help="share of the training after which the stage begins")
+    end: float = number(1.0, 0.0, 1.0, help="share of the training after which the stage ends")
+    midway_start_probability: float = number(
+        0.0, 0.0, 1.0, help="probability that an episode starts half-way round the crowd"
+    )
+    failure_restart_probability: float = number(
+        0.0, 0.0, 1.0, help="probability that an episode with a collision is repeated"
+    )
+    noise_correlation: float = number(
+        0.0, 0.0, 0.99, help="correlation of the local level's noise between steps"
+    )
     scenario: Scenario = field(default_factory=Scenario)
 
 

@@ -20,7 +20,7 @@ from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 from tqdm import tqdm
 
 from mrsan import ConfigurationError, Split, social_score
-from mrsan.scenario import check_numbers, required
+from mrsan.fields import check_numbers, required, setting
 from mrsan.threads import use_threads
 from samarl import distributed
 from samarl.agents.learned import Deployed
@@ -54,18 +54,20 @@ MOST_SEEDS = 2**20  # each has 2^20 training cases
 class TrainerConfig:
     """Numbers of a training run."""
 
-    steps: int = required(1, 10**12)  # environment steps in all worlds together
-    rollout: int = required(1, 100000)  # steps per world between updates
-    seed: int = required(0, MOST_SEEDS - 1)
-    threads: int = required(1, 1024)  # of torch and the simulator, in each process
-    validate_every: int = required(1, 10**12)  # environment steps
-    validation_cases: int = required(1, 10**6)
-    save_every: int = required(1, 10**12)  # environment steps
-    ema_decay: float = required(0.0, 0.9999)  # per update, of the mean of the weights
-    device: str = "cpu"  # of the networks; the simulation is always on the CPU
-    bfloat16: bool = False  # encode with bfloat16
-    compile: bool = False  # compile the encoders (needs a C++ compiler)
-    wandb: str | None = None  # project to which the TensorBoard curves are sent as well
+    steps: int = required(1, 10**12, help="environment steps, of all worlds together")
+    rollout: int = required(1, 100000, help="steps per world between updates")
+    seed: int = required(0, MOST_SEEDS - 1, help="seed of the weights, the noise and the cases")
+    threads: int = required(1, 1024, help="threads of torch and the simulator in each process")
+    validate_every: int = required(1, 10**12, help="environment steps between validations")
+    validation_cases: int = required(1, 10**6, help="validation cases")
+    save_every: int = required(1, 10**12, help="environment steps between checkpoints")
+    ema_decay: float = required(
+        0.0, 0.9999, help="decay of the moving average of the weights, per update"
+    )
+    device: str = setting("cpu", help="device of the networks; the simulation runs on the CPU")
+    bfloat16: bool = setting(False, help="encode with bfloat16")
+    compile: bool = setting(False, help="compile the encoders (needs a C++ compiler)")
+    wandb: str | None = setting(None, help="project that also receives the TensorBoard curves")
 
 
 class Trainer:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from mrsan import ConfigurationError, Crowd, Kinematics, Layout, Reward, Scenario
+from mrsan.parameters import kernel_parameters
 from samarl.evaluation.runner import Evaluation
 
 NUMBERS = [
@@ -163,7 +164,7 @@ def test_fields_may_contradict_each_other_where_one_of_them_is_not_used(
         with pytest.raises(ConfigurationError, match=r"scenario\.\w+ is "):
             Scenario(**fields, **place)
     for place in unused:
-        assert Scenario(**fields, **place).parameters()
+        assert kernel_parameters(Scenario(**fields, **place))
 
 
 def test_replacing_checks_again() -> None:
@@ -178,4 +179,4 @@ def test_the_defaults_are_samarls() -> None:
     )  # fmt: skip
     assert (s.max_acceleration, s.max_turn_rate, s.min_turning_radius) == (5.0, 60.0, 1.0)
     assert (s.robot_radius, s.robot_speed, s.sensing_range) == (0.3, 1.0, 10.0)
-    assert s.parameters().max_turn == pytest.approx(math.pi / 12)
+    assert kernel_parameters(s).max_turn == pytest.approx(math.pi / 12)

@@ -6,6 +6,7 @@ from numba import njit
 
 from mrsan import Crowd, Scenario, World
 from mrsan.kernels import layout
+from mrsan.parameters import kernel_parameters
 
 CLEARANCE = 0.4
 FIVE_SIGMA = 5.0
@@ -159,5 +160,5 @@ def largest_error(key, attempts, speed, p):
 
 def test_a_guessed_start_is_the_one_that_is_drawn() -> None:
     """Within less than the map of free places (out to 12.8 m) allows for: it changes no start."""
-    p = Scenario(circle_radius=10.0).parameters()
+    p = kernel_parameters(Scenario(circle_radius=10.0))
     assert largest_error(np.uint64(12345), 640, np.float32(1.3), p) < 1e-4

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mrsan import ConfigurationError, Crowd, Kinematics, Observation, Scenario, Split, World
-from mrsan.scenario import required
+from mrsan.fields import required
 from samarl.agents import Agent, build_agent
 from samarl.configuration import available_agents, load_agent
 from samarl.evaluation.runner import run_cases

@@ -12,6 +12,7 @@ import onnx
 import pytest
 
 from mrsan import ConfigurationError, Observation, Scenario, World
+from mrsan.parameters import kernel_parameters
 from samarl.agents import Agent, build_agent
 from samarl.agents.learned import Learned
 from samarl.agents.shielded import Shielded
@@ -52,7 +53,7 @@ def different(
     for robot, command in enumerate(commands):
         mine, right = (
             motion_after(
-                observation.ego[:, robot : robot + 1], one[None, None], scenario.parameters()
+                observation.ego[:, robot : robot + 1], one[None, None], kernel_parameters(scenario)
             )
             for one in (command.action, action[0, robot])
         )

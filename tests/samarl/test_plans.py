@@ -9,6 +9,7 @@ import pytest
 
 from mrsan import Kinematics, Scenario, World
 from mrsan.features import GOAL_X, GOAL_Y
+from mrsan.parameters import kernel_parameters
 from samarl.agents.planners.model_predictive import ModelPredictive
 from samarl.planning.sampling import _cost
 from samarl.planning.tracking import gather, track_velocity
@@ -33,7 +34,7 @@ def test_the_cheapest_plan_is_the_cheapest_of_all(
     scenario = Scenario(kinematics=kinematics, humans=12, robots=3, circle_radius=4.0)
     plans: dict[str, Any] = {**PLANS, **numbers}
     planner = ModelPredictive(scenario, **plans)
-    p, best = scenario.parameters(), np.empty(scenario.action_size, np.float32)
+    p, best = kernel_parameters(scenario), np.empty(scenario.action_size, np.float32)
     sizes = (8, *(plans[name] for name in ("directions", "speeds", "holds")))  # 2 s: 8 steps
     per_step = {
         **plans, "comfort_weight": plans["comfort_weight"] / 4,

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from mrsan import Crowd, Scenario, World
+from mrsan.parameters import kernel_parameters
 from samarl.agents import build_agent
 from samarl.configuration import load_agent
 from samarl.observations.tracker import Tracker
@@ -58,7 +59,7 @@ def test_every_duration_of_a_scenario_is_converted_once() -> None:
         time_step=0.1, time_limit=30.0, team_delay=0.5, late_time=12.0, goal_change_interval=5.0,
         recorded_start_clear=2.0, recorded_slot_rest=6.0,
     )  # fmt: skip
-    p = scenario.parameters()
+    p = kernel_parameters(scenario)
     assert (p.time_limit_steps, p.team_delay_steps, p.late_steps) == (300, 5, 120)
     assert (p.goal_change_steps, p.recorded_start_clear_steps) == (50, 20)
     assert p.recorded_slot_rest_steps == 60

@@ -8,6 +8,7 @@ import pytest
 
 from mrsan import ConfigurationError, Kinematics, Scenario, World
 from mrsan.features import HEADING_COS, HEADING_SIN, VELOCITY
+from mrsan.parameters import kernel_parameters
 from samarl.agents import build_agent
 from samarl.agents.learned import Learned
 from samarl.configuration import load_agent
@@ -39,7 +40,7 @@ def test_a_holonomic_robot_moves_as_any_other_would(own: Kinematics) -> None:
     for _ in range(8):
         action = rng.uniform(-1, 1, (50, 1, theirs.action_size)).astype(np.float32)
         ego = other.observe().ego
-        tracked = as_driven(ego, action, theirs.parameters(), ours.parameters())
+        tracked = as_driven(ego, action, kernel_parameters(theirs), kernel_parameters(ours))
         assert np.abs(tracked).max() <= 1.0
         expected, turn = moved(one, action)
         velocity, turned = moved(other, tracked)
@@ -52,8 +53,8 @@ def test_a_holonomic_robot_moves_as_any_other_would(own: Kinematics) -> None:
 
 def test_a_robot_with_limits_comes_as_near_as_it_can() -> None:
     """By hand: from standing, ahead; and from full speed by a quarter turn to the left."""
-    own = replace(ALONE, kinematics=Kinematics.holonomic).parameters()
-    here = ALONE.parameters()
+    own = kernel_parameters(replace(ALONE, kinematics=Kinematics.holonomic))
+    here = kernel_parameters(ALONE)
     ego = np.zeros((1, 3, 11), np.float32)
     ego[..., HEADING_COS] = 1.0
     ego[0, 1, VELOCITY.start] = 1.0

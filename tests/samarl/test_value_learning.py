@@ -13,7 +13,7 @@ import torch
 from tensordict import TensorDict
 
 from mrsan import ConfigurationError, Scenario, World
-from mrsan.scenario import required
+from mrsan.fields import required
 from samarl.agents import build_agent
 from samarl.agents.learned import Deployed, Learned
 from samarl.algorithms import ALGORITHMS

@@ -219,7 +219,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mrsan.scenario import required
+from mrsan.fields import required
 from samarl.agents import Agent
 
 
@@ -271,12 +271,12 @@ def test_help_is_quick_to_say(command: str, tmp_path: Path) -> None:
     assert "heavy: none" in done.stdout or command in ("train", "export")
     lines = {line.strip().partition("  ")[0]: line for line in done.stdout.splitlines()}
     expected = {
-        "export": ("robot_radius: 0.3", "# m [0.05, 2]"),
-        "evaluate": ("fov_degrees: 360.0", "# centred on the heading (0, 360]"),
+        "export": ("robot_radius: 0.3", "m [0.05, 2]"),
+        "evaluate": ("fov_degrees: 360.0", "centred on the heading, degrees (0, 360]"),
         "render": ("time_horizon: 5.0", "be safe, s [0.01, 100]"),
         "report": ("agents: null", "# a list of names to record; null: all of conf/agent/"),
         "predictor": ("history: 8", "reads: 1.75 s [2, 200]"),
-        "bench": ("cases: 500", "# how many [1, 1e+06]"),
+        "bench": ("cases: 500", "[1, 1e+06]"),
         "train": ("waypoint_range: 1.5", "may move it from there, m [0.1, 100]"),
     }
     setting, meaning = expected[command]

@@ -31,8 +31,9 @@ function = _inlined(_nrt=False)
 _PACKAGE = Path(__file__).resolve().parent.parent
 _CORE_SOURCES = [
     *sorted(_PACKAGE.glob("kernels/*.py")),
-    _PACKAGE / "features.py",
-    _PACKAGE / "reward.py",
+    *(_PACKAGE / f"{name}.py" for name in ("features", "reward", "se2")),
+    # The order of the fields of named tuples is part of compiled code.
+    *(_PACKAGE / f"{name}.py" for name in ("parameters", "scenario", "state")),
 ]
 
 

@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from mrsan.kernels import function
+from mrsan.se2 import rotate
 
 ACCELERATION_HEADING = 0
 HOLONOMIC = 1
@@ -71,7 +72,8 @@ def _holonomic(heading, forward, left, p):
     cos, sin = math.cos(heading), math.sin(heading)
     if norm > _ZERO:
         heading = wrap_angle(heading + math.atan2(left, forward))
-    return (forward * cos - left * sin) * scale, (forward * sin + left * cos) * scale, heading
+    vx, vy = rotate(cos, sin, forward, left)
+    return vx * scale, vy * scale, heading
 
 
 @function

@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from mrsan.kernels import function, rng
+from mrsan.se2 import rotate
 
 CIRCLE = 0  # everybody crosses to the opposite point: SAMARL
 CROSSING = 1  # two streams of people at right angles
@@ -49,8 +50,7 @@ def draw_robot_way(start, goal, key, i, attempt, layout, p):
             angle = p.goal_turn + rng.uniform_between(
                 -p.goal_turn_spread, p.goal_turn_spread, key, rng.START, i, attempt, 6
             )
-            cos, sin = math.cos(angle), math.sin(angle)
-            goal[0], goal[1] = cos * goal[0] - sin * goal[1], sin * goal[0] + cos * goal[1]
+            goal[0], goal[1] = rotate(math.cos(angle), math.sin(angle), goal[0], goal[1])
             if p.goal_turn_spread != _ZERO and attempt < _TRIES:  # not by chance to the start
                 dx, dy = goal[0] - start[0], goal[1] - start[1]
                 apart = p.robot_radius + p.robot_radius + p.spawn_clearance

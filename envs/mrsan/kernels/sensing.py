@@ -24,6 +24,7 @@ from mrsan.features import (
     VELOCITY_Y,
 )
 from mrsan.kernels import function, kernel, rng
+from mrsan.se2 import unrotate
 
 _ZERO = np.float32(0.0)
 _LEAST_RADIUS = np.float32(0.05)  # that noise leaves, as of a person in `Scenario`, m
@@ -71,12 +72,10 @@ def observe(chunks, worlds, state, p, ego, humans, humans_visible, robots, robot
                 x, y = position[e, i, 0], position[e, i, 1]
                 vx, vy = velocity[e, i, 0], velocity[e, i, 1]
                 gx, gy = goal[e, i, 0] - x, goal[e, i, 1] - y
-                ego[e, i, GOAL_X] = cos * gx + sin * gy
-                ego[e, i, GOAL_Y] = cos * gy - sin * gx
-                ego[e, i, VELOCITY_X] = cos * vx + sin * vy
-                ego[e, i, VELOCITY_Y] = cos * vy - sin * vx
-                ego[e, i, ORIGIN_X] = -(cos * x + sin * y)
-                ego[e, i, ORIGIN_Y] = -(cos * y - sin * x)
+                ego[e, i, GOAL_X], ego[e, i, GOAL_Y] = unrotate(cos, sin, gx, gy)
+                ego[e, i, VELOCITY_X], ego[e, i, VELOCITY_Y] = unrotate(cos, sin, vx, vy)
+                own_x, own_y = unrotate(cos, sin, x, y)
+                ego[e, i, ORIGIN_X], ego[e, i, ORIGIN_Y] = -own_x, -own_y
                 ego[e, i, HEADING_COS], ego[e, i, HEADING_SIN] = cos, sin
                 ego[e, i, RADIUS], ego[e, i, PREFERRED_SPEED] = robot_radius, robot_speed
                 ego[e, i, TIME] = np.float32(step) / steps
@@ -96,8 +95,8 @@ def observe(chunks, worlds, state, p, ego, humans, humans_visible, robots, robot
                         radius = robot_radius
                         slot = k if k < i else k - 1
                     distance = math.sqrt(dx * dx + dy * dy)
-                    ahead, left = cos * dx + sin * dy, cos * dy - sin * dx
-                    along, across = cos * ux + sin * uy, cos * uy - sin * ux
+                    ahead, left = unrotate(cos, sin, dx, dy)
+                    along, across = unrotate(cos, sin, ux, uy)
                     seen = seen and distance <= limit
                     if cos_half_fov > _FULL_CIRCLE:
                         seen = seen and ahead >= distance * cos_half_fov

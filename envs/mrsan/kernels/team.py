@@ -13,6 +13,7 @@ from mrsan.features import (
     OTHER_Y,
 )
 from mrsan.kernels import function, kernel, rng
+from mrsan.se2 import transform, untransform
 
 # Kinds, see `mrsan.scenario.TeamPerception`.
 NONE = 0
@@ -99,10 +100,10 @@ def _say(seen, visible, pose, row, first, skip):
             continue
         x, y = seen[j, OTHER_X], seen[j, OTHER_Y]
         vx, vy = seen[j, OTHER_VELOCITY_X], seen[j, OTHER_VELOCITY_Y]
-        out[OTHER_X] = position[0] + cos * x - sin * y
-        out[OTHER_Y] = position[1] + sin * x + cos * y
-        out[OTHER_VELOCITY_X] = velocity[0] + cos * vx - sin * vy
-        out[OTHER_VELOCITY_Y] = velocity[1] + sin * vx + cos * vy
+        out[OTHER_X], out[OTHER_Y] = transform(cos, sin, position[0], position[1], x, y)
+        out[OTHER_VELOCITY_X], out[OTHER_VELOCITY_Y] = transform(
+            cos, sin, velocity[0], velocity[1], vx, vy
+        )
         out[OTHER_RADIUS] = seen[j, OTHER_RADIUS]
 
 
@@ -115,11 +116,12 @@ def _hear(row, first, skip, late, pose, seen, visible, told):
         of = row[first + j + (j >= skip)]
         if visible[j] or of[OTHER_RADIUS] == _ZERO:
             continue
-        dx = of[OTHER_X] + of[OTHER_VELOCITY_X] * late - position[0]
-        dy = of[OTHER_Y] + of[OTHER_VELOCITY_Y] * late - position[1]
-        vx, vy = of[OTHER_VELOCITY_X] - velocity[0], of[OTHER_VELOCITY_Y] - velocity[1]
+        vx, vy = of[OTHER_VELOCITY_X], of[OTHER_VELOCITY_Y]
+        x, y = of[OTHER_X] + vx * late, of[OTHER_Y] + vy * late
         out = seen[j]
-        out[OTHER_X], out[OTHER_Y] = cos * dx + sin * dy, cos * dy - sin * dx
-        out[OTHER_VELOCITY_X], out[OTHER_VELOCITY_Y] = cos * vx + sin * vy, cos * vy - sin * vx
+        out[OTHER_X], out[OTHER_Y] = untransform(cos, sin, position[0], position[1], x, y)
+        out[OTHER_VELOCITY_X], out[OTHER_VELOCITY_Y] = untransform(
+            cos, sin, velocity[0], velocity[1], vx, vy
+        )
         out[OTHER_RADIUS] = of[OTHER_RADIUS]
         visible[j] = told[j] = True

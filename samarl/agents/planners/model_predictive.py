@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrsan import Observation
+from mrsan.fields import setting
 from samarl.agents.agent import Agent
 from samarl.planning.foresight import STRAIGHT, Lookout, straight_on
 from samarl.planning.sampling import Plans, first_action
@@ -17,7 +18,9 @@ from samarl.planning.sampling import Plans, first_action
 class ModelPredictive(Plans, Agent):
     """Simulates its own dynamics under a fixed set of plans and takes the cheapest."""
 
-    predictor: str = STRAIGHT  # of the people in view: a name or a file of weights
+    predictor: str = setting(
+        STRAIGHT, help="predictor of the people in view: a name or a weights file"
+    )
 
     def __post_init__(self) -> None:
         """Find the predictor.

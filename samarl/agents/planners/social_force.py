@@ -10,9 +10,10 @@ from numba import prange
 from numpy.typing import NDArray
 
 from mrsan import Observation
+from mrsan.fields import required
 from mrsan.kernels import kernel
 from mrsan.kernels.social_force import social_force_velocity
-from mrsan.scenario import required
+from mrsan.parameters import kernel_parameters
 from samarl.agents.agent import Agent
 from samarl.planning.tracking import gather, preferred_velocity, track_velocity
 
@@ -21,16 +22,18 @@ from samarl.planning.tracking import gather, preferred_velocity, track_velocity
 class SocialForce(Agent):
     """Pulled to the goal, pushed by everybody in view (Helbing and Molnar, 1995)."""
 
-    relaxation_time: float = required(0.01, 10.0)
-    strength: float = required(0.0, 1000.0)
-    reach: float = required(0.01, 10.0)
+    relaxation_time: float = required(
+        0.01, 10.0, unit="s", help="time to reach the preferred velocity"
+    )
+    strength: float = required(0.0, 1000.0, unit="m/s^2", help="repulsion at contact")
+    reach: float = required(0.01, 10.0, unit="m", help="distance over which repulsion falls by 1/e")
 
     def act(self, observation: Observation) -> NDArray[np.float32]:
         """The velocity that the forces lead to, as far as the robot's limits allow it."""
         worlds, robots = observation.ego.shape[:2]
         action = np.empty((worlds, robots, self.scenario.action_size), np.float32)
         forces = (np.float32(x) for x in (self.relaxation_time, self.strength, self.reach))
-        _social_force(worlds, *observation.known, self.scenario.parameters(), *forces, action)
+        _social_force(worlds, *observation.known, kernel_parameters(self.scenario), *forces, action)
         return action
 
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from mrsan import Observation, Scenario
 from mrsan.features import GOAL, VELOCITY_X, VELOCITY_Y
 from mrsan.kernels import kernel
+from mrsan.parameters import kernel_parameters
 from samarl.agents.agent import Agent
 from samarl.planning.tracking import track_velocity
 
@@ -36,7 +37,9 @@ def drive_towards(
     """
     ego = observation.ego
     action = np.empty((*ego.shape[:2], scenario.action_size), np.float32)
-    _drive_towards(ego.shape[0], ego, np.ascontiguousarray(targets), scenario.parameters(), action)
+    _drive_towards(
+        ego.shape[0], ego, np.ascontiguousarray(targets), kernel_parameters(scenario), action
+    )
     return action
 
 

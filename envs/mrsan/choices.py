@@ -1,0 +1,52 @@
+"""The named choices of a scenario; their values are what the kernels compare with."""
+
+from __future__ import annotations
+
+from enum import Enum
+
+from mrsan.kernels import kinematics as kinematics_kernel
+from mrsan.kernels import layout as layout_kernel
+from mrsan.kernels import recorded as recorded_kernel
+from mrsan.kernels import step as step_kernel
+from mrsan.kernels import team as team_kernel
+
+
+class Crowd(Enum):
+    """How people move."""
+
+    orca = step_kernel.ORCA
+    social_force = step_kernel.SOCIAL_FORCE
+    still = step_kernel.STILL
+    recorded = recorded_kernel.RECORDED  # as in a file; of more than `humans` the nearest
+
+
+class Layout(Enum):
+    """Where agents start and go."""
+
+    circle = layout_kernel.CIRCLE  # across a circle: SAMARL
+    crossing = layout_kernel.CROSSING  # people in two streams at right angles
+    opposite = layout_kernel.OPPOSITE  # people in two streams along one band
+    square = layout_kernel.SQUARE  # people anywhere on a square floor
+    mixed = layout_kernel.MIXED  # one of these four, drawn per episode
+
+
+class TeamPerception(Enum):
+    """What robots report to each other."""
+
+    none = team_kernel.NONE  # nothing: SAMARL
+    tracks = team_kernel.TRACKS  # the agents they see, and their own poses
+
+
+class Kinematics(Enum):
+    """What an action means to a robot."""
+
+    acceleration_heading = kinematics_kernel.ACCELERATION_HEADING  # SAMARL, Eq. 1-3
+    holonomic = kinematics_kernel.HOLONOMIC  # a velocity in the body frame
+    unicycle = kinematics_kernel.UNICYCLE  # a forward speed and a heading change
+
+
+ACTION_SIZE = {  # numbers per action
+    Kinematics.acceleration_heading: 3,
+    Kinematics.holonomic: 2,
+    Kinematics.unicycle: 2,
+}

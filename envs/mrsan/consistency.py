@@ -1,0 +1,99 @@
+"""Settings of a scenario that contradict each other."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from mrsan.choices import Crowd, Layout
+from mrsan.fields import ConfigurationError
+
+if TYPE_CHECKING:
+    from mrsan.scenario import Scenario
+
+_MOST_COVERED = 0.35  # share of a walled floor that discs at starts and goals may cover
+
+
+def check_consistency(s: Scenario) -> None:
+    """Check the settings of a scenario, each of which is valid by itself, against each other.
+
+    Raises:
+        ConfigurationError: names the first field that contradicts another one, and both values.
+    """
+    _check_order(s)
+    if s.recording is not None and s.crowd is not Crowd.recorded:
+        raise ConfigurationError(
+            f"scenario.recording is {s.recording!r}; it must be null unless scenario.crowd is "
+            "recorded"
+        )
+    if s.crowd is Crowd.recorded and (s.robots_visible or s.arena_radius is not None):
+        raise ConfigurationError(
+            "scenario.crowd is recorded; then scenario.robots_visible must be false and "
+            "scenario.arena_radius null: recorded people react neither to robots nor to walls"
+        )
+    if s.arena_radius is not None:
+        _check_arena(s, s.arena_radius)
+
+
+def _layouts(s: Scenario) -> list[Layout]:
+    """Return the layouts that episodes of a scenario may have; none if people are recorded."""
+    if s.crowd is Crowd.recorded:
+        return []
+    single = [Layout.circle, Layout.crossing, Layout.opposite, Layout.square]
+    return single if s.layout is Layout.mixed else [s.layout]
+
+
+def _check_order(s: Scenario) -> None:
+    """Check that no smallest value exceeds the largest one, where both apply."""
+    layouts, simulated = _layouts(s), s.crowd is not Crowd.recorded
+    circle = Layout.circle in layouts
+    floor = any(layout is not Layout.circle for layout in layouts)
+    walking = simulated and s.crowd is not Crowd.still
+    for low, high, applies in (
+        ("humans_min", "humans", simulated),
+        ("human_radius_min", "human_radius_max", True),
+        ("human_speed_min", "human_speed_max", simulated),
+        ("hurry_speed_min", "hurry_speed_max", simulated and s.hurry_probability > 0.0),
+        ("robot_way_min", "robot_way_max", floor or not simulated),
+        ("robot_way_min", "floor_size", floor),
+        ("crossing_width", "floor_size", Layout.crossing in layouts),
+        ("opposite_width", "floor_size", Layout.opposite in layouts),
+        ("time_step", "time_limit", True),
+        ("goal_distance", "circle_radius", circle and walking),
+        ("goal_change_probability", "goal_change_probability_max", walking),
+    ):
+        smallest, largest = getattr(s, low), getattr(s, high)
+        if applies and None not in (smallest, largest) and smallest > largest:
+            raise ConfigurationError(
+                f"scenario.{low} is {smallest}; it must not exceed scenario.{high} ({largest})"
+            )
+
+
+def _check_arena(s: Scenario, arena_radius: float) -> None:
+    """Check that the wall leaves room for the starts and goals of all robots."""
+    layouts = _layouts(s)
+    refused = f"scenario.arena_radius is {arena_radius}; "
+    if any(layout is not Layout.circle for layout in layouts):
+        smallest = s.floor_size / math.sqrt(2.0) + s.robot_radius
+        if arena_radius < smallest:
+            raise ConfigurationError(
+                f"{refused}it must be null or at least {smallest:.2f}, so that the corners of the "
+                "floor lie inside"
+            )
+    circle = Layout.circle in layouts
+    jitter = math.sqrt(2.0) * s.spawn_jitter * s.robot_speed if circle else 0.0
+    smallest = s.circle_radius + jitter + s.robot_radius
+    if circle and arena_radius < smallest:
+        raise ConfigurationError(
+            f"{refused}it must be null or at least {smallest:.2f}, so that every start and goal "
+            "lies inside"
+        )
+    # Each start and goal keeps a disc of this radius free of the other robots'.
+    disc = s.robot_radius + s.spawn_clearance / 2
+    floor_radius = arena_radius - s.robot_radius - jitter
+    if 2 * s.robots * disc**2 > _MOST_COVERED * floor_radius**2:
+        smallest = math.sqrt(2 * s.robots / _MOST_COVERED) * disc + s.robot_radius + jitter
+        raise ConfigurationError(
+            f"{refused}{s.robots} robots with scenario.spawn_clearance {s.spawn_clearance} need "
+            f"at least {smallest:.2f}"
+        )

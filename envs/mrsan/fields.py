@@ -1,0 +1,104 @@
+"""Settings as dataclass fields: each with its range, its unit and what it means."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import field
+from enum import Enum
+from typing import Any, get_type_hints
+
+import numpy as np
+
+
+class ConfigurationError(ValueError):
+    """A setting that cannot be used; the message names it, its value and what would be right."""
+
+
+class UnknownFieldError(ConfigurationError, TypeError):
+    """A keyword that names no field; also a `TypeError`, which libraries expect then."""
+
+
+def number(
+    default: Any, low: float, high: float, *, above: bool = False, unit: str = "", help: str = ""
+) -> Any:
+    """Declare a number with a default.
+
+    Args:
+        default: its default.
+        low: smallest permitted value.
+        high: largest permitted value.
+        above: the value must exceed `low`.
+        unit: its unit, such as `m/s`; empty for a number without one.
+        help: what it means, for `--help`.
+    """
+    return field(default=default, metadata=_metadata(low, high, above, unit, help))
+
+
+def required(low: float, high: float, *, unit: str = "", help: str = "") -> Any:
+    """Declare a number without a default; see `number`."""
+    return field(metadata=_metadata(low, high, False, unit, help))
+
+
+def setting(default: Any, *, kw_only: bool = False, help: str = "") -> Any:
+    """Declare a switch, a choice, a text or another setting that is not a number.
+
+    Args:
+        default: its default.
+        kw_only: it can only be passed by name, so it may precede fields without a default.
+        help: what it means, for `--help`.
+    """
+    return field(default=default, kw_only=kw_only, metadata={"help": help})
+
+
+def _metadata(low: float, high: float, above: bool, unit: str, help: str) -> dict[str, Any]:
+    return {"low": low, "high": high, "above": above, "unit": unit, "help": help}
+
+
+def permitted_range(metadata: Any) -> str:
+    """Return the range of a number, such as `(0, 360]`, from the metadata of its field."""
+    bracket = "(" if metadata["above"] else "["
+    return f"{bracket}{metadata['low']:g}, {metadata['high']:g}]"
+
+
+def check_numbers(config: Any, path: str) -> None:
+    """Check every number, switch and choice of a dataclass; names of choices become their enums.
+
+    Args:
+        config: a dataclass instance.
+        path: prefix of its fields in messages, such as `scenario`; may be empty.
+
+    Raises:
+        ConfigurationError: names the first invalid field, its value and its range.
+    """
+    hints = get_type_hints(type(config))
+    for f in dataclasses.fields(config):
+        name, value, hint = f"{path}.{f.name}", getattr(config, f.name), hints[f.name]
+        name = name.removeprefix(".")
+        if isinstance(hint, type) and issubclass(hint, Enum):
+            if isinstance(value, str) and value in hint.__members__:
+                setattr(config, f.name, hint[value])
+            elif not isinstance(value, hint):
+                choices = ", ".join(hint.__members__)
+                raise ConfigurationError(f"{name} is {value!r}; it must be one of {choices}")
+        elif hint is bool:
+            if not isinstance(value, bool):
+                raise ConfigurationError(f"{name} is {value!r}; it must be true or false")
+        elif "low" in f.metadata:
+            _check_number(name, value, hint, f.metadata)
+
+
+def _check_number(name: str, value: Any, hint: Any, metadata: Any) -> None:
+    types = getattr(hint, "__args__", (hint,))
+    optional = type(None) in types
+    if optional and value is None:
+        return
+    integral = int in types
+    number_types = (int, np.integer) if integral else (int, float, np.integer, np.floating)
+    low, high, above = metadata["low"], metadata["high"], metadata["above"]
+    valid = isinstance(value, number_types) and not isinstance(value, bool) and low <= value <= high
+    if not valid or (above and value == low):
+        verb = "be a whole number" if integral else "lie"
+        null = " or be null" if optional else ""
+        raise ConfigurationError(
+            f"{name} is {value!r}; it must {verb} in {permitted_range(metadata)}{null}"
+        )

@@ -1,0 +1,50 @@
+"""The numbers of a scenario in the form that kernels take."""
+
+import pickle
+
+import numpy as np
+import pytest
+
+from mrsan import Kinematics, Layout, Reward, Scenario
+from mrsan.parameters import kernel_parameters
+
+
+def test_fields_keep_their_names_and_get_the_kernels_types() -> None:
+    p = kernel_parameters(Scenario(circle_radius=6, robots_visible=True, reward=Reward(team=7)))
+    assert (p.circle_radius, type(p.circle_radius)) == (6.0, np.float32)
+    assert (p.reward_team, type(p.reward_team)) == (7.0, np.float32)
+    assert p.robots_visible is True
+    assert (p.max_neighbors, p.layout) == (10, Layout.circle.value)
+
+
+def test_durations_angles_and_absent_limits_are_converted() -> None:
+    p = kernel_parameters(
+        Scenario(
+            time_step=0.1, time_limit=20.0, late_time=3.0, max_turn_rate=90.0, fov_degrees=120.0,
+            humans=7, kinematics=Kinematics.unicycle, circle_radius=4.0,
+            reward=Reward(goal_distance=0.8),
+        )
+    )  # fmt: skip
+    assert (p.time_limit_steps, p.late_steps) == (200, 30)
+    assert p.max_turn == pytest.approx(np.pi / 20)  # 90 degrees/s for 0.1 s
+    assert p.cos_half_fov == pytest.approx(0.5)
+    assert (p.humans_min, p.arena_radius) == (7, np.inf)
+    assert p.goal_change_probability_max == p.goal_change_probability == np.float32(0.5)
+    assert p.instant_velocity is True
+    assert p.reward_goal_distance == pytest.approx(0.05)  # 0.8 / 4^2
+
+
+def test_all_scenarios_have_parameters_of_the_same_types() -> None:
+    """Otherwise kernels would be compiled once for each kind of scenario."""
+    plain = kernel_parameters(Scenario())
+    other = kernel_parameters(
+        Scenario(
+            humans_min=2, arena_radius=12.0, layout=Layout.mixed, goal_change_probability_max=1
+        )
+    )
+    assert [type(value) for value in plain] == [type(value) for value in other]
+
+
+def test_compiled_kernels_can_be_cached_with_their_type() -> None:
+    p = kernel_parameters(Scenario())
+    assert type(pickle.loads(pickle.dumps(p))) is type(p)
