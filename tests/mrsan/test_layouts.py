@@ -234,10 +234,22 @@ def test_an_episode_does_not_depend_on_the_batch(layout: Layout) -> None:
     ("fields", "said"),
     [
         ({"layout": "plaza"}, "scenario.layout is 'plaza'; it must be one of circle, crossing"),
-        ({"robot_way_min": 15.0, "robot_way_max": 15.0}, "must not exceed scenario.floor_size"),
-        ({"robot_way_max": 3.0}, "scenario.robot_way_min is 4.0; it must not exceed"),
-        ({"crossing_width": 15.0}, "must not exceed scenario.floor_size"),
-        ({"hurry_speed_min": 2.5}, "must not exceed scenario.hurry_speed_max"),
+        (
+            {"layout": "square", "robot_way_min": 15.0, "robot_way_max": 15.0},
+            "must not exceed scenario.floor_size",
+        ),
+        (
+            {"layout": "square", "robot_way_max": 3.0},
+            "scenario.robot_way_min is 4.0; it must not exceed",
+        ),
+        (
+            {"layout": "crossing", "crossing_width": 15.0},
+            "must not exceed scenario.floor_size",
+        ),
+        (
+            {"hurry_probability": 0.5, "hurry_speed_min": 2.5},
+            "must not exceed scenario.hurry_speed_max",
+        ),
         ({"layout": "square", "arena_radius": 9.0}, "must be null or at least 10.20"),
     ],
 )

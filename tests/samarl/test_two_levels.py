@@ -234,7 +234,7 @@ def test_kept_samples_are_those_of_the_largest_advantages() -> None:
     prepared = learner.prepare(
         [collector(model).collect()], {"losses/local_explained_variance": []}
     )
-    (kept,) = learner._kept(prepared)
+    (kept,) = learner._largest_advantages(prepared)
     level = prepared[0][LOCAL]
     size = level.advantage.abs()
     assert kept.sum().item() == pytest.approx(0.25 * level.where.sum().item(), abs=2)

@@ -129,7 +129,7 @@ def test_the_bench_writes_table_1_in_the_documented_form(tmp_path: Path) -> None
 
 
 def test_the_bench_plays_elsewhere_and_among_recorded_people(tmp_path: Path) -> None:
-    shipped = Path(mrsan.__file__).parent / "recordings"
+    shipped = Path(mrsan.__file__).parent / "recording"
     words = ["table=transfer", "agents=[orca,straight]", "evaluation.cases=2", "output=mine"]
     columns = "columns=[{layout: square}, {fov_degrees: 90, team_perception: tracks}]"
     done = run("bench", *words, columns, f"recordings={shipped}", cwd=tmp_path)
@@ -330,7 +330,7 @@ def test_what_cannot_be_written_is_refused_before_anything_is_played(tmp_path: P
 def test_a_policy_outside_of_its_views_says_so(tmp_path: Path) -> None:
     words = ["agent=samarl_narrow", "evaluation.cases=1", "scenario.time_limit=1"]
     done = run("evaluate", *words, "scenario.fov_degrees=120", cwd=tmp_path)
-    said = "note: samarl_narrow was trained for a view of 90 degrees; here it is 120\n"
+    said = "note: samarl_narrow was trained for a view of 90 degrees; here it is 120 degrees\n"
     assert said in done.stderr
     done = run("evaluate", *words, "scenario.fov_degrees=90", cwd=tmp_path)
     assert "note:" not in done.stderr
