@@ -1,23 +1,21 @@
-"""The named choices of a scenario; their values are what the kernels compare with."""
+"""The named choices of a scenario; values are the numbers that kernels compare with."""
 
 from __future__ import annotations
 
-from enum import Enum
+from enum import Enum, StrEnum
 
 from mrsan.kernels import kinematics as kinematics_kernel
 from mrsan.kernels import layout as layout_kernel
-from mrsan.kernels import recorded as recorded_kernel
-from mrsan.kernels import step as step_kernel
 from mrsan.kernels import team as team_kernel
 
 
-class Crowd(Enum):
-    """How people move."""
+class Crowd(StrEnum):
+    """The crowd models that ship; a plugin can register others, see `mrsan.crowds`."""
 
-    orca = step_kernel.ORCA
-    social_force = step_kernel.SOCIAL_FORCE
-    still = step_kernel.STILL
-    recorded = recorded_kernel.RECORDED  # as in a file; of more than `humans` the nearest
+    orca = "orca"
+    social_force = "social_force"
+    still = "still"
+    recorded = "recorded"  # as in a file; of more than `humans` the nearest
 
 
 class Layout(Enum):

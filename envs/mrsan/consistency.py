@@ -21,12 +21,12 @@ def check_consistency(s: Scenario) -> None:
         ConfigurationError: names the first field that contradicts another one, and both values.
     """
     _check_order(s)
-    if s.recording is not None and s.crowd is not Crowd.recorded:
+    if s.recording is not None and s.crowd != Crowd.recorded:
         raise ConfigurationError(
             f"scenario.recording is {s.recording!r}; it must be null unless scenario.crowd is "
             "recorded"
         )
-    if s.crowd is Crowd.recorded and (s.robots_visible or s.arena_radius is not None):
+    if s.crowd == Crowd.recorded and (s.robots_visible or s.arena_radius is not None):
         raise ConfigurationError(
             "scenario.crowd is recorded; then scenario.robots_visible must be false and "
             "scenario.arena_radius null: recorded people react neither to robots nor to walls"
@@ -37,7 +37,7 @@ def check_consistency(s: Scenario) -> None:
 
 def _layouts(s: Scenario) -> list[Layout]:
     """Return the layouts that episodes of a scenario may have; none if people are recorded."""
-    if s.crowd is Crowd.recorded:
+    if s.crowd == Crowd.recorded:
         return []
     single = [Layout.circle, Layout.crossing, Layout.opposite, Layout.square]
     return single if s.layout is Layout.mixed else [s.layout]
@@ -45,10 +45,10 @@ def _layouts(s: Scenario) -> list[Layout]:
 
 def _check_order(s: Scenario) -> None:
     """Check that no smallest value exceeds the largest one, where both apply."""
-    layouts, simulated = _layouts(s), s.crowd is not Crowd.recorded
+    layouts, simulated = _layouts(s), s.crowd != Crowd.recorded
     circle = Layout.circle in layouts
     floor = any(layout is not Layout.circle for layout in layouts)
-    walking = simulated and s.crowd is not Crowd.still
+    walking = simulated and s.crowd != Crowd.still
     for low, high, applies in (
         ("humans_min", "humans", simulated),
         ("human_radius_min", "human_radius_max", True),

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from dataclasses import field
 from enum import Enum
+from operator import attrgetter
 from typing import Any, get_type_hints
 
 import numpy as np
@@ -58,6 +60,16 @@ def permitted_range(metadata: Any) -> str:
     """Return the range of a number, such as `(0, 360]`, from the metadata of its field."""
     bracket = "(" if metadata["above"] else "["
     return f"{bracket}{metadata['low']:g}, {metadata['high']:g}]"
+
+
+_KERNEL_FORMS: dict[Any, Callable[[Any], Any]] = {float: np.float32, int: int, bool: bool}
+
+
+def kernel_form(hint: Any) -> Callable[[Any], Any] | None:
+    """Return what converts values of a type to the form that kernels take; None if they do not."""
+    if isinstance(hint, type) and issubclass(hint, Enum):
+        return attrgetter("value")
+    return _KERNEL_FORMS.get(hint)
 
 
 def check_numbers(config: Any, path: str) -> None:

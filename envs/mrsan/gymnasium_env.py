@@ -52,7 +52,7 @@ def as_spaces(scenario: Scenario) -> tuple[spaces.Dict, spaces.Box]:
         "robots_visible": flags(others),
     }
     if scenario.team_tracks:
-        entries |= {"humans_told": flags(scenario.humans), "robots_told": flags(others)}
+        entries |= {"humans_reported": flags(scenario.humans), "robots_reported": flags(others)}
     # No empty spaces: some libraries drop them on one side and not on the other.
     entries = {key: space for key, space in entries.items() if 0 not in (space.shape or ())}
     return spaces.Dict(entries), spaces.Box(-1.0, 1.0, (scenario.action_size,), np.float32)

@@ -1,4 +1,4 @@
-"""What a robot is paid for where it and the people are heading (MSA3C, Eq. 3-4)."""
+"""A reward for where robots and people are heading (MSA3C, Eq. 3-4)."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from mrsan.state import Bools, Floats, State
 
 
 class LookaheadReward:
-    """The K-step lookahead reward; people by a predictor, the robot at constant velocity.
+    """The K-step lookahead reward: people follow a predictor, robots constant velocity.
 
     The people's last positions are part of the state (`State.human_past`).
     """
@@ -30,41 +30,42 @@ class LookaheadReward:
         self.time_step = np.float32(scenario.time_step)
 
     def begin(self, state: State, worlds: Bools) -> None:
-        """Know of the people only where they are now, in the worlds [E] where an episode begins."""
-        state.human_past_known[worlds] = False
+        """Begin the history of the people in the worlds [E] in which an episode begins."""
+        state.human_past_valid[worlds] = False
         self._add(state, worlds)
 
-    def follow(self, state: State, worlds: Bools) -> None:
-        """Take in where the people are after a step of some worlds [E]."""
-        for array in (state.human_past, state.human_past_known):
+    def update(self, state: State, worlds: Bools) -> None:
+        """Append the positions of the people after a step of some worlds [E]."""
+        for array in (state.human_past, state.human_past_valid):
             array[worlds, :, :-1] = array[worlds, :, 1:]
         self._add(state, worlds)
 
     def _add(self, state: State, worlds: Bools) -> None:
         state.human_past[worlds, :, -1] = state.human_position[worlds]
-        state.human_past_known[worlds, :, -1] = state.human_present[worlds]
+        state.human_past_valid[worlds, :, -1] = state.human_present[worlds]
 
     def reward(self, state: State, visible: Bools) -> Floats:
-        """What each robot on its way is paid after a step, [E, N]; others nothing.
+        """Return the reward of each robot after a step, [E, N]; zero for parked and touching ones.
 
-        -weight * exp(-k) at the first k in 1..K at which somebody in view will be nearer than the
-        comfort distance, from surface to surface: the minimum of Eq. 4 over the people.
+        It is -weight * exp(-k) at the first k in 1..K at which a visible person will be closer than
+        the lookahead distance, from surface to surface: the minimum of Eq. 4 over the people.
 
         Args:
             state: after the step; k counts from there.
-            visible: [E, N, M] whom each robot sees.
+            visible: [E, N, M] the people that each robot sees.
         """
         people = self.predictor.predict(
-            state.human_past, state.human_past_known, state.human_velocity, len(self.steps)
+            state.human_past, state.human_past_valid, state.human_velocity, len(self.steps)
         )  # [E, M, K, 2]
         ahead = state.robot_velocity[..., None, :] * (self.steps * self.time_step)
         robots = state.robot_position[..., None, :] + ahead  # [E, N, K, 2]
-        apart = people[:, None] - robots[:, :, None]  # [E, N, M, K, 2]
-        near = state.human_radius + np.float32(self.radius) + self.distance  # [E, M]
-        squared = apart[..., 0] * apart[..., 0] + apart[..., 1] * apart[..., 1]
-        intrudes = (squared < (near * near)[:, None, :, None]) & visible[..., None]
-        when = intrudes.any(2)  # [E, N, K]
-        touches = (state.last_contact == state.clock[:, None, None]).any(-1)
-        driving = ~state.arrived & ~touches
-        paid = (-self.weight * np.exp(-self.steps[:, 0])).astype(np.float32)
-        return np.where(when.any(-1) & driving, paid[when.argmax(-1)], np.float32(0.0))
+        offset = people[:, None] - robots[:, :, None]  # [E, N, M, K, 2]
+        limit = state.human_radius + np.float32(self.radius) + self.distance  # [E, M]
+        squared = offset[..., 0] * offset[..., 0] + offset[..., 1] * offset[..., 1]
+        too_close = (squared < (limit * limit)[:, None, :, None]) & visible[..., None]
+        at_step = too_close.any(2)  # [E, N, K]
+        touching = (state.last_contact == state.clock[:, None, None]).any(-1)
+        driving = ~state.arrived & ~touching
+        penalty = (-self.weight * np.exp(-self.steps[:, 0])).astype(np.float32)
+        first = penalty[at_step.argmax(-1)]
+        return np.where(at_step.any(-1) & driving, first, np.float32(0.0))

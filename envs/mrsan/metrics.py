@@ -1,4 +1,4 @@
-"""What is measured of an episode: pure functions of what happened."""
+"""Records of episodes and the measures derived from them."""
 
 from __future__ import annotations
 
@@ -15,77 +15,77 @@ from mrsan.state import State
 
 
 class Outcome(IntEnum):
-    """How an episode ended for one robot; whom it ran into comes before whether it arrived."""
+    """How an episode ended for one robot; a collision takes precedence over arrival."""
 
     arrived = 0
     hit_human = HIT_HUMAN
     hit_robot = HIT_ROBOT
-    timeout = 3  # still on its way at the time limit
-    interrupted = 4  # still on its way when a team-mate collided
+    timeout = 3  # had not arrived at the time limit
+    interrupted = 4  # had not arrived when a team-mate collided
 
 
 class Episodes(NamedTuple):
-    """What happened in B episodes of N robots."""
+    """Records of B episodes of N robots."""
 
     case: NDArray[np.int64]  # [B]
     episode: NDArray[np.int64]  # [B]
     duration: NDArray[np.float64]  # [B] s
     outcome: NDArray[np.int8]  # [B, N] Outcome
-    path_length: NDArray[np.float64]  # [B, N] driven, m
+    path_length: NDArray[np.float64]  # [B, N] length of the path driven, m
     straight_line: NDArray[np.float64]  # [B, N] from start to goal, m
-    time: NDArray[np.float64]  # [B, N] until it arrived or the episode ended, s
+    time: NDArray[np.float64]  # [B, N] time until arrival or the end of the episode, s
     closest_human: NDArray[np.float64]  # [B, N] surface distance, also within steps, m; or inf
-    close_share: NDArray[np.float64]  # [B, N] share of its steps within personal space
-    personal_share: NDArray[np.float64]  # [B, N] from 0.45 to 1.2 m from the nearest human
-    social_share: NDArray[np.float64]  # [B, N] from 1.2 to 3.6 m
-    standing_share: NDArray[np.float64]  # [B, N] of its steps slower than 0.05 m/s
+    close_share: NDArray[np.float64]  # [B, N] share of steps within 0.45 m of the nearest human
+    personal_share: NDArray[np.float64]  # [B, N] share of steps from 0.45 to 1.2 m
+    social_share: NDArray[np.float64]  # [B, N] share of steps from 1.2 to 3.6 m
+    standing_share: NDArray[np.float64]  # [B, N] share of steps slower than 0.05 m/s
     jerk: NDArray[np.float64]  # [B, N] mean norm, m/s^3
-    heading_change: NDArray[np.float64]  # [B, N] sum of the turns to either side, rad
-    soonest_collision: NDArray[np.float64]  # [B, N] smallest time to one with a human, s; or inf
-    ran_into_human: NDArray[np.bool_]  # [B, N] it hit one, and came to it at least as fast
+    heading_change: NDArray[np.float64]  # [B, N] sum of absolute turns, rad
+    soonest_collision: NDArray[np.float64]  # [B, N] smallest time to collision with a human, s
+    ran_into_human: NDArray[np.bool_]  # [B, N] it hit a human that did not approach faster
     steps: NDArray[np.int64]  # [B]
-    arrived: NDArray[np.bool_]  # [B, N] in time, whatever it hit before
-    contacts: NDArray[np.float64]  # [B, N] how often it began to touch somebody; two share one
-    comfort_share: NDArray[np.float64]  # [B, N] of its steps within a person's comfort zone
+    arrived: NDArray[np.bool_]  # [B, N] in time, regardless of collisions
+    contacts: NDArray[np.float64]  # [B, N] contacts begun; two robots share one
+    comfort_share: NDArray[np.float64]  # [B, N] share of steps within 0.25 m of a human
 
     @property
     def success(self) -> NDArray[np.bool_]:
-        """Every robot reached its goal and nobody collided, [B] (SAMARL's joint success)."""
+        """Return whether all robots arrived without a collision, [B] (SAMARL's joint success)."""
         return (self.outcome == Outcome.arrived).all(axis=1)
 
     @property
     def hit_human(self) -> NDArray[np.bool_]:
-        """Some robot and a human ran into each other, [B]."""
+        """Return whether a robot and a human collided, [B]."""
         return (self.outcome == Outcome.hit_human).any(axis=1)
 
     @property
     def robot_on_person(self) -> NDArray[np.bool_]:
-        """Some robot hit a human, and moved towards it at least as fast as it came, [B]."""
+        """Return whether a robot hit a human, approaching at least as fast as the human, [B]."""
         return ((self.outcome == Outcome.hit_human) & self.ran_into_human).any(axis=1)
 
     @property
     def person_on_robot(self) -> NDArray[np.bool_]:
-        """Some human hit a robot, and moved towards it faster than the robot came, [B]."""
+        """Return whether a human hit a robot, approaching faster than the robot, [B]."""
         return ((self.outcome == Outcome.hit_human) & ~self.ran_into_human).any(axis=1)
 
     @property
     def hit_robot(self) -> NDArray[np.bool_]:
-        """Some robot ran into another robot, [B]."""
+        """Return whether two robots collided, [B]."""
         return (self.outcome == Outcome.hit_robot).any(axis=1)
 
     @property
     def timeout(self) -> NDArray[np.bool_]:
-        """The time limit came first, [B]."""
+        """Return whether the time limit ended the episode for a robot, [B]."""
         return (self.outcome == Outcome.timeout).any(axis=1)
 
 
 def episodes_of(state: State, scenario: Scenario, worlds: NDArray[np.bool_]) -> Episodes:
-    """The records of the worlds whose mask `worlds` [E] is set; all of them must have ended."""
+    """Return the records of the worlds of a mask [E]; all of them must have ended."""
     rows = np.flatnonzero(worlds)  # faster to index with than a mask
     collision, arrived, clock = state.collision[rows], state.arrived[rows], state.clock[rows]
     ended_by_time = state.truncated[rows][:, None]
-    on_its_way = np.where(ended_by_time, Outcome.timeout, Outcome.interrupted)
-    outcome = np.where(arrived, Outcome.arrived, on_its_way)
+    unfinished = np.where(ended_by_time, Outcome.timeout, Outcome.interrupted)
+    outcome = np.where(arrived, Outcome.arrived, unfinished)
     outcome = np.where(collision != 0, collision, outcome).astype(np.int8)
     columns = np.moveaxis(state.tally[rows], -1, 0).astype(np.float64, order="C")
     tally = dict(zip(TALLY, columns, strict=True))
@@ -116,11 +116,11 @@ def episodes_of(state: State, scenario: Scenario, worlds: NDArray[np.bool_]) -> 
 
 
 def social_score(episodes: Episodes) -> NDArray[np.float64]:
-    """F of each robot in each episode, [B, N], 0 to 100 (our form of SAMARL, Eq. 11).
+    """Return the social score F of each robot, [B, N], 0 to 100 (our form of SAMARL, Eq. 11).
 
-    F = 100 A (P / 2 + C / 2): A, it arrived; P, the straight line over the path driven; C, half
-    for the closest approach to a human (up to 0.45 m) and half for the share of steps outside
-    everybody's personal space. The paper does not define F: its column is on another scale.
+    F = 100 A (P / 2 + C / 2): A is arrival; P is the straight line over the path driven; C is half
+    the closest approach to a human (up to 0.45 m) and half the share of steps outside personal
+    space. The paper does not define F, and its column is on another scale.
     """
     arrived = episodes.outcome == Outcome.arrived
     path = episodes.straight_line / np.maximum(episodes.path_length, episodes.straight_line)

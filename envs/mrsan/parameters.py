@@ -11,12 +11,12 @@ import math
 from collections import namedtuple
 from collections.abc import Callable
 from dataclasses import fields
-from enum import Enum
 from typing import TYPE_CHECKING, Any, NamedTuple, get_type_hints
 
 import numpy as np
 
-from mrsan.choices import Kinematics
+from mrsan.choices import Crowd, Kinematics
+from mrsan.fields import kernel_form
 from mrsan.scenario import Reward, Scenario
 
 # Fields that no kernel reads, or only in the form that `_derived` gives them: every number that is
@@ -25,7 +25,8 @@ _NOT_COPIED = {
     "robots", "humans", "goal_turn_degrees", "goal_turn_spread_degrees", "time_limit",
     "max_turn_rate", "fov_degrees", "team_perception", "team_delay", "recorded_start_clear",
     "recorded_slot_rest", "frame_seconds", "recording_scale", "recording_check",
-    "goal_change_interval", "late_time",
+    "goal_change_interval", "late_time", "neighbor_distance", "max_neighbors", "time_horizon",
+    "relaxation_time", "force_strength", "force_range",
     "reward_lookahead", "reward_lookahead_steps", "reward_lookahead_distance",
 }  # fmt: skip
 
@@ -54,27 +55,20 @@ def _derived(s: Scenario) -> dict[str, Any]:
             probability if probability_max is None else probability_max
         ),
         "late_steps": s.steps(s.late_time),
+        "people_recorded": s.crowd == Crowd.recorded,
         "people_come_and_go": s.late_probability > 0 or s.leave_probability > 0,
-        "reward_none": _f(0.0),
         "reward_goal_distance": _f(s.reward.goal_distance / s.circle_radius**2),
     }
 
 
-_FORMS: dict[Any, Callable[[Any], Any]] = {float: np.float32, int: int, bool: bool}
-
-
 def _forms(cls: type, prefix: str = "") -> dict[str, tuple[str, Callable[[Any], Any]]]:
     """Return of each field to copy, by its name in kernels: its own name and its conversion."""
-    found = {}
+    hints, forms = get_type_hints(cls), {}
     for field in fields(cls):
-        hint, name = get_type_hints(cls)[field.name], prefix + field.name
-        if name in _NOT_COPIED:
-            continue
-        if isinstance(hint, type) and issubclass(hint, Enum):
-            found[name] = (field.name, lambda choice: choice.value)
-        elif hint in _FORMS:
-            found[name] = (field.name, _FORMS[hint])
-    return found
+        form, name = kernel_form(hints[field.name]), prefix + field.name
+        if form is not None and name not in _NOT_COPIED:
+            forms[name] = (field.name, form)
+    return forms
 
 
 _OF_SCENARIO, _OF_REWARD = _forms(Scenario), _forms(Reward, "reward_")

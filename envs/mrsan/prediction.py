@@ -1,6 +1,6 @@
-"""Where people will be: one interface, constant velocity, and a small recurrent network.
+"""Predictors of people: one interface, constant velocity, and a small recurrent network.
 
-A predictor is known by a name (`register_predictor`), or it is a file of weights of the network.
+Settings refer to a predictor by its registered name or by a weights file of the network.
 """
 
 from __future__ import annotations
@@ -16,38 +16,38 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrsan.fields import ConfigurationError
-from mrsan.kernels.recurrent import swerve
+from mrsan.kernels.recurrent import predict_offsets
 from mrsan.se2 import rotate_vectors, unrotate_vectors
 from mrsan.state import Bools, Floats
 
 SHIPPED = Path(__file__).parent / "predictors"
-FORMAT = 1  # of a file of weights with its card
-MOST_HISTORY = 200  # positions that a network may read
-MOVING = 0.05  # who is slower has no direction of its own, m/s
+FORMAT = 1  # of a weights file and its card
+MOST_HISTORY = 200  # largest number of positions that a network reads
+MOVING = 0.05  # slower people have no direction of their own, m/s
 
 
 class Predictor(ABC):
-    """Says where people will be, from where they were.
+    """Predicts the positions of people from their past ones.
 
-    Axes `...` may be any, the last of them over people that are there together (M); a predictor
-    that looks at each person alone need not care. Positions may be in any frame that does not move.
+    There may be any leading axes; the last of them, M, is over people in the same place, which
+    matters only to predictors of interaction. Positions are in any frame at rest.
     """
 
-    history: int = 1  # H: so many positions are looked at, the present one included
+    history: int = 1  # number H of positions that it reads, including the present one
 
     def __init__(self, time_step: float) -> None:
         """Predict in steps of `time_step` seconds."""
         self.time_step = np.float32(time_step)
 
     @abstractmethod
-    def predict(self, past: Floats, known: Bools, velocity: Floats, steps: int) -> Floats:
-        """Positions after 1..K steps, [..., M, K, 2] in m.
+    def predict(self, past: Floats, valid: Bools, velocity: Floats, steps: int) -> Floats:
+        """Return positions after 1..K steps, [..., M, K, 2] in m.
 
         Args:
-            past: [..., M, H, 2] positions, one step apart, m; the last is where they are now.
-            known: [..., M, H] bool; what is not known is arbitrary. Of whom the last is not known,
-                so is the prediction.
-            velocity: [..., M, 2] now, m/s.
+            past: [..., M, H, 2] positions, one step apart, m; the last is the present one.
+            valid: [..., M, H] bool; other positions are arbitrary. If the last is invalid, the
+                prediction is arbitrary.
+            velocity: [..., M, 2] present velocities, m/s.
             steps: K.
         """
 
@@ -57,54 +57,55 @@ P = TypeVar("P", bound=type[Predictor])
 
 
 def register_predictor(name: str) -> Callable[[P], P]:
-    """Make a class known by `name`; it is made from the time step alone."""
+    """Register a class by a name; it is constructed with the time step only."""
 
-    def add(made: P) -> P:
-        PREDICTORS[name] = made
-        return made
+    def register(cls: P) -> P:
+        PREDICTORS[name] = cls
+        return cls
 
-    return add
+    return register
 
 
 @register_predictor("constant_velocity")
 class ConstantVelocity(Predictor):
-    """Everybody goes on as now."""
+    """All people keep their velocities."""
 
-    def predict(self, past: Floats, known: Bools, velocity: Floats, steps: int) -> Floats:
+    def predict(self, past: Floats, valid: Bools, velocity: Floats, steps: int) -> Floats:
         """See `Predictor.predict`."""
         times = np.arange(1, steps + 1, dtype=np.float32)[:, None] * self.time_step
         return past[..., -1:, :] + velocity[..., None, :] * times
 
 
 class RecurrentPredictor(ConstantVelocity):
-    """Constant velocity and what a small network adds to it, for each person alone.
+    """Constant velocity plus offsets from a small network, for each person separately.
 
-    All that it reads and says is in the person's own frame, so it turns with the world; who has
-    not moved lately has no such frame and stays. With weights of zero it is constant velocity.
+    Its inputs and outputs are in the person's own frame, so predictions rotate with the world. A
+    person who has not moved lately has no such frame and stays. Zero weights give constant
+    velocity.
     """
 
     def __init__(self, weights: dict[str, Floats], history: int, time_step: float) -> None:
-        """Take the arguments of `mrsan.kernels.recurrent.swerve` by their names."""
+        """Store the weights, named as in `mrsan.kernels.recurrent.predict_offsets`."""
         super().__init__(time_step)
         self.history = history
         self.weights = [np.ascontiguousarray(weights[name], np.float32) for name in shapes(1)]
 
-    def predict(self, past: Floats, known: Bools, velocity: Floats, steps: int) -> Floats:
+    def predict(self, past: Floats, valid: Bools, velocity: Floats, steps: int) -> Floats:
         """See `Predictor.predict`."""
-        velocities, readable, ahead = own_frame(past, known, velocity, self.time_step)
+        velocities, readable, direction = own_frame(past, valid, velocity, self.time_step)
         people = velocities.reshape(-1, *velocities.shape[-2:])
-        aside = np.empty((len(people), steps, 2), np.float32)
-        swerve(
+        offsets = np.empty((len(people), steps, 2), np.float32)
+        predict_offsets(
             len(people), people, readable.reshape(-1, readable.shape[-1]), *self.weights,
-            self.time_step, aside,
+            self.time_step, offsets,
         )  # fmt: skip
-        aside = aside.reshape(*velocity.shape[:-1], steps, 2)
-        straight = super().predict(past, known, velocity, steps)
-        return straight + rotate_vectors(aside, ahead[..., None, :])
+        offsets = offsets.reshape(*velocity.shape[:-1], steps, 2)
+        straight = super().predict(past, valid, velocity, steps)
+        return straight + rotate_vectors(offsets, direction[..., None, :])
 
 
 def shapes(size: int) -> dict[str, tuple[int, ...]]:
-    """Names and shapes of the weights of a network with `size` hidden units."""
+    """Return names and shapes of the weights of a network with `size` hidden units."""
     return {
         "w_input": (2, 3 * size), "w_hidden": (size, 3 * size), "bias": (3 * size,),
         "w_output": (size, 2),
@@ -112,47 +113,54 @@ def shapes(size: int) -> dict[str, tuple[int, ...]]:
 
 
 def own_frame(
-    past: Floats, known: Bools, velocity: Floats, time_step: np.float32
+    past: Floats, valid: Bools, velocity: Floats, time_step: np.float32
 ) -> tuple[Floats, Bools, Floats]:
-    """People's last velocities in frames that look where they went last.
+    """Return people's last velocities in their own frames, which face their last direction.
+
+    Args:
+        past: see `Predictor.predict`.
+        valid: likewise.
+        velocity: likewise.
+        time_step: s.
 
     Returns:
         [..., L, 2] velocities in m/s, the last of them `velocity`, with L = max(H - 1, 1);
-        [..., L] which are known; [..., 2] the direction ahead, zero for who did not move.
+        [..., L] which are valid; [..., 2] the direction, zero for people who did not move.
     """
-    before = (past[..., 1:-1, :] - past[..., :-2, :]) / time_step
-    readable = known[..., 1:-1] & known[..., :-2]
-    before = np.where(readable[..., None], before, np.float32(0.0))
-    velocities = np.concatenate([before, velocity[..., None, :]], -2)
+    earlier = (past[..., 1:-1, :] - past[..., :-2, :]) / time_step
+    readable = valid[..., 1:-1] & valid[..., :-2]
+    earlier = np.where(readable[..., None], earlier, np.float32(0.0))
+    velocities = np.concatenate([earlier, velocity[..., None, :]], -2)
     readable = np.concatenate([readable, np.ones((*readable.shape[:-1], 1), np.bool_)], -1)
     speed = np.sqrt((velocities * velocities).sum(-1))
     moved = readable & (speed > MOVING)
     last = moved.shape[-1] - 1 - moved[..., ::-1].argmax(-1)[..., None]
-    ahead = np.take_along_axis(velocities, last[..., None], -2)[..., 0, :]
-    ahead = ahead / np.maximum(np.take_along_axis(speed, last, -1), np.float32(MOVING))
-    ahead = np.where(moved.any(-1, keepdims=True), ahead, np.float32(0.0))
-    return unrotate_vectors(velocities, ahead[..., None, :]), readable, ahead
+    direction = np.take_along_axis(velocities, last[..., None], -2)[..., 0, :]
+    direction = direction / np.maximum(np.take_along_axis(speed, last, -1), np.float32(MOVING))
+    direction = np.where(moved.any(-1, keepdims=True), direction, np.float32(0.0))
+    return unrotate_vectors(velocities, direction[..., None, :]), readable, direction
 
 
 def find_predictor(name: str, time_step: float, field: str = "predictor") -> Predictor:
-    """The predictor of a name or of a file of weights.
+    """Return a predictor by its name or weights file.
 
     Args:
-        name: a registered name, a shipped file without its ending, or the path of a file.
+        name: a registered name, a shipped file without its extension, or the path of a file.
         time_step: of the simulator, s.
-        field: that holds the name, for errors.
+        field: name of the setting, for errors.
 
     Raises:
-        ConfigurationError: it is none of them; the file is damaged, or made for another time step.
+        ConfigurationError: there is no such predictor, or its file is damaged or for another time
+            step.
     """
     if name in PREDICTORS:
         return PREDICTORS[name](time_step)
     for path in (Path(name), SHIPPED / f"{name}.safetensors"):
         if path.is_file():
             return load_recurrent(path, time_step, field)
-    known = ", ".join([*PREDICTORS, *sorted(path.stem for path in SHIPPED.glob("*.safetensors"))])
+    names = ", ".join([*PREDICTORS, *sorted(path.stem for path in SHIPPED.glob("*.safetensors"))])
     raise ConfigurationError(
-        f"{field} is {name!r}; it must be a .safetensors file or one of {known}"
+        f"{field} is {name!r}; it must be a .safetensors file or one of {names}"
     )
 
 
@@ -183,7 +191,7 @@ def load_recurrent(path: Path, time_step: float, field: str = "predictor") -> Re
         )
     if hashlib.sha256(content).hexdigest() != digest:
         raise ConfigurationError(
-            f"{field}: {path} is damaged: it is not the file that {card_path} describes"
+            f"{field}: {path} is damaged: its SHA-256 digest differs from the one in {card_path}"
         )
     if not (type(history) is int and 1 <= history <= MOST_HISTORY):
         raise ConfigurationError(
@@ -195,31 +203,31 @@ def load_recurrent(path: Path, time_step: float, field: str = "predictor") -> Re
             f"{field}: {path.name} predicts in steps of {trained_for:g} s; scenario.time_step is "
             f"{time_step:g}"
         )
-    return RecurrentPredictor(_checked(content, path, field), history, time_step)
+    return RecurrentPredictor(_checked_weights(content, path, field), history, time_step)
 
 
-def _checked(content: bytes, path: Path, field: str) -> dict[str, NDArray[Any]]:
-    """The weights in a file, which must have the names and shapes of a network."""
-    from safetensors import SafetensorError  # not on robots that predict at constant velocity
+def _checked_weights(content: bytes, path: Path, field: str) -> dict[str, NDArray[Any]]:
+    """Return the weights in a file, which must have the names and shapes of a network."""
+    from safetensors import SafetensorError  # only here: robots may run without it
     from safetensors.numpy import load
 
     try:
         weights = load(content)
     except (SafetensorError, ValueError, TypeError, KeyError) as error:
         raise ConfigurationError(
-            f"{field}: {path} is no file of weights ({str(error).splitlines()[0]})"
+            f"{field}: {path} is not a weights file ({str(error).splitlines()[0]})"
         ) from None
-    found = {name: weight.shape for name, weight in weights.items()}
-    expected = shapes(found["w_hidden"][0] if found.get("w_hidden") else 1)
-    if found != expected:
-        raise ConfigurationError(f"{field}: {path} has weights {found}; they must be {expected}")
+    actual = {name: weight.shape for name, weight in weights.items()}
+    expected = shapes(actual["w_hidden"][0] if actual.get("w_hidden") else 1)
+    if actual != expected:
+        raise ConfigurationError(f"{field}: {path} has weights {actual}; they must be {expected}")
     for name, weight in weights.items():
         if weight.dtype != np.float32:
             raise ConfigurationError(
-                f"{field}: {path} has {name} of {weight.dtype}; it must be of float32"
+                f"{field}: {path} has {name} of type {weight.dtype}; it must be float32"
             )
         if not np.isfinite(weight).all():
             raise ConfigurationError(
-                f"{field}: {path} has {name} with NaN or infinity in it; weights must be finite"
+                f"{field}: {path} has NaN or infinity in {name}; weights must be finite"
             )
     return weights

@@ -1,4 +1,4 @@
-"""What a step is worth to a robot, and of what parts (SAMARL, Eq. 10; MSA3C, Eq. 2 to 4)."""
+"""The reward of a step and its terms (SAMARL, Eq. 10; MSA3C, Eq. 2-4)."""
 
 from typing import NamedTuple
 
@@ -7,62 +7,81 @@ from numpy.typing import NDArray
 
 from mrsan.kernels import function
 
+_ZERO = np.float32(0.0)
+
 
 class RewardParts(NamedTuple):
-    """The terms that the reward is the sum of, each [E, N] float32 and in its unit.
+    """The terms whose sum is the reward, each [E, N] float32; kernels use it for a single robot.
 
-    What does not apply is zero. A robot that touches somebody gets nothing but `collision`, and
-    what it is paid for arriving if it arrives all the same (`Scenario.collisions_end`); `progress`
-    and `discomfort` never come together, nor with an arrival. With `Reward.literal` only the first
-    case of Eq. 10 that holds is paid: `team` takes the place of `arrival` for who arrives last.
+    A term that does not apply is zero. A robot that touches another agent receives only
+    `collision`, and `arrival` if it arrives nevertheless (`Scenario.collisions_end`); `progress`
+    and `discomfort` exclude each other and any arrival. With `Reward.literal` only the first
+    matching case of Eq. 10 applies: the last robot to arrive receives `team` instead of `arrival`.
     """
 
-    progress: NDArray[np.float32]  # `Reward.progress` per metre nearer to the goal
-    arrival: NDArray[np.float32]  # it reached its goal in this step
-    team: NDArray[np.float32]  # the last of the team did: to every robot
-    collision: NDArray[np.float32]  # it touched somebody
+    progress: NDArray[np.float32]  # `Reward.progress` per metre of progress towards the goal
+    arrival: NDArray[np.float32]  # the robot reached its goal in this step
+    team: NDArray[np.float32]  # the last robot reached its goal; for every robot
+    collision: NDArray[np.float32]  # the robot touched another agent
     discomfort: NDArray[np.float32]  # max(-w / d, limit), instead of `progress`
-    goal_distance: NDArray[np.float32]  # -`Reward.goal_distance` d_g / R^2, R of the circle
-    time: NDArray[np.float32]  # `Reward.time`, for a step on its way
-    lookahead: NDArray[np.float32]  # somebody will come too near (`mrsan.lookahead`)
+    goal_distance: NDArray[np.float32]  # -`Reward.goal_distance` d_g / circle_radius^2
+    time: NDArray[np.float32]  # `Reward.time`, until arrival
+    lookahead: NDArray[np.float32]  # a person will be too close (`mrsan.lookahead`)
 
 
 @function
 def step_reward_parts(
     collided, arrived, team_arrived, driving, human_gap, progress, goal_distance, p
 ):
-    """Reward of one robot for one step, as `RewardParts` but the last, from the state after it.
+    """Return the terms of one robot's reward for one step; `lookahead` is added by the world.
 
     Args:
-        collided: this robot touched somebody during the step.
+        collided: this robot touched another agent during the step.
         arrived: this robot reached its goal in this step.
         team_arrived: the last robot of the team reached its goal in this step.
-        driving: the robot was still on its way when the step began.
-        human_gap: surface distance to the nearest human after the step, seen or not (m).
-        progress: by how much the distance to the goal fell (m).
-        goal_distance: that distance after the step (m).
+        driving: the robot had not arrived when the step began.
+        human_gap: surface distance to the nearest human after the step, visible or not (m).
+        progress: decrease of the distance to the goal (m).
+        goal_distance: distance to the goal after the step (m).
         p: the scenario's parameters.
     """
-    none = p.reward_none
-    crash = p.reward_collision if collided else none
-    far, late = none, none
+    progress_term = arrival_term = team_term = collision_term = discomfort_term = _ZERO
+    goal_distance_term = time_term = _ZERO
     if driving and not collided:  # MSA3C, Eq. 2
-        far, late = none - p.reward_goal_distance * goal_distance, p.reward_time
-    if p.reward_literal:  # the first case of Eq. 10 that holds, in the paper's order
+        goal_distance_term = _ZERO - p.reward_goal_distance * goal_distance
+        time_term = p.reward_time
+    if p.reward_literal and team_arrived:  # the first matching case of Eq. 10, in its order
+        team_term = p.reward_team
+    elif p.reward_literal and arrived:
+        arrival_term = p.reward_arrival
+    else:
         if team_arrived:
-            return none, none, p.reward_team, none, none, far, late
+            team_term = p.reward_team
+        if collided:
+            collision_term = p.reward_collision
         if arrived:
-            return none, p.reward_arrival, none, none, none, far, late
-    else:  # the last to arrive is paid for its own arrival and for the team's
-        bonus = p.reward_team if team_arrived else none
-        if arrived:
-            return none, p.reward_arrival, bonus, crash, none, far, late
-        if not driving:
-            return none, none, bonus, none, none, none, none
-    if collided or not driving:
-        return none, none, none, crash, none, none, none
-    if human_gap <= p.reward_discomfort_distance:
-        if -human_gap * p.reward_discomfort_limit <= p.reward_discomfort:
-            return none, none, none, none, p.reward_discomfort_limit, far, late
-        return none, none, none, none, -p.reward_discomfort / human_gap, far, late
-    return p.reward_progress * progress, none, none, none, none, far, late
+            arrival_term = p.reward_arrival
+        elif driving and not collided:
+            if human_gap > p.reward_discomfort_distance:
+                progress_term = p.reward_progress * progress
+            elif -human_gap * p.reward_discomfort_limit <= p.reward_discomfort:
+                discomfort_term = p.reward_discomfort_limit
+            else:
+                discomfort_term = -p.reward_discomfort / human_gap
+    return RewardParts(
+        progress=progress_term,
+        arrival=arrival_term,
+        team=team_term,
+        collision=collision_term,
+        discomfort=discomfort_term,
+        goal_distance=goal_distance_term,
+        time=time_term,
+        lookahead=_ZERO,
+    )
+
+
+@function
+def sum_of_parts(parts):
+    """Return the sum of the terms of `step_reward_parts`, always added in the same order."""
+    moving = parts.progress + parts.arrival + parts.team + parts.collision + parts.discomfort
+    return moving + parts.goal_distance + parts.time

@@ -11,6 +11,7 @@ import numpy as np
 
 from mrsan.choices import ACTION_SIZE, Crowd, Kinematics, Layout, TeamPerception
 from mrsan.consistency import check_consistency
+from mrsan.crowds import check_crowd
 from mrsan.fields import ConfigurationError, UnknownFieldError, check_numbers, number, setting
 from mrsan.recording import NOBODY, Recording, RecordingError, load_recording
 
@@ -157,7 +158,12 @@ class Scenario:
     )
 
     # The people.
-    crowd: Crowd = setting(Crowd.orca, help="how people move")
+    crowd: str = setting(
+        "orca", help="how people move: orca, social_force, still, recorded or a registered model"
+    )
+    crowd_settings: dict[str, Any] = field(
+        default_factory=dict, metadata={"help": "settings of a plugin's crowd model, by name"}
+    )
     recorded_start_clear: float = number(
         2.0, 0.0, 100.0, unit="s", help="time for which no recorded person crosses a robot's start"
     )
@@ -251,6 +257,8 @@ class Scenario:
         if not isinstance(self.reward, Reward):
             raise ConfigurationError(f"scenario.reward is {self.reward!r}; it must be a Reward")
         check_numbers(self.reward, "scenario.reward")
+        check_crowd(self.crowd, self.crowd_settings)
+        self.crowd = str(self.crowd)
         check_consistency(self)
 
     @property
@@ -289,7 +297,7 @@ class Scenario:
             ConfigurationError: the file cannot be read, has an invalid line, is implausible, or
                 its floor is too small for `robot_way_min`.
         """
-        if self.crowd is not Crowd.recorded:
+        if self.crowd != Crowd.recorded:
             return NOBODY
         try:
             recording = load_recording(
@@ -319,7 +327,7 @@ class Scenario:
                 f"scenario.humans is {self.humans}; case {case} has no room for so many: "
                 f"{clearance}, scenario.human_radius_max is {self.human_radius_max}"
             )
-        if self.crowd is Crowd.recorded:
+        if self.crowd == Crowd.recorded:
             place = f"on the recorded floor with scenario.human_radius_max {self.human_radius_max}"
         elif self.layout is Layout.circle:
             place = f"on a circle of scenario.circle_radius {self.circle_radius}"
@@ -334,7 +342,7 @@ class Scenario:
     @property
     def half_extent(self) -> float:
         """Return the largest distance of a start from the centre along an axis, m."""
-        if self.crowd is Crowd.recorded:
+        if self.crowd == Crowd.recorded:
             return float(self.load_recording().half_size.max())
         circle = self.circle_radius + self.spawn_jitter * max(
             self.robot_speed, self.human_speed_max

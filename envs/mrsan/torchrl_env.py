@@ -79,8 +79,8 @@ class TorchRLEnv(EnvBase):
             shape=(e, n),
         )
         if self.scenario.team_tracks:
-            observation.set("humans_told", flags(n, m))
-            observation.set("robots_told", flags(n, n - 1))
+            observation.set("humans_reported", flags(n, m))
+            observation.set("robots_reported", flags(n, n - 1))
         self._seen = list(observation.keys())
         parts = Composite({name: floats(1) for name in RewardParts._fields}, shape=(e, n))
         agents = Composite(

@@ -2,7 +2,7 @@
 
 The letters of every shape in this package: E worlds, N robots, M humans, A numbers per action.
 Units are metres, seconds and radians; positions are in the world frame, observations in the body
-frame of the robot that makes them (x ahead, y to the left).
+frame of the observing robot (x ahead, y to the left).
 """
 
 from __future__ import annotations
@@ -13,13 +13,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mrsan.crowds import CROWDS, step_kernel
 from mrsan.features import EGO_FEATURES, OTHER_FEATURES
 from mrsan.fields import ConfigurationError
 from mrsan.kernels.sensing import observe
 from mrsan.kernels.spawn import NO_ROOM_FOR_ROBOTS, begin_episodes
-from mrsan.kernels.step import advance
 from mrsan.kernels.tally import TALLY
-from mrsan.kernels.team import tell
+from mrsan.kernels.team import share_tracks
 from mrsan.lookahead import LookaheadReward
 from mrsan.metrics import Episodes, episodes_of
 from mrsan.parameters import Sensor, kernel_parameters
@@ -27,18 +27,18 @@ from mrsan.reward import RewardParts
 from mrsan.scenario import Scenario
 from mrsan.state import Bools, Floats, Ints, State
 
-_INTERRUPTIBLE = 128  # worlds that begin an episode between two chances to stop with Ctrl-C
+_RESET_BATCH = 128  # worlds that begin an episode between two chances to stop with Ctrl-C
 
 
 class ActionError(ValueError):
-    """An action that cannot be executed; the message says whose and why."""
+    """An action that cannot be executed; the message says of which robot, and why."""
 
 
 class Observation(NamedTuple):
-    """What every robot knows. Slots belong to identities; what is not visible is zero.
+    """The observations of all robots. Each slot belongs to one agent; invisible agents are zero.
 
-    With team perception "visible" is also what team-mates see; the last two masks say what a robot
-    was only told. Without, they are empty.
+    With team perception, agents that team-mates report count as visible too; the last two masks
+    mark those that were only reported. Without it they are empty.
     """
 
     ego: Floats  # [E, N, 11], EGO_FEATURES
@@ -46,28 +46,28 @@ class Observation(NamedTuple):
     humans_visible: Bools  # [E, N, M]
     robots: Floats  # [E, N, N - 1, 5], the others in the order of their numbers
     robots_visible: Bools  # [E, N, N - 1]
-    humans_told: Bools  # [E, N, M] or [E, N, 0]
-    robots_told: Bools  # [E, N, N - 1] or [E, N, 0]
+    humans_reported: Bools  # [E, N, M] or [E, N, 0]
+    robots_reported: Bools  # [E, N, N - 1] or [E, N, 0]
 
     @property
-    def known(self) -> tuple[Floats, Floats, Bools, Floats, Bools]:
-        """What planners ask for: all but who saw it."""
+    def perception(self) -> tuple[Floats, Floats, Bools, Floats, Bools]:
+        """Return the arrays that planners use: all but the masks of reported agents."""
         return self[:5]
 
     def of_worlds(self, worlds: Ints | Bools) -> Observation:
-        """The rows of some worlds, copied."""
+        """Return a copy of the rows of some worlds."""
         return Observation._make(rows[worlds] for rows in self)
 
 
 class Step(NamedTuple):
-    """What one step of all worlds led to."""
+    """The result of one step of all worlds."""
 
     observation: Observation
     reward: Floats  # [E, N]
-    reward_parts: RewardParts  # what it is the sum of
+    reward_parts: RewardParts  # the terms of the reward
     terminated: Bools  # [E]
     truncated: Bools  # [E]
-    # With auto-reset, of the worlds that ended in this step, in order (None if there are none):
+    # With auto-reset: of the worlds that ended in this step, in order; None if there are none.
     final_observation: Observation | None
     finished: Episodes | None
 
@@ -84,17 +84,17 @@ class World:
     """
 
     def __init__(self, scenario: Scenario, worlds: int = 1, auto_reset: bool = False) -> None:
-        """Make room for `worlds` worlds.
+        """Create the worlds; `reset` begins their episodes.
+
+        Args:
+            scenario: the task.
+            worlds: their number E.
+            auto_reset: begin the next episode of a world as soon as one ends; `Step` then has the
+                last observation and the record of the episode. Without it a world that has ended
+                does not move until it is reset.
 
         Raises:
             ConfigurationError: the scenario names a recording or a predictor that cannot be used.
-
-        Args:
-            scenario: the numbers of the task.
-            worlds: E.
-            auto_reset: begin the next episode of a world as soon as one ends; `Step` then keeps
-                the last observation and the record of what ended. Without it a world that has
-                ended stands still until it is reset.
         """
         if not isinstance(scenario, Scenario):
             raise TypeError(f"scenario is {scenario!r}; it must be a Scenario")
@@ -104,18 +104,20 @@ class World:
         self.worlds = worlds
         self.auto_reset = auto_reset
         self._lookahead = LookaheadReward(scenario) if scenario.reward.lookahead else None
-        looked_back = self._lookahead.predictor.history if self._lookahead else 0
-        self.state = _empty_state(worlds, scenario, looked_back)
+        history = self._lookahead.predictor.history if self._lookahead else 0
+        self.state = _empty_state(worlds, scenario, history)
         self._parameters = kernel_parameters(scenario)
+        crowd = CROWDS[scenario.crowd]
+        self._advance, self._crowd_settings = step_kernel(crowd), crowd.kernel_settings(scenario)
         self._recording = scenario.load_recording()
         self._sensor = Sensor.of(self._parameters)
         self._all_seeing = Sensor.of(kernel_parameters(_without_limits(scenario)))
 
     def reset(self, cases: ArrayLike | None = None, worlds: ArrayLike | None = None) -> Observation:
-        """Begin an episode in every world, or in some.
+        """Begin an episode in all or some worlds.
 
         Args:
-            cases: [E] case numbers. None: the next episode of the case each world has.
+            cases: [E] case numbers. None: the next episode of each world's case.
             worlds: [E] bool, the worlds to reset. None: all.
 
         Returns:
@@ -141,17 +143,17 @@ class World:
         return self.observe()
 
     def _begin(self, worlds: Bools) -> None:
-        """Begin the episode that the state names in some worlds [E]."""
+        """Begin the episode `state.episode` in some worlds [E]."""
         numbers = np.flatnonzero(worlds)
-        for first in range(0, len(numbers), _INTERRUPTIBLE):
+        for first in range(0, len(numbers), _RESET_BATCH):
             group = np.zeros_like(worlds)
-            group[numbers[first : first + _INTERRUPTIBLE]] = True
+            group[numbers[first : first + _RESET_BATCH]] = True
             self._place_agents(group)
         if self._lookahead:
             self._lookahead.begin(self.state, worlds)
 
     def _place_agents(self, worlds: Bools) -> None:
-        """Draw the starts and goals of everybody in some worlds [E]."""
+        """Draw the starts and goals of all agents in some worlds [E]."""
         problem = np.zeros(self.worlds, np.int8)
         begin_episodes(self.worlds, worlds, self.state, self._parameters, self._recording, problem)
         if problem.any():
@@ -162,93 +164,96 @@ class World:
             )
 
     def snapshot(self) -> State:
-        """The whole state of all worlds, copied: what `restore` goes back to.
+        """Return a copy of the state of all worlds, for `restore`.
 
-        Random numbers are drawn from the case, episode and step, so nothing else is to be kept.
+        It is complete: random numbers depend only on the case, the episode and the step.
         """
         return State._make(array.copy() for array in self.state)
 
     def restore(self, snapshot: State, worlds: ArrayLike | None = None) -> None:
-        """Put worlds back into the state they had; the same actions then lead to the same bits.
-
-        `observe()` gives what the robots see there.
+        """Restore the state of all or some worlds; the same actions then give the same bits.
 
         Args:
-            snapshot: the state of E worlds, of this or of another `World` of the same shapes; it
-                is copied and may be restored again.
-            worlds: [E] bool, which worlds. None: all.
+            snapshot: the state of E worlds, of this or of another `World` with the same shapes; it
+                is copied, so it can be restored repeatedly.
+            worlds: [E] bool, the worlds to restore. None: all.
 
         Raises:
-            TypeError: it is not a `State`.
-            ValueError: an array has another shape or type, or worlds are not E booleans.
+            TypeError: the snapshot is not a `State`.
+            ValueError: an array has another shape or type, or `worlds` is not E booleans.
         """
         mask = self._mask(worlds)
         if not isinstance(snapshot, State):
             raise TypeError(f"snapshot is a {type(snapshot).__name__}; it must be a State")
-        for name, mine in self.state._asdict().items():  # before anything is written
-            kept = np.asarray(getattr(snapshot, name))
-            if kept.shape != mine.shape:
+        for name, array in self.state._asdict().items():  # before anything is written
+            saved = np.asarray(getattr(snapshot, name))
+            if saved.shape != array.shape:
                 raise ValueError(
-                    f"snapshot.{name} has shape {kept.shape}; it must have {mine.shape}"
+                    f"snapshot.{name} has shape {saved.shape}; it must have {array.shape}"
                 )
-            if kept.dtype != mine.dtype:
-                raise ValueError(f"snapshot.{name} is of {kept.dtype}; it must be of {mine.dtype}")
-        for name, mine in self.state._asdict().items():
-            mine[mask] = getattr(snapshot, name)[mask]
+            if saved.dtype != array.dtype:
+                raise ValueError(
+                    f"snapshot.{name} has type {saved.dtype}; it must have {array.dtype}"
+                )
+        for name, array in self.state._asdict().items():
+            array[mask] = getattr(snapshot, name)[mask]
 
     def observe(self, all_seeing: bool = False) -> Observation:
-        """What every robot sees now, in fresh arrays.
+        """Return the observations of all robots in new arrays.
 
         Args:
-            all_seeing: what a robot would see without any limit or noise: for central critics.
+            all_seeing: observe without limits or noise, for central critics.
         """
         scenario, others = self.scenario, len(OTHER_FEATURES)
         robots = (self.worlds, scenario.robots)
-        told = scenario.team_tracks and not all_seeing
+        with_reports = scenario.team_tracks and not all_seeing
         observation = Observation(
             ego=np.empty((*robots, len(EGO_FEATURES)), np.float32),
             humans=np.empty((*robots, scenario.humans, others), np.float32),
             humans_visible=np.empty((*robots, scenario.humans), np.bool_),
             robots=np.empty((*robots, scenario.robots - 1, others), np.float32),
             robots_visible=np.empty((*robots, scenario.robots - 1), np.bool_),
-            humans_told=np.empty((*robots, scenario.humans * told), np.bool_),
-            robots_told=np.empty((*robots, (scenario.robots - 1) * told), np.bool_),
+            humans_reported=np.empty((*robots, scenario.humans * with_reports), np.bool_),
+            robots_reported=np.empty((*robots, (scenario.robots - 1) * with_reports), np.bool_),
         )
         everywhere = np.ones(self.worlds, np.bool_)
         if all_seeing:
-            observe(self.worlds, everywhere, self.state, self._all_seeing, *observation.known)
+            observe(self.worlds, everywhere, self.state, self._all_seeing, *observation.perception)
         else:
-            self._look(observation, everywhere)
+            self._write_observation(observation, everywhere)
         return observation
 
-    def _look(self, observation: Observation, worlds: Bools) -> None:
-        """Write what the robots of some worlds [E] see and are told."""
-        observe(self.worlds, worlds, self.state, self._sensor, *observation.known)
+    def _write_observation(self, observation: Observation, worlds: Bools) -> None:
+        """Write the observations of some worlds [E]."""
+        observe(self.worlds, worlds, self.state, self._sensor, *observation.perception)
         if self._parameters.team_tracks:
-            tell(self.worlds, worlds, self.state, self._parameters, *observation[1:])
+            share_tracks(self.worlds, worlds, self.state, self._parameters, *observation[1:])
 
     def step(self, actions: ArrayLike) -> Step:
         """Move every world by one time step.
 
         Args:
-            actions: [E, N, A] in [-1, 1]; those of parked robots and ended worlds have no effect.
+            actions: [E, N, A] in [-1, 1]; actions of parked robots and ended worlds have no effect.
 
         Raises:
-            ActionError: an action is not a number, out of range or of the wrong shape.
+            ActionError: an action is not a number, is out of range or has the wrong shape.
         """
         state = self.state
         if (state.episode < 0).any():
             number = int(np.flatnonzero(state.episode < 0)[0])
             raise RuntimeError(f"world {number} has not been reset; call reset() before step()")
-        action = self._checked(actions)
+        action = self._checked_actions(actions)
         reward = np.empty(action.shape[:2], np.float32)
         terms = np.zeros((len(RewardParts._fields), *reward.shape), np.float32)
-        going = ~state.done
-        advance(self.worlds, state, action, self._parameters, self._recording, reward, terms)
+        running = ~state.done
+        self._advance(
+            self.worlds, state, action, self._parameters, self._crowd_settings, self._recording,
+            reward, terms,
+        )  # fmt: skip
         parts = RewardParts(*terms)
         observation = self.observe()
         if self._lookahead:
-            self._look_ahead(self._lookahead, observation, going, reward, parts)
+            self._add_lookahead(self._lookahead, observation, running, reward, parts)
         terminated, truncated = state.terminated.copy(), state.truncated.copy()
         done = terminated | truncated
         if not (self.auto_reset and done.any()):
@@ -257,19 +262,19 @@ class World:
         finished = episodes_of(state, self.scenario, done)
         state.episode[done] += 1
         self._begin(done)
-        self._look(observation, done)
+        self._write_observation(observation, done)
         return Step(observation, reward, parts, terminated, truncated, final, finished)
 
-    def _look_ahead(
-        self, lookahead: LookaheadReward, observation: Observation, going: Bools,
+    def _add_lookahead(
+        self, lookahead: LookaheadReward, observation: Observation, running: Bools,
         reward: Floats, parts: RewardParts,
     ) -> None:  # fmt: skip
-        """Add what is paid for the near future to the reward of the worlds [E] that moved."""
-        lookahead.follow(self.state, going)
-        seen = observation.humans_visible
-        if self.scenario.team_tracks:  # by itself: what it was only told does not count
-            seen = seen & ~observation.humans_told
-        parts.lookahead[going] = lookahead.reward(self.state, seen)[going]
+        """Add the lookahead term to the reward of the worlds [E] that moved."""
+        lookahead.update(self.state, running)
+        visible = observation.humans_visible
+        if self.scenario.team_tracks:  # people who were only reported do not count
+            visible = visible & ~observation.humans_reported
+        parts.lookahead[running] = lookahead.reward(self.state, visible)[running]
         reward += parts.lookahead
 
     def _mask(self, worlds: ArrayLike | None) -> Bools:
@@ -278,7 +283,7 @@ class World:
             raise ValueError(f"worlds is {worlds!r}; it must be {self.worlds} booleans")
         return mask
 
-    def _checked(self, actions: ArrayLike) -> Floats:
+    def _checked_actions(self, actions: ArrayLike) -> Floats:
         try:
             action = np.ascontiguousarray(actions, np.float32)
         except (TypeError, ValueError) as error:
@@ -296,7 +301,7 @@ class World:
 
 
 def _without_limits(scenario: Scenario) -> Scenario:
-    """The same scenario with a perfect sensor."""
+    """Return the same scenario with a perfect sensor."""
     return replace(
         scenario,
         fov_degrees=360.0,
@@ -309,11 +314,10 @@ def _without_limits(scenario: Scenario) -> Scenario:
     )
 
 
-def _empty_state(e: int, scenario: Scenario, looked_back: int) -> State:
-    """Room for E worlds, with so many past positions of people."""
+def _empty_state(e: int, scenario: Scenario, history: int) -> State:
+    """Allocate the state of E worlds, with `history` past positions of each person."""
     f, n, m = np.float32, scenario.robots, scenario.humans
-    telling = scenario.team_tracks
-    kept = scenario.team_delay_steps + 1 if telling else 0
+    messages = scenario.team_delay_steps + 1 if scenario.team_tracks else 0
     return State(
         case=np.arange(e, dtype=np.int64),
         episode=np.full(e, -1, np.int64),
@@ -328,8 +332,8 @@ def _empty_state(e: int, scenario: Scenario, looked_back: int) -> State:
         human_position=np.zeros((e, m, 2), f),
         human_velocity=np.zeros((e, m, 2), f),
         human_goal=np.zeros((e, m, 2), f),
-        human_past=np.zeros((e, m, looked_back, 2), f),
-        human_past_known=np.zeros((e, m, looked_back), np.bool_),
+        human_past=np.zeros((e, m, history, 2), f),
+        human_past_valid=np.zeros((e, m, history), np.bool_),
         human_radius=np.zeros((e, m), f),
         human_speed=np.zeros((e, m), f),
         robot_position=np.zeros((e, n, 2), f),
@@ -342,5 +346,5 @@ def _empty_state(e: int, scenario: Scenario, looked_back: int) -> State:
         last_contact=np.full((e, n, m + n), -1, np.int32),
         robot_acceleration=np.zeros((e, n, 2), f),
         tally=np.zeros((e, n, len(TALLY)), f),
-        said=np.zeros((e, kept, n, m + n, len(OTHER_FEATURES)), f),
+        message_buffer=np.zeros((e, messages, n, m + n, len(OTHER_FEATURES)), f),
     )

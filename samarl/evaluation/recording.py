@@ -33,8 +33,8 @@ class Recording:
     driving: Bools  # [T + 1, N] not yet arrived
     humans_seen: Bools  # [T + 1, N, M]
     robots_seen: Bools  # [T + 1, N, N]
-    humans_told: Bools  # [T + 1, N, M] of these, whom only team-mates see
-    robots_told: Bools  # [T + 1, N, N]
+    humans_reported: Bools  # [T + 1, N, M] of these, whom only team-mates see
+    robots_reported: Bools  # [T + 1, N, N]
     waypoint: Floats | None  # [T, N, 2] where each robot drives to, in the world frame
     human_attention: Floats | None  # [T, N, M] shares
     robot_attention: Floats | None  # [T, N, N] shares
@@ -57,7 +57,7 @@ def record_episode(agent: Agent, scenario: Scenario, case: int) -> Recording:
     position, heading, humans, present, driving, *known = (
         np.stack(part) for part in zip(*frames, strict=True)
     )
-    humans_seen, robots_seen, humans_told, robots_told = known
+    humans_seen, robots_seen, humans_reported, robots_reported = known
     met = present.any(0)
     waypoint, human_attention, robot_attention, stepped_in = (
         None if part[0] is None else np.concatenate(part) for part in zip(*thoughts, strict=True)
@@ -74,8 +74,8 @@ def record_episode(agent: Agent, scenario: Scenario, case: int) -> Recording:
         driving=driving,
         humans_seen=humans_seen[..., met],
         robots_seen=_of_all(robots_seen),
-        humans_told=humans_told[..., met],
-        robots_told=_of_all(robots_told),
+        humans_reported=humans_reported[..., met],
+        robots_reported=_of_all(robots_reported),
         waypoint=waypoint,
         human_attention=None if human_attention is None else human_attention[..., met],
         robot_attention=None if robot_attention is None else _of_all(robot_attention),
@@ -93,8 +93,8 @@ def _frame(state: State, observation: Observation) -> tuple[NDArray, ...]:
         ~state.arrived[0],
         observation.humans_visible[0],
         observation.robots_visible[0],
-        _told(observation.humans_told[0], observation.humans_visible[0]),
-        _told(observation.robots_told[0], observation.robots_visible[0]),
+        _told(observation.humans_reported[0], observation.humans_visible[0]),
+        _told(observation.robots_reported[0], observation.robots_visible[0]),
     )
 
 

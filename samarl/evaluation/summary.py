@@ -94,7 +94,7 @@ def place_of(scenario: Scenario, named: Scenario | None = None) -> Column:
         scenario.layout.name,
         scenario.goal_turn_degrees,
         scenario.team_perception.name,
-        Path(file).name if scenario.crowd is Crowd.recorded else None,
+        Path(file).name if scenario.crowd == Crowd.recorded else None,
         _changes(scenario, named or Scenario()),
         scenario.name,
         scenario.collisions_end,
@@ -109,7 +109,7 @@ def _changes(scenario: Scenario, named: Scenario) -> str:
     told = {"name", "frame_seconds", "recording_scale", "reward", "collisions_end"}
     if scenario.name == Scenario.name:
         told |= {*Column._fields}
-    if scenario.crowd is Crowd.recorded:
+    if scenario.crowd == Crowd.recorded:
         told |= {"crowd", "robot_way_min", "robot_way_max"}
     fields = changed_fields(scenario, named)
     return " ".join(f"{name}={value}" for name, value in fields if name not in told)

@@ -34,7 +34,7 @@ from mrsan.fields import required
 from mrsan.kernels import function, kernel
 from mrsan.kernels.contact import closest_approach
 from mrsan.parameters import kernel_parameters
-from mrsan.reward import step_reward_parts
+from mrsan.reward import step_reward_parts, sum_of_parts
 from mrsan.se2 import rotate, unrotate, untransform
 from samarl.observations.tracker import AGE, Tracks
 from samarl.planning.tracking import move
@@ -155,10 +155,8 @@ def _look_ahead(
                 arrived = not ends and left < p.robot_radius
                 dx, dy = target_x - x, target_y - y
                 progress = target_distance - math.sqrt(dx * dx + dy * dy)
-                nearer, arrival, _, crash, discomfort, far, late = step_reward_parts(
-                    collided, arrived, False, True, gap, progress, left, p
-                )
-                reward[c, r] = nearer + arrival + crash + discomfort + far + late
+                parts = step_reward_parts(collided, arrived, False, True, gap, progress, left, p)
+                reward[c, r] = sum_of_parts(parts)
                 ended[c, r] = ends or arrived
 
 

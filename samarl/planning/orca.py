@@ -37,7 +37,7 @@ def avoid(numbers: Avoidance, observation: Observation, scenario: Scenario) -> N
     action = np.empty((worlds, robots, scenario.action_size), np.float32)
     _orca(
         worlds,
-        *observation.known,
+        *observation.perception,
         kernel_parameters(scenario),
         np.float32(numbers.neighbor_distance),
         numbers.max_neighbors,

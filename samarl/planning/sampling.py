@@ -54,7 +54,7 @@ def first_action(
 
     Args:
         plans: the set, and what it costs.
-        known: `Observation.known` or `Tracks`: all of them go on at constant velocity.
+        known: `Observation.perception` or `Tracks`: all of them go on at constant velocity.
         scenario: the dynamics.
         aside: by how much people will be elsewhere, as `Foresight.update` says.
     """

@@ -47,7 +47,7 @@ class Network(nn.Module):
         self.w_output = nn.Parameter(torch.zeros(sizes["w_output"]))
 
     def forward(self, velocities: Tensor, known: Tensor, steps: int, time_step: float) -> Tensor:
-        """See `mrsan.kernels.recurrent.swerve`."""
+        """See `mrsan.kernels.recurrent.predict_offsets`."""
         hidden = velocities.new_zeros(len(velocities), len(self.w_hidden))
         for t in range(velocities.shape[1]):
             read = self._read(velocities[:, t], hidden)

@@ -202,10 +202,10 @@ def human_velocities(s: dict[str, Any], goal: np.ndarray, scenario: Scenario) ->
         )
     chosen = s["human_velocity"].copy()
     chosen[here] = 0.0
-    for row, j in enumerate(here if scenario.crowd is not Crowd.still else []):
+    for row, j in enumerate(here if scenario.crowd != Crowd.still else []):
         to_goal = goal[j] - agents[row, :2]
         preferred = s["human_speed"][j] * to_goal / np.hypot(*to_goal)
-        if scenario.crowd is Crowd.orca:
+        if scenario.crowd == Crowd.orca:
             chosen[j] = orca(
                 agents,
                 row,

@@ -63,7 +63,7 @@ def drive(scenario: Scenario) -> tuple[World, np.ndarray, np.ndarray]:
             position.astype(np.float64) for position in (state.robot_position, state.human_position)
         )
         world.step(ahead)
-        if scenario.crowd is Crowd.recorded:
+        if scenario.crowd == Crowd.recorded:
             humans = positions_before(world)
         before = humans[:, None] - robots[:, :, None]  # [E, N, M, 2]
         after = (state.human_position[:, None] - state.robot_position[:, :, None]).astype(float)

@@ -75,7 +75,7 @@ def test_what_team_mates_tell_is_not_in_view() -> None:
     fields: dict[str, Any] = {"fov_degrees": 90.0, "reward": ON}
     told = stage(robots, [(-1.2, 0, 0.6, 0)], team_perception=TeamPerception.tracks, **fields)
     observation = told.step([[COAST, COAST]]).observation
-    assert observation.humans_told[0].tolist() == [[True], [False]]
+    assert observation.humans_reported[0].tolist() == [[True], [False]]
     assert paid(told, COAST, COAST) == [0.0, 0.0]
     seen = stage(robots, [(-1.2, 0, 0.6, 0)], reward=ON)
     seen.step([[COAST, COAST]])
@@ -162,7 +162,7 @@ def test_the_rest_of_the_reward_and_of_the_world_stays_as_it_was() -> None:
         assert not a.reward_parts.lookahead.any()
         for x, y in zip(a.observation, b.observation, strict=True):
             np.testing.assert_array_equal(x, y)
-    assert off.state.human_past.size == off.state.human_past_known.size == 0
+    assert off.state.human_past.size == off.state.human_past_valid.size == 0
 
 
 RECURRENT = replace(RANDOM, reward=replace(RANDOM.reward, lookahead_predictor="recurrent"))
@@ -226,7 +226,7 @@ def test_a_predictor_of_ones_own_is_asked_with_the_last_positions(
         expected = np.stack(places[-there:], 2)
         np.testing.assert_array_equal(past[:, :, -there:], expected)
     world.step(np.zeros((3, 1, 3)))  # the time is up: the next episode began
-    assert world.state.human_past_known.sum(-1).tolist() == [[1] * 10] * 3
+    assert world.state.human_past_valid.sum(-1).tolist() == [[1] * 10] * 3
 
 
 def test_a_predictor_that_is_not_there_is_named() -> None:

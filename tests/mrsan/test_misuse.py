@@ -39,7 +39,7 @@ def test_actions_are_numbers(actions: Any) -> None:
 
 
 def test_enums_may_be_named() -> None:
-    assert Scenario(crowd="still").crowd is Crowd.still  # type: ignore[arg-type]
+    assert Scenario(crowd="still").crowd == Crowd.still  # type: ignore[arg-type]
     with pytest.raises(ConfigurationError, match="it must be one of orca, social_force, still"):
         Scenario(crowd="stil")  # type: ignore[arg-type]
 

@@ -55,7 +55,7 @@ def without(state: State, here: np.ndarray, scenario: Scenario) -> World:
     world.restore(
         State(*(array[:, here] if name.startswith("human_") else array
                 for name, array in state._asdict().items()))._replace(
-            said=world.state.said, last_contact=world.state.last_contact
+            message_buffer=world.state.message_buffer, last_contact=world.state.last_contact
         )
     )  # fmt: skip
     return world

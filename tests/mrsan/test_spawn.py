@@ -153,7 +153,7 @@ def largest_error(key, attempts, speed, p):
     place, guessed, largest = np.empty(2, np.float32), np.empty(2, np.float32), 0.0
     for attempt in range(attempts):
         layout.draw_human_start(place, key, 0, 3, attempt, speed, layout.CIRCLE, p)
-        layout.guess_human_start(guessed, key, 3, attempt, speed, p)
+        layout.approximate_human_start(guessed, key, 3, attempt, speed, p)
         largest = max(largest, abs(place[0] - guessed[0]), abs(place[1] - guessed[1]))
     return largest
 

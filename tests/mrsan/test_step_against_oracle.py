@@ -102,7 +102,7 @@ def check_goals(before: dict[str, Any], after: dict[str, Any], scenario: Scenari
         here = before["human_position"][j]
         reached = np.hypot(*(before["human_goal"][j] - here)) < before["human_radius"][j]
         redrawn = (after["human_goal"][j] != before["human_goal"][j]).any()
-        if scenario.crowd is Crowd.still:
+        if scenario.crowd == Crowd.still:
             assert not redrawn
         elif not by_chance:
             assert redrawn == reached

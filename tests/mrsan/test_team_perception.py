@@ -51,12 +51,12 @@ def test_a_robot_knows_who_any_in_reach_sees_and_where_they_are() -> None:
         n = NARROW.robots
         anybody = alone.humans_visible.any(1, keepdims=True)
         np.testing.assert_array_equal(told.humans_visible, anybody.repeat(n, 1))
-        np.testing.assert_array_equal(told.humans_told, anybody & ~alone.humans_visible)
+        np.testing.assert_array_equal(told.humans_reported, anybody & ~alone.humans_visible)
         assert told.robots_visible.all()
-        np.testing.assert_array_equal(told.robots_told, ~alone.robots_visible)
+        np.testing.assert_array_equal(told.robots_reported, ~alone.robots_visible)
         there = np.concatenate([then.state.human_position, then.state.human_velocity], -1)
         known = in_world(told, then, "humans")
-        rows = told.humans_told
+        rows = told.humans_reported
         heard += rows.sum()
         true = np.broadcast_to(there[:, None], known.shape)
         np.testing.assert_allclose(known[rows], true[rows], atol=2e-5)
@@ -76,9 +76,9 @@ def test_a_robot_knows_who_any_in_reach_sees_and_where_they_are() -> None:
 def test_what_nobody_tells_changes_no_bit(scenario: Scenario) -> None:
     without = replace(scenario, team_perception=TeamPerception.none)
     for (told, _), (alone, _) in zip(played(scenario), played(without), strict=True):
-        assert not told.humans_told.any()
-        assert not told.robots_told.any()
-        for mine, theirs in zip(told.known, alone.known, strict=True):
+        assert not told.humans_reported.any()
+        assert not told.robots_reported.any()
+        for mine, theirs in zip(told.perception, alone.perception, strict=True):
             np.testing.assert_array_equal(mine, theirs)
 
 
@@ -94,7 +94,7 @@ def test_what_is_seen_is_not_changed_by_what_is_told() -> None:
 def test_alone_there_is_nobody_to_tell() -> None:
     one = replace(NARROW, robots=1)
     for (told, _), (alone, _) in zip(played(team(one)), played(one), strict=True):
-        for mine, theirs in zip(told.known, alone.known, strict=True):
+        for mine, theirs in zip(told.perception, alone.perception, strict=True):
             np.testing.assert_array_equal(mine, theirs)
 
 
@@ -105,10 +105,10 @@ def test_out_of_reach_is_measured_between_the_robots() -> None:
         position = then.state.robot_position
         apart = np.linalg.norm(position[:, :, None] - position[:, None], axis=-1)
         reach = (apart <= 5.0) & ~np.eye(NARROW.robots, dtype=bool)
-        own = far.humans_visible & ~far.humans_told
+        own = far.humans_visible & ~far.humans_reported
         expected = (reach[..., None] & own[:, None]).any(2) & ~own
-        np.testing.assert_array_equal(close.humans_told, expected)
-        near, fewer = near + close.humans_told.sum(), fewer + far.humans_told.sum()
+        np.testing.assert_array_equal(close.humans_reported, expected)
+        near, fewer = near + close.humans_reported.sum(), fewer + far.humans_reported.sum()
     assert 0 < near < fewer
 
 
@@ -117,18 +117,18 @@ def test_a_delayed_track_is_moved_on() -> None:
     frames, alone = played(delayed), played(NARROW)
     for t, (told, _) in enumerate(frames):
         if t < 3:
-            assert not told.humans_told.any()
+            assert not told.humans_reported.any()
             continue
         before, then = alone[t - 3]
         seen = before.humans_visible
         others = seen.sum(1, keepdims=True) > seen  # somebody else saw it
         own = alone[t][0].humans_visible
         going = frames[t][1].state.clock == t  # the clock of a world that has ended stands still
-        np.testing.assert_array_equal(told.humans_told[going], (others & ~own)[going])
+        np.testing.assert_array_equal(told.humans_reported[going], (others & ~own)[going])
         s = then.state
         expected = s.human_position + 0.75 * s.human_velocity
         known = in_world(told, frames[t][1], "humans")[..., :2]
-        rows = told.humans_told & going[:, None, None]
+        rows = told.humans_reported & going[:, None, None]
         true = np.broadcast_to(expected[:, None], known.shape)
         np.testing.assert_allclose(known[rows], true[rows], atol=2e-5)
 
@@ -136,7 +136,7 @@ def test_a_delayed_track_is_moved_on() -> None:
 def test_as_much_is_lost_as_asked_for() -> None:
     pair = team(Scenario(fov_degrees=90.0, robots=2, humans=12), team_loss=0.25)
     whole = replace(pair, team_loss=0.0)
-    got = [sum(o.humans_told.sum() for o, _ in played(s, 64)) for s in (pair, whole)]
+    got = [sum(o.humans_reported.sum() for o, _ in played(s, 64)) for s in (pair, whole)]
     assert 0.72 < got[0] / got[1] < 0.78
 
 

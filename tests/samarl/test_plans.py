@@ -47,7 +47,7 @@ def test_the_cheapest_plan_is_the_cheapest_of_all(
         action = planner.act(observation)
         for e in range(4):
             for i in range(3):
-                known = tuple(rows[e, i] for rows in observation.known)
+                known = tuple(rows[e, i] for rows in observation.perception)
                 every_plan(known, p, sizes, costs[:2], costs[2:], best)
                 np.testing.assert_array_equal(action[e, i], best)
         observation = world.step(action).observation

@@ -278,16 +278,19 @@ def test_a_replay_says_what_the_recording_says() -> None:
 def test_a_replay_says_who_was_only_told() -> None:
     scenario = Scenario(fov_degrees=90.0, team_perception=TeamPerception.tracks)
     recording = record_episode(build_agent(STRAIGHT, scenario), scenario, 3)
-    assert recording.humans_told.any()
-    assert not (recording.humans_told & ~recording.humans_seen).any()
+    assert recording.humans_reported.any()
+    assert not (recording.humans_reported & ~recording.humans_seen).any()
     replay = as_replay(recording)
     for t in range(len(recording.robot_position)):
-        for name, told in (("humans", recording.humans_told), ("robots", recording.robots_told)):
-            for i, of_robot in enumerate(replay[f"{name}Told"]):
+        for name, told in (
+            ("humans", recording.humans_reported),
+            ("robots", recording.robots_reported),
+        ):
+            for i, of_robot in enumerate(replay[f"{name}Reported"]):
                 now = [sum(step <= t for step in switches) % 2 == 1 for switches in of_robot]
                 assert now == told[t, i].tolist()
     alone = as_replay(recorded())
-    assert alone["humansTold"] is alone["robotsTold"] is None
+    assert alone["humansReported"] is alone["robotsReported"] is None
 
 
 def test_a_replay_says_when_the_shield_stepped_in() -> None:

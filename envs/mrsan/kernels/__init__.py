@@ -1,13 +1,14 @@
-"""The compiled numeric core: one job a file, float32, no Python objects.
+"""The compiled numeric core: one task per file, float32, no Python objects.
 
-`function` marks code that only other kernels call. It does not count who refers to an array, which
-would take a tenth of the time, and so may not make or return any, nor copy one with `a[:] = b`:
-`allocating` may. `kernel` marks an entry point that loops over worlds with `prange`: compiled on
-first use, cached on disk, parallel from two worlds on.
+`function` marks code that only other kernels call. It does not count references to arrays, which
+would take a tenth of the time, so it may not create or return arrays, nor copy one with
+`a[:] = b`; `allocating` may. `kernel` marks an entry point that loops over worlds with `prange`:
+compiled on first use, cached on disk, parallel from two worlds on.
 
-Two traps of Numba shape these files. An array updated in place (`state.clock[e] += 1`) in the body
-of a `prange` loop is taken for a reduction and silently lost: update it in a `function`. And a
-tuple of arrays is copied wherever it is passed: take what a hot loop needs out of it first.
+Two pitfalls of Numba shape these files. An array updated in place (`state.clock[e] += 1`) in the
+body of a `prange` loop is mistaken for a reduction and the update is lost: put it into a
+`function`. And a tuple of arrays is copied wherever it is passed: take the arrays that a hot loop
+needs out of it first.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ import numba
 
 from mrsan.threads import kernel_threads, parallel_kernels
 
-# IEEE arithmetic (no fastmath): a case gives the same bits on any number of worlds or threads.
+# IEEE arithmetic (no fastmath): results do not depend on the number of worlds or threads.
 _inlined = partial(numba.njit, error_model="numpy", forceinline=True)
 allocating = _inlined()
 function = _inlined(_nrt=False)
@@ -47,6 +48,7 @@ class kernel:
 
     def __init__(self, source: Callable[..., Any]) -> None:
         self.__doc__ = source.__doc__
+        self._source = source
         self.serial = _compile(source, "serial", parallel=False)
         self.parallel = _compile(source, "parallel", parallel=True)
 
@@ -58,29 +60,50 @@ class kernel:
         with lock:
             return self.parallel(min(worlds, 8 * kernel_threads()), *arguments)
 
+    def variant(self, name: str, **functions: Any) -> kernel:
+        """Return this kernel with other functions in the place of globals that it calls.
+
+        Each variant is compiled and cached by itself, so choosing one costs nothing at run time.
+
+        Args:
+            name: of the variant; part of the name of its cache file.
+            **functions: compiled functions by the names of the globals that they replace.
+        """
+        source = self._source
+        copy = types.FunctionType(
+            source.__code__, {**source.__globals__, **functions}, source.__name__
+        )
+        copy.__doc__, copy.__qualname__ = source.__doc__, f"{source.__qualname__}_{name}"
+        return kernel(copy)
+
 
 def _compile(source: Callable[..., Any], variant: str, parallel: bool) -> Any:
     copy = types.FunctionType(source.__code__, source.__globals__, source.__name__)
     copy.__module__ = source.__module__
     copy.__qualname__ = f"{source.__qualname__}_{variant}"  # Numba names its cache file by this.
     dispatcher = numba.njit(cache=True, parallel=parallel, error_model="numpy")(copy)
-    # Numba looks only at the entry point's own file when it decides whether a cached kernel is
-    # still good; the stamp below covers every file the kernel may be built from.
+    # Numba considers only the entry point's own file when it decides whether a cached kernel is
+    # up to date; the stamp covers every file that the kernel may be built from.
     if hasattr(dispatcher, "_cache"):  # not with NUMBA_DISABLE_JIT
         dispatcher._cache._cache_file._source_stamp = _stamp(source)
     return dispatcher
 
 
 def _stamp(source: Callable[..., Any]) -> str:
-    """A digest of the core, the kernel's file and those that its functions are imported from."""
+    """Return a digest of the core and of all files that the kernel's functions come from."""
     files, queue = set(_CORE_SOURCES), [source]
+    visited = {source.__code__}
     while queue:
-        found = queue.pop()
-        file = Path(found.__code__.co_filename)
-        if file not in files:
-            files.add(file)
-            queue += [v.py_func for v in found.__globals__.values() if hasattr(v, "py_func")]
+        globals_ = queue.pop().__globals__.values()
+        called = [value.py_func for value in globals_ if hasattr(value, "py_func")]
+        queue += [caller for caller in called if caller.__code__ not in visited]
+        visited |= {caller.__code__ for caller in called}
     digest = hashlib.sha256()
+    for code in visited:
+        if Path(code.co_filename).is_file():
+            files.add(Path(code.co_filename))
+        else:  # in a notebook
+            digest.update(repr((code.co_code, code.co_consts)).encode())
     for file in sorted(files):
         digest.update(file.read_bytes())
     return digest.hexdigest()

@@ -1,4 +1,4 @@
-"""Two discs that move straight: how near they come, and when they touch."""
+"""Two discs in straight motion: their closest approach, and when they touch."""
 
 import math
 
@@ -13,7 +13,7 @@ _TWO = np.float32(2.0)
 
 @function
 def closest_approach(x0, y0, x1, y1):
-    """Smallest norm of a relative position that moves straight from (x0, y0) to (x1, y1)."""
+    """Return the smallest norm of a relative position on its way from (x0, y0) to (x1, y1)."""
     dx, dy = x1 - x0, y1 - y0
     length_squared = dx * dx + dy * dy
     if length_squared > _ZERO:
@@ -24,10 +24,10 @@ def closest_approach(x0, y0, x1, y1):
 
 @function
 def time_to_collision(x, y, vx, vy, reach, latest):
-    """When a disc at (x, y) that moves at (vx, vy) relative to another comes within `reach` of it.
+    """Return when a disc at (x, y), moving at (vx, vy) relative to another, touches it.
 
-    Both keep their velocities: the smaller root of |position + t velocity| = reach. 0 if they touch
-    already, `latest` if they do not until then.
+    Both keep their velocities: the smaller root of |position + t velocity| = reach, where `reach`
+    is the sum of the radii. 0 if they already touch, `latest` if they do not until then.
     """
     outside = x * x + y * y - reach * reach
     if outside <= _ZERO:
@@ -43,11 +43,11 @@ def time_to_collision(x, y, vx, vy, reach, latest):
 
 @function
 def comes_to_the_other(own_x, own_y, other_x, other_y, x, y, reach):
-    """Of two discs that touch within a step: does the first move to the other at least as fast?
+    """Return whether the first of two touching discs approaches the other at least as fast.
 
-    They are displaced by (own_x, own_y) and (other_x, other_y); the other is at (x, y) relative to
-    the first before the step, and `reach` is the sum of their radii. What counts is how far each
-    comes along the line of centres at the moment of contact.
+    During the step they are displaced by (own_x, own_y) and (other_x, other_y). Before it the other
+    is at (x, y) relative to the first; `reach` is the sum of the radii. Displacements are compared
+    along the line of centres at the moment of contact.
     """
     dx, dy = other_x - own_x, other_y - own_y
     s = time_to_collision(x, y, dx, dy, reach, _ONE)

@@ -1,4 +1,4 @@
-"""What people do besides walking to their goals: stand, walk in pairs, come later, leave."""
+"""Habits of people: hurrying, standing, walking in pairs, entering late and leaving."""
 
 import math
 
@@ -7,15 +7,15 @@ import numpy as np
 from mrsan.kernels import function, rng
 from mrsan.kernels.layout import widened
 
-NEVER = -1  # the step at which somebody enters who does not
+NEVER = -1  # entry step of a person who does not enter (again)
 
 _ZERO = np.float32(0.0)
 _HALF = np.float32(0.5)
 _ONE = np.float32(1.0)
 _HALF_PI = np.float32(0.5 * math.pi)
-_GOLDEN_ANGLE = np.float32(2.399963)  # turns by it never come back to the same place, rad
-_BESIDE = np.float32(0.2)  # surface distance of two who walk together, m
-_ENTRY = np.float32(1.0)  # nobody appears nearer than that to a robot, m
+_GOLDEN_ANGLE = np.float32(2.399963)  # multiples of it never repeat a direction, rad
+_BESIDE = np.float32(0.2)  # surface distance of a pair, m
+_ENTRY = np.float32(1.0)  # least surface distance of an entering person to robots, m
 
 # Draws of the stream rng.HABITS.
 _HURRY, _HURRY_SPEED, _LATE, _LATE_STEP, _SIDE, _PAIR = range(6)
@@ -23,7 +23,7 @@ _HURRY, _HURRY_SPEED, _LATE, _LATE_STEP, _SIDE, _PAIR = range(6)
 
 @function
 def walking_speed(speed, key, j, p):
-    """The preferred speed of human `j`, which is `speed` unless it is in a hurry, m/s."""
+    """Return the preferred speed of human `j` in m/s: `speed`, unless the person is in a hurry."""
     if p.hurry_probability > _ZERO and (
         rng.uniform(key, rng.HABITS, j, 0, _HURRY) < p.hurry_probability
     ):
@@ -35,7 +35,7 @@ def walking_speed(speed, key, j, p):
 
 @function
 def walks_along(key, j, p):
-    """Whether human `j` walks with the one before it."""
+    """Return whether human `j` forms a pair with the one before it."""
     if j % 2 == 0 or p.pair_probability == _ZERO:
         return False
     return rng.uniform(key, rng.HABITS, j, 0, _PAIR) < p.pair_probability
@@ -43,7 +43,7 @@ def walks_along(key, j, p):
 
 @function
 def place_beside(position, goal, radius, j, key, attempt):
-    """Human `j` starts beside the one before it and is going to the same place beside it."""
+    """Write start and goal of human `j`, both beside those of the one before it."""
     dx, dy = goal[j - 1, 0] - position[j - 1, 0], goal[j - 1, 1] - position[j - 1, 1]
     side = _HALF_PI if rng.uniform(key, rng.HABITS, j, 0, _SIDE) < _HALF else -_HALF_PI
     angle = math.atan2(dy, dx) + side + _GOLDEN_ANGLE * np.float32(attempt)
@@ -55,7 +55,7 @@ def place_beside(position, goal, radius, j, key, attempt):
 
 @function
 def entry_of(key, j, p):
-    """The step at which human `j` comes in; 0: it is there from the beginning."""
+    """Return the step at which human `j` enters; 0: it is present from the beginning."""
     if p.late_probability == _ZERO or (
         rng.uniform(key, rng.HABITS, j, 0, _LATE) >= p.late_probability
     ):
@@ -65,7 +65,7 @@ def entry_of(key, j, p):
 
 @function
 def stands(key, j, step, p):
-    """Whether human `j` stands still until the next time at which goals change."""
+    """Return whether human `j` stands still until goals can change again."""
     if p.stand_probability == _ZERO:
         return False
     return rng.uniform(key, rng.STANDING, j, step // p.goal_change_steps, 0) < p.stand_probability
@@ -73,7 +73,7 @@ def stands(key, j, step, p):
 
 @function
 def come_and_go(state, e, p):
-    """Who is at its goal may leave; who is due comes in where it was placed, if there is room."""
+    """Let people leave at their goals, and enter at their starts when due if there is room."""
     position, goal, present = state.human_position[e], state.human_goal[e], state.human_present[e]
     radius, entry = state.human_radius[e], state.human_entry[e]
     key, step = state.key[e], state.clock[e]
@@ -90,7 +90,7 @@ def come_and_go(state, e, p):
 
 @function
 def _is_free(state, e, j, p):
-    """Whether human `j` can come in without touching anybody or appearing before a robot."""
+    """Return whether human `j` can enter clear of all people and not close to a robot."""
     position, radius = state.human_position[e], state.human_radius[e]
     for k in range(radius.shape[0]):
         if state.human_present[e, k] and k != j:

@@ -1,4 +1,4 @@
-"""How an action moves a robot: SAMARL, Eq. 1-3, and the two simpler models of the field."""
+"""How an action moves a robot: SAMARL, Eq. 1-3, and two simpler models."""
 
 import math
 
@@ -20,7 +20,7 @@ _TWO_PI = np.float32(2.0 * math.pi)
 
 @function
 def wrap_angle(angle):
-    """The same angle in (-pi, pi]."""
+    """Return the equivalent angle in (-pi, pi]."""
     if angle > _PI:
         return angle - _TWO_PI
     if angle <= -_PI:
@@ -30,7 +30,7 @@ def wrap_angle(angle):
 
 @function
 def next_velocity(vx, vy, heading, action, p):
-    """Velocity and heading after one step of `action`: (vx, vy, heading), in the world frame."""
+    """Return (vx, vy, heading) in the world frame after one step of `action`."""
     if p.kinematics == ACCELERATION_HEADING:
         return _acceleration_heading(vx, vy, heading, action[0], action[1], action[2], p)
     if p.kinematics == HOLONOMIC:
@@ -40,7 +40,7 @@ def next_velocity(vx, vy, heading, action, p):
 
 @function
 def brake(vx, vy, heading, p):
-    """Velocity and heading after one step of the hardest braking straight ahead."""
+    """Return (vx, vy, heading) after one step of full braking straight ahead."""
     if p.kinematics == ACCELERATION_HEADING:
         return _acceleration_heading(vx, vy, heading, -_ONE, _ZERO, _ZERO, p)
     return _ZERO, _ZERO, heading
@@ -48,14 +48,14 @@ def brake(vx, vy, heading, p):
 
 @function
 def _acceleration_heading(vx, vy, heading, longitudinal, lateral, turn, p):
-    """SAMARL, Eq. 2 under the limits of Eq. 3; accelerations along and across the new heading."""
+    """Apply SAMARL, Eq. 2 and 3; accelerations are along and across the new heading."""
     norm = math.sqrt(longitudinal * longitudinal + lateral * lateral)
     scale = p.max_acceleration / max(norm, _ONE)  # Eq. 3: the pair lies in a disc
     turn = turn * p.max_turn
     speed = math.sqrt(vx * vx + vy * vy)
     along = speed + longitudinal * scale * p.time_step  # Eq. 2
     across = lateral * scale * p.time_step
-    if along <= _ZERO:  # no reversing: the robot stops, and may turn in place
+    if along <= _ZERO:  # robots do not reverse, but may turn in place
         return _ZERO, _ZERO, wrap_angle(heading + turn) if p.turn_in_place else heading
     new_speed = min(math.sqrt(along * along + across * across), p.robot_speed)
     turn = turn + math.atan2(across, along)
@@ -66,7 +66,7 @@ def _acceleration_heading(vx, vy, heading, longitudinal, lateral, turn, p):
 
 @function
 def _holonomic(heading, forward, left, p):
-    """A velocity in the body frame, in units of the preferred speed; the heading follows it."""
+    """Apply a velocity in the body frame, in preferred speeds; the heading follows it."""
     norm = math.sqrt(forward * forward + left * left)
     scale = p.robot_speed / max(norm, _ONE)
     cos, sin = math.cos(heading), math.sin(heading)
@@ -78,7 +78,7 @@ def _holonomic(heading, forward, left, p):
 
 @function
 def _unicycle(heading, speed, turn, p):
-    """A forward speed (-1: stand, 1: preferred speed) and a heading change."""
+    """Apply a forward speed (-1: stand, 1: preferred speed) and a change of heading."""
     heading = wrap_angle(heading + turn * p.max_turn)
     new_speed = _HALF * (speed + _ONE) * p.robot_speed
     return new_speed * math.cos(heading), new_speed * math.sin(heading), heading

@@ -1,4 +1,4 @@
-"""Where ways begin and end, for each layout of the place."""
+"""Starts and goals, for each layout of the place."""
 
 import math
 
@@ -7,7 +7,7 @@ import numpy as np
 from mrsan.kernels import function, rng
 from mrsan.se2 import rotate
 
-CIRCLE = 0  # everybody crosses to the opposite point: SAMARL
+CIRCLE = 0  # all agents cross to the opposite point: SAMARL
 CROSSING = 1  # two streams of people at right angles
 OPPOSITE = 2  # two streams along one band
 SQUARE = 3  # anywhere on the floor
@@ -24,23 +24,23 @@ _TWO_PI = np.float32(2.0 * math.pi)
 _SQRT_2 = np.float32(math.sqrt(2.0))
 _GROWTH = np.float32(0.05)
 _ROUNDING = np.float32(1.0001)
-_TRIES = 64  # attempts before the place is widened for an agent that finds no room
-_OFF_FLOOR = 1024  # attempts after which people may start outside of a walled floor
+_TRIES = 64  # attempts before the place is widened for an agent without room
+_OFF_FLOOR = 1024  # attempts after which people may start outside a walled floor
 IMPATIENT = 8192  # attempts after which the place is widened exponentially
 _GOAL_TRIES = 32
 
 
 @function
 def layout_of(key, p):
-    """The layout of an episode."""
+    """Return the layout of an episode."""
     if p.layout == MIXED:
         return int(rng.uniform(key, rng.LAYOUT, 0, 0, 0) * np.float32(MIXED))
     return p.layout
 
 
 @function
-def draw_robot_way(start, goal, key, i, attempt, layout, p):
-    """Where robot `i` starts and where it is to get to; whether that is a way of fair length."""
+def draw_robot_route(start, goal, key, i, attempt, layout, p):
+    """Draw start and goal of robot `i`; return whether this attempt is permitted."""
     if layout == CIRCLE:
         room = p.arena_radius - p.robot_radius - _SQRT_2 * p.spawn_jitter * p.robot_speed
         x, y = _on_circle(key, i, attempt, room, p)
@@ -51,25 +51,27 @@ def draw_robot_way(start, goal, key, i, attempt, layout, p):
                 -p.goal_turn_spread, p.goal_turn_spread, key, rng.START, i, attempt, 6
             )
             goal[0], goal[1] = rotate(math.cos(angle), math.sin(angle), goal[0], goal[1])
-            if p.goal_turn_spread != _ZERO and attempt < _TRIES:  # not by chance to the start
+            if (
+                p.goal_turn_spread != _ZERO and attempt < _TRIES
+            ):  # a goal may not coincide with the start
                 dx, dy = goal[0] - start[0], goal[1] - start[1]
                 apart = p.robot_radius + p.robot_radius + p.spawn_clearance
                 return dx * dx + dy * dy >= apart * apart
         return True
     direct = attempt >= _TRIES
     half = _floor(attempt - _TRIES if direct else attempt, p)
-    return draw_way_on_floor(start, goal, key, i, attempt, half, half, direct, p)
+    return draw_route_on_floor(start, goal, key, i, attempt, half, half, direct, p)
 
 
 @function
-def draw_way_on_floor(start, goal, key, i, attempt, half_x, half_y, direct, p):
-    """Draw a start and a goal of robot `i` on a floor; return whether the route's length is legal.
+def draw_route_on_floor(start, goal, key, i, attempt, half_x, half_y, direct, p):
+    """Draw a start and a goal of robot `i` on a floor; return whether its length is permitted.
 
-    Both are uniform on the floor, and an attempt whose length is not legal fails. Where hardly any
-    two points are that far apart, all attempts would fail: with `direct` the length is drawn first.
+    Both are uniform on the floor, and an attempt of another length fails. Where hardly any two
+    points are that far apart nearly all would fail: with `direct` the length is drawn first.
     """
     if direct:
-        _draw_way_of_legal_length(start, goal, key, i, attempt, half_x, half_y, p)
+        _draw_route_of_permitted_length(start, goal, key, i, attempt, half_x, half_y, p)
         return True
     start[0] = rng.uniform_between(-half_x, half_x, key, rng.START, i, attempt, 0)
     start[1] = rng.uniform_between(-half_y, half_y, key, rng.START, i, attempt, 1)
@@ -82,7 +84,7 @@ def draw_way_on_floor(start, goal, key, i, attempt, half_x, half_y, direct, p):
 
 
 @function
-def _draw_way_of_legal_length(start, goal, key, i, attempt, half_x, half_y, p):
+def _draw_route_of_permitted_length(start, goal, key, i, attempt, half_x, half_y, p):
     """Draw the length of a route, then a direction in which it fits on the floor, then its start.
 
     The floor's diagonal must be at least `robot_way_min` long.
@@ -106,7 +108,7 @@ def _draw_way_of_legal_length(start, goal, key, i, attempt, half_x, half_y, p):
 
 @function
 def draw_human_start(start, key, j, agent, attempt, speed, layout, p):
-    """Where human `j`, agent `agent` of the world, starts."""
+    """Draw the start of human `j`, which is agent `agent` of the world."""
     if layout == CIRCLE:
         x, y = _on_circle(key, agent, attempt, _FAR, p)
         _jitter(start, x, y, key, agent, attempt, 1, p.spawn_jitter * speed)
@@ -118,37 +120,37 @@ def draw_human_start(start, key, j, agent, attempt, speed, layout, p):
         start[0], start[1] = first, second * half
     else:  # `first` along the stream, `second` across
         across = second * _HALF * (p.crossing_width if layout == CROSSING else p.opposite_width)
-        upward = _walks_upward(key, j, layout)
-        start[0], start[1] = (across, first) if upward else (first, across)
+        along_y = _walks_along_y(key, j, layout)
+        start[0], start[1] = (across, first) if along_y else (first, across)
 
 
 @function
-def guess_human_start(start, key, agent, attempt, speed, p):
-    """About where `draw_human_start` puts an agent on a circle of up to 15 m: to 0.1 mm.
+def approximate_human_start(start, key, agent, attempt, speed, p):
+    """Approximate `draw_human_start` on a circle of up to 15 m to 0.1 mm, up to `IMPATIENT`.
 
-    Without calls or branches, so that many attempts are computed at once; up to `IMPATIENT`.
+    It has no calls or branches, so that many attempts are computed at once.
     """
     circle = _widened_linearly(p.circle_radius, attempt)
     turn = rng.uniform(key, rng.START, agent, attempt, 0)
-    later = turn + (_ONE - _QUARTER if turn < _QUARTER else -_QUARTER)
-    x, y = circle * _cos_of_turn(turn), circle * _cos_of_turn(later)
+    shifted = turn + (_ONE - _QUARTER if turn < _QUARTER else -_QUARTER)
+    x, y = circle * _cos_of_turn(turn), circle * _cos_of_turn(shifted)
     _jitter(start, x, y, key, agent, attempt, 1, p.spawn_jitter * speed)
 
 
 @function
 def _cos_of_turn(turn):
-    """About the cosine of 2 pi `turn`, which is in [0, 1): a series, with an error below 4e-6."""
+    """Approximate the cosine of 2 pi `turn`, in [0, 1), by a series with an error below 4e-6."""
     angle = _TWO_PI * (abs(turn - _HALF) - _QUARTER)
     squared = angle * angle
-    rest = _ONE - squared / np.float32(72.0)
-    rest = _ONE - squared / np.float32(42.0) * rest
-    rest = _ONE - squared / np.float32(20.0) * rest
-    return angle * (_ONE - squared / np.float32(6.0) * rest)
+    series = _ONE - squared / np.float32(72.0)
+    series = _ONE - squared / np.float32(42.0) * series
+    series = _ONE - squared / np.float32(20.0) * series
+    return angle * (_ONE - squared / np.float32(6.0) * series)
 
 
 @function
 def draw_human_goal(start, goal, key, j, agent, attempt, speed, layout, p):
-    """Where human `j` goes first, which starts at `start`, drawn in the same attempt."""
+    """Draw the first goal of human `j`, whose `start` was drawn in the same attempt."""
     if layout == CIRCLE:
         x, y = _on_circle(key, agent, attempt, _FAR, p)
         _jitter(goal, -x, -y, key, agent, attempt, 3, p.spawn_jitter * speed)
@@ -157,15 +159,15 @@ def draw_human_goal(start, goal, key, j, agent, attempt, speed, layout, p):
     if layout != SQUARE:
         half = _human_floor(attempt, p)
         end = half if rng.uniform(key, rng.LAYOUT, j, 0, 2) < _HALF else -half
-        goal[0], goal[1] = (_ZERO, end) if _walks_upward(key, j, layout) else (end, _ZERO)
+        goal[0], goal[1] = (_ZERO, end) if _walks_along_y(key, j, layout) else (end, _ZERO)
     goal[0], goal[1] = draw_goal(start[0], start[1], goal[0], goal[1], key, j, 0, speed, layout, p)
 
 
 @function
 def draw_goal(x, y, old_x, old_y, key, j, step, speed, layout, p):
-    """A new goal for human `j` at (x, y), whose goal was `old`; at least so far from (x, y).
+    """Draw a new goal for human `j` at (x, y), at least `goal_distance` away.
 
-    In a stream that is the same end of it, or the other end from near that.
+    In a stream it lies at the same end as the old goal, or at the other end if that is too close.
     """
     goal_x, goal_y = _ZERO, _ZERO
     half, jitter = _HALF * p.floor_size, p.spawn_jitter * speed
@@ -185,11 +187,11 @@ def draw_goal(x, y, old_x, old_y, key, j, step, speed, layout, p):
         else:
             width = _HALF * (p.crossing_width if layout == CROSSING else p.opposite_width)
             across = rng.uniform_between(-width, width, key, rng.HUMAN_GOAL, j, step, draw)
-            upward = _walks_upward(key, j, layout)
-            end = half if (old_y if upward else old_x) > _ZERO else -half
-            if abs(end - (y if upward else x)) < p.goal_distance:
+            along_y = _walks_along_y(key, j, layout)
+            end = half if (old_y if along_y else old_x) > _ZERO else -half
+            if abs(end - (y if along_y else x)) < p.goal_distance:
                 end = -end
-            goal_x, goal_y = (across, end) if upward else (end, across)
+            goal_x, goal_y = (across, end) if along_y else (end, across)
         dx, dy = goal_x - x, goal_y - y
         if dx * dx + dy * dy >= p.goal_distance * p.goal_distance:
             break
@@ -197,14 +199,14 @@ def draw_goal(x, y, old_x, old_y, key, j, step, speed, layout, p):
 
 
 @function
-def _walks_upward(key, j, layout):
-    """Whether the stream of human `j` runs along y."""
+def _walks_along_y(key, j, layout):
+    """Return whether the stream of human `j` runs along y."""
     return layout == CROSSING and rng.uniform(key, rng.LAYOUT, j, 0, 1) < _HALF
 
 
 @function
 def _floor(attempt, p):
-    """Half the side of the floor, wider after tries without success if there is no wall, m."""
+    """Return half the side of the floor, m; without a wall it grows after failed attempts."""
     if p.arena_radius < np.inf:
         return _HALF * p.floor_size
     return widened(_HALF * p.floor_size, attempt)
@@ -212,7 +214,7 @@ def _floor(attempt, p):
 
 @function
 def _human_floor(attempt, p):
-    """The same for people, whom no wall holds: after many attempts they may start beyond it."""
+    """Return the same for people, who may start outside a wall after many failed attempts."""
     if attempt < _OFF_FLOOR:
         return _floor(attempt, p)
     return widened(_HALF * p.floor_size, attempt)
@@ -220,7 +222,7 @@ def _human_floor(attempt, p):
 
 @function
 def widened(length, attempt):
-    """A length of the place, longer after attempts without success."""
+    """Return a length of the place, which grows after failed attempts."""
     length = _widened_linearly(length, min(attempt, IMPATIENT))
     if attempt > IMPATIENT:
         length *= np.float32((_ONE + _GROWTH) ** np.float32((attempt - IMPATIENT) // _TRIES))
@@ -234,9 +236,9 @@ def _widened_linearly(length, attempt):
 
 @function
 def _on_circle(key, agent, attempt, room, p):
-    """The point of the circle about which an agent starts; opposite to it is its goal."""
+    """Draw the point of the circle near which an agent starts; its goal lies opposite."""
     circle = widened(p.circle_radius, attempt)
-    if circle > room * _ROUNDING:  # a wall, and no room on the circle: anywhere inside
+    if circle > room * _ROUNDING:  # the circle crosses the wall: anywhere inside
         circle = room * math.sqrt(rng.uniform(key, rng.START, agent, attempt, 5))
     angle = _TWO_PI * rng.uniform(key, rng.START, agent, attempt, 0)
     return circle * math.cos(angle), circle * math.sin(angle)
@@ -244,6 +246,6 @@ def _on_circle(key, agent, attempt, room, p):
 
 @function
 def _jitter(point, x, y, key, agent, attempt, draw, jitter):
-    """Write a point near (x, y), moved by up to `jitter` along either axis."""
+    """Write a point near (x, y), displaced by up to `jitter` along each axis."""
     point[0] = x + rng.uniform_between(-jitter, jitter, key, rng.START, agent, attempt, draw)
     point[1] = y + rng.uniform_between(-jitter, jitter, key, rng.START, agent, attempt, draw + 1)

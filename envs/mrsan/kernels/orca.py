@@ -1,10 +1,10 @@
-"""Optimal reciprocal collision avoidance (van den Berg et al., 2011), as the RVO2 library does it.
+"""Optimal reciprocal collision avoidance (van den Berg et al., 2011), as in the RVO2 library.
 
 An agent is a row `[px, py, vx, vy, radius]`. A line is four numbers: the permitted velocities lie
 to the left of the direction (DX, DY) through the point (PX, PY).
 
-Agents and lines lie in memory as columns, a stretch for each of their numbers: so the lines of all
-neighbours are computed at once, by the processor's vector instructions.
+Agents and lines are stored as columns, one for each of their numbers, so that vector instructions
+compute the lines of all neighbours at once.
 """
 
 import math
@@ -13,9 +13,9 @@ import numpy as np
 
 from mrsan.kernels import allocating, function
 
-MOST = 80  # agents
+MOST = 80  # agents at most
 PX, PY, DX, DY = 0, MOST, 2 * MOST, 3 * MOST  # of line k: lines[PX + k] and so on
-_LANES = 16  # lines are computed in whole vectors of so many
+_LANES = 16  # lines are computed in vectors of this length
 
 _EPSILON = np.float32(1e-5)
 _ZERO = np.float32(0.0)
@@ -23,19 +23,19 @@ _HALF = np.float32(0.5)
 _ONE = np.float32(1.0)
 _TWO = np.float32(2.0)
 _FAR = np.float32(np.inf)
-_SAMPLE = 8  # agents whose distances tell how many are near
-_REACHES = 8  # distances tried before everybody within `neighbor_distance` is ranked
-_SPARE = np.float32(1.4)  # times as many as needed are looked for
+_SAMPLE = 8  # agents from whose distances the search radius is estimated
+_REACHES = 8  # search radii tried before all within `neighbor_distance` are ranked
+_SPARE = np.float32(1.4)  # the estimate aims at this multiple of the neighbours needed
 
 
 @allocating
 def orca_room(most):
-    """Room for up to `most` agents, to be filled, and for `orca_velocity` to work in."""
+    """Return an array for up to `most` agents, and scratch arrays for `orca_velocity`."""
     room = (most + _LANES - 1) // _LANES * _LANES
     agents = np.zeros((5, room), np.float32).T
     return agents, (
-        np.empty((2, room), np.float32),  # squared distances of all, of those near
-        np.empty((2, room), np.uint32),  # rows of those near, their ranks
+        np.empty((2, room), np.float32),  # squared distances of all agents, of the near ones
+        np.empty((2, room), np.uint32),  # rows of the near agents, their ranks
         np.zeros((5, room), np.float32).T,  # the neighbours, nearest first
         np.empty(4 * MOST, np.float32),  # lines, of the nearest neighbour first
         np.empty(4 * MOST, np.float32),  # lines projected on another
@@ -56,18 +56,18 @@ def orca_velocity(
     time_step,
     scratch,
 ):
-    """New velocity of agent `i` among the first `count` rows of `agents`.
+    """Return the next velocity of agent `i` among the first `count` rows of `agents`.
 
     Args:
-        agents: [A, 5] position, velocity and radius (m, m/s), from `orca_room`.
+        agents: [A, 5] positions, velocities and radii (m, m/s), from `orca_room`.
         count: number of rows of `agents` in use.
         i: the row of the agent that decides.
         preferred_x: preferred velocity, x (m/s).
         preferred_y: preferred velocity, y (m/s).
         max_speed: speed limit (m/s).
-        neighbor_distance: only agents nearer than this count (m).
-        max_neighbors: only so many of the nearest count.
-        time_horizon: for how long the velocity must be safe (s).
+        neighbor_distance: agents farther away are ignored (m).
+        max_neighbors: largest number of neighbours considered, nearest first.
+        time_horizon: time for which the velocity must be free of collisions (s).
         time_step: length of a step (s).
         scratch: from `orca_room`.
     """
@@ -84,7 +84,7 @@ def orca_velocity(
 
 @function
 def _find_nearest(agents, count, i, neighbor_distance, max_neighbors, distances, places, nearest):
-    """Fill `nearest` with the neighbours of `i`, nearest first; return how many there are."""
+    """Write the neighbours of `i` to `nearest`, nearest first; return how many there are."""
     squared, near = distances[0], distances[1]
     rows, rank = places[0], places[1]
     limit = neighbor_distance * neighbor_distance
@@ -99,14 +99,14 @@ def _find_nearest(agents, count, i, neighbor_distance, max_neighbors, distances,
     n = 0
     for attempt in range(_REACHES):  # once there are enough, the reach makes no difference
         n = 0
-        for j in range(count):  # without a branch: nobody could predict it
+        for j in range(count):  # without a branch, which would be unpredictable
             near[n], rows[n] = squared[j], j
             n += squared[j] < reach
         if n >= max_neighbors or reach >= limit:
             break
         reach = min(limit, _TWO * reach) if attempt < _REACHES - 2 else limit
-    for k in range(n):  # of equally near ones the first comes first
-        farther = np.uint32(0)  # of 32 bits like the ranks, for vectors
+    for k in range(n):  # equal distances are ordered by row
+        farther = np.uint32(0)  # 32 bits like the ranks, for vector instructions
         for q in range(k):
             is_farther = near[q] > near[k]
             rank[q] += is_farther
@@ -122,10 +122,10 @@ def _find_nearest(agents, count, i, neighbor_distance, max_neighbors, distances,
 
 @function
 def _likely_reach(squared, count, max_neighbors):
-    """A squared distance within which there are probably somewhat more than `max_neighbors`.
+    """Return a squared distance within which probably slightly more than `max_neighbors` lie.
 
-    Of agents spread evenly over a disc the squared distances are spread evenly up to twice their
-    mean; that of a few is good enough.
+    If agents are uniform on a disc, squared distances are uniform up to twice their mean, which a
+    few agents estimate well enough.
     """
     step = (count + _SAMPLE - 1) // _SAMPLE
     total, sampled = _ZERO, 0
@@ -139,10 +139,10 @@ def _likely_reach(squared, count, max_neighbors):
 
 @function
 def _half_planes(agents, i, nearest, n, time_horizon, time_step, lines):
-    """The velocities of agent `i` that share the avoidance of each of its `n` neighbours fairly.
+    """Write the half-planes of velocities by which agent `i` does its share of each avoidance.
 
-    Lines behind those mean nothing. Written without branches, both cases computed and one chosen,
-    which makes vectors possible.
+    Lines beyond the first `n` are undefined. Both cases are computed and one is selected instead of
+    branching, so that the compiler can use vector instructions.
     """
     own_x, own_y, own_vx, own_vy = agents[i, 0], agents[i, 1], agents[i, 2], agents[i, 3]
     own_radius = agents[i, 4]
@@ -181,7 +181,7 @@ def _half_planes(agents, i, nearest, n, time_horizon, time_step, lines):
 
 @function
 def _linear_program_1(lines, k, radius, goal_x, goal_y, goal_is_direction):
-    """Best point on line `k` within the disc and the lines before it: (feasible, x, y)."""
+    """Return (feasible, x, y), the best point on line `k` within the disc and earlier lines."""
     px, py, dx, dy = lines[PX + k], lines[PY + k], lines[DX + k], lines[DY + k]
     dot = px * dx + py * dy
     discriminant = dot * dot + radius * radius - (px * px + py * py)
@@ -213,7 +213,7 @@ def _linear_program_1(lines, k, radius, goal_x, goal_y, goal_is_direction):
 
 @function
 def _linear_program_2(lines, n, radius, goal_x, goal_y, goal_is_direction):
-    """Point nearest the goal within the disc and all lines: (x, y, first line that failed or n)."""
+    """Return (x, y, k): the best point within the disc and all lines; k: infeasible line, or n."""
     speed_squared = goal_x * goal_x + goal_y * goal_y
     if goal_is_direction:
         x, y = goal_x * radius, goal_y * radius
@@ -236,7 +236,7 @@ def _linear_program_2(lines, n, radius, goal_x, goal_y, goal_is_direction):
 
 @function
 def _linear_program_3(lines, projected, n, first, radius, x, y):
-    """No velocity satisfies all lines: the one that violates the worst of them least."""
+    """Return the velocity whose largest violation is smallest, if none satisfies all lines."""
     distance = _ZERO
     for k in range(first, n):
         px, py = lines[PX + k], lines[PY + k]

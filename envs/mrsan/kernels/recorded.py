@@ -1,41 +1,39 @@
-"""People who walk as they were recorded, whatever robots do."""
+"""People who follow their recorded tracks, regardless of robots."""
 
 import math
 
 import numpy as np
 
 from mrsan.kernels import function, rng
-from mrsan.kernels.layout import draw_way_on_floor
-
-RECORDED = 3  # the crowd
+from mrsan.kernels.layout import draw_route_on_floor
 
 NOT_ASSIGNED = -1
 _ZERO = np.float32(0.0)
 _FAR = np.float32(np.inf)
-_STANDS = np.float32(1.0)  # who does not get further than that while the episode lasts, m
-_TRIES = 64  # tries after which less room is asked for
+_STANDS = np.float32(1.0)  # a person displaced by less during the episode stands, m
+_TRIES = 64  # attempts after which the required clearance is reduced
 _DIRECT = 1024  # attempts after which the length of a route is drawn before its ends
-_LEAST_ROOM = 10  # ... and after so many times that, none
+_LEAST_ROOM = 10  # reductions until no clearance is required
 
 
 @function
 def begin_recording(state, e, key, recording, p):
-    """Draw the moment of the recording at which the episode begins."""
+    """Draw the step of the recording at which the episode begins."""
     latest = max(recording.steps - p.time_limit_steps, 0)
     share = rng.uniform(key, rng.RECORDING, 0, 0, 0)
     state.record_step[e] = min(int(share * np.float32(latest + 1)), latest)
 
 
 @function
-def draw_recorded_way(start, goal, key, i, attempt, begin, recording, p):
-    """A start where nobody is or comes to soon and a goal where nobody stands, on the floor.
+def draw_recorded_route(start, goal, key, i, attempt, begin, recording, p):
+    """Draw a start that people do not cross soon, and a goal where nobody stands, on the floor.
 
     Returns:
-        Whether they are that, and the way from one to the other of fair length.
+        Whether this attempt has these properties and its route has a permitted length.
     """
     half_x, half_y = recording.half_size[0], recording.half_size[1]
     direct = attempt >= _DIRECT
-    if not draw_way_on_floor(start, goal, key, i, attempt, half_x, half_y, direct, p):
+    if not draw_route_on_floor(start, goal, key, i, attempt, half_x, half_y, direct, p):
         return False
     share = np.float32(max(_LEAST_ROOM - attempt // _TRIES, 0)) / np.float32(_LEAST_ROOM)
     gap = p.robot_radius + p.human_radius_max + p.spawn_clearance * share
@@ -44,21 +42,22 @@ def draw_recorded_way(start, goal, key, i, attempt, begin, recording, p):
         if recording.first[q] > end or recording.last[q] < begin:
             continue
         first, last = max(recording.first[q], begin), min(recording.last[q], end)
-        there = _place(recording, q, first)
-        then = _place(recording, q, last)
-        stands = math.hypot(then[0] - there[0], then[1] - there[1]) < _STANDS
+        first_place, last_place = _place(recording, q, first), _place(recording, q, last)
+        dx, dy = last_place[0] - first_place[0], last_place[1] - first_place[1]
+        stands = math.hypot(dx, dy) < _STANDS
         for step in range(first, min(last, begin + p.recorded_start_clear_steps) + 1):
             x, y = _place(recording, q, step)
             if math.hypot(x - start[0], y - start[1]) < gap:
                 return False
-        if stands and math.hypot(there[0] - goal[0], there[1] - goal[1]) < gap:
+        dx, dy = first_place[0] - goal[0], first_place[1] - goal[1]
+        if stands and math.hypot(dx, dy) < gap:
             return False
     return True
 
 
 @function
 def follow(state, e, recording, p):
-    """Who has walked off leaves its slot; of those who have none the nearest get the free ones."""
+    """Free the slots of people whose tracks have ended; assign free slots to the nearest people."""
     position, present = state.human_position[e], state.human_present[e]
     track, entry = state.human_track[e], state.human_entry[e]
     step = state.clock[e]
@@ -67,7 +66,7 @@ def follow(state, e, recording, p):
     for j in range(present.shape[0]):
         if present[j] and now >= recording.last[track[j]]:
             present[j], track[j] = False, NOT_ASSIGNED
-            entry[j] = step + p.recorded_slot_rest_steps  # robots forget the person by then
+            entry[j] = step + p.recorded_slot_rest_steps  # robots forget the person meanwhile
         free += not present[j] and entry[j] <= step
     for j in range(present.shape[0]):
         if free == 0:
@@ -93,7 +92,7 @@ def follow(state, e, recording, p):
 
 @function
 def recorded_velocity(state, e, j, recording, p):
-    """What takes human `j` to where it was at the next step, m/s."""
+    """Return the velocity that leads human `j` to its recorded position at the next step, m/s."""
     next_step = state.record_step[e] + state.clock[e] + 1
     place = _place(recording, state.human_track[e, j], next_step)
     position = state.human_position[e, j]
@@ -102,11 +101,11 @@ def recorded_velocity(state, e, j, recording, p):
 
 @function
 def _nearest(state, e, now, recording):
-    """Of the people who are there and have no slot the one that is nearest to a robot."""
-    found, least = NOT_ASSIGNED, _FAR
+    """Return the present person without a slot who is nearest to a robot, or `NOT_ASSIGNED`."""
+    nearest, least = NOT_ASSIGNED, _FAR
     for q in range(recording.first.shape[0]):
         if recording.first[q] > now:
-            break  # they are in order
+            break  # people are ordered by their first step
         if recording.last[q] <= now or _has_a_slot(state, e, q):
             continue
         x, y = _place(recording, q, now)
@@ -114,16 +113,16 @@ def _nearest(state, e, now, recording):
             dx, dy = state.robot_position[e, i, 0] - x, state.robot_position[e, i, 1] - y
             squared = dx * dx + dy * dy
             if squared < least:
-                found, least = q, squared
-    return found
+                nearest, least = q, squared
+    return nearest
 
 
 @function
 def _has_a_slot(state, e, q):
-    found = False
+    assigned = False
     for j in range(state.human_track.shape[1]):
-        found = found or state.human_track[e, j] == q
-    return found
+        assigned = assigned or state.human_track[e, j] == q
+    return assigned
 
 
 @function

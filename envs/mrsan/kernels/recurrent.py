@@ -1,9 +1,10 @@
-"""A recurrent network that says how people will turn, speed up and slow down.
+"""A recurrent network that predicts how people turn, accelerate and slow down.
 
 A gated recurrent unit (Cho et al., 2014) reads a person's velocities in the person's own frame and
-then goes on by itself: each step it adds a change of velocity and reads the velocity that this
-gives. x / (1 + |x|) takes the place of the sigmoid and of tanh: it is a fifth of the time, and the
-same on every processor. A person is a loop of its own, so nothing depends on who else is asked for.
+then continues from its own predictions: each step it adds a change of velocity and reads the
+result. x / (1 + |x|) replaces the sigmoid and tanh: it takes a fifth of the time and gives the same
+bits on every processor. Each person is computed separately, so no prediction depends on the others
+in the batch.
 """
 
 import numpy as np
@@ -17,19 +18,19 @@ _ONE = np.float32(1.0)
 
 
 @kernel
-def swerve(chunks, velocities, known, w_input, w_hidden, bias, w_output, time_step, out):
-    """By how much people will be elsewhere than at constant velocity.
+def predict_offsets(chunks, velocities, valid, w_input, w_hidden, bias, w_output, time_step, out):
+    """Predict the offsets of people from where constant velocity would lead them.
 
     Args:
         chunks: number of pieces the loop over people is cut into.
         velocities: [P, L, 2] of the last L steps in the person's own frame, m/s; the last is now.
-        known: [P, L] bool; what is not known is not read.
+        valid: [P, L] bool; other velocities are not read.
         w_input: [2, 3 H] of the update gate, the reset gate and the candidate.
         w_hidden: [H, 3 H] likewise.
         bias: [3 H] likewise.
         w_output: [H, 2] to the change of velocity in a step, m/s.
         time_step: s.
-        out: [P, K, 2], written: the displacement in the own frame after 1..K steps, m.
+        out: [P, K, 2], written: offsets in the own frame after 1..K steps, m.
     """
     total, length, size = velocities.shape[0], velocities.shape[1], w_hidden.shape[0]
     for chunk in prange(chunks):
@@ -39,7 +40,7 @@ def swerve(chunks, velocities, known, w_input, w_hidden, bias, w_output, time_st
         for p in range(chunk * total // chunks, (chunk + 1) * total // chunks):
             hidden[:] = _ZERO
             for t in range(length):
-                if known[p, t]:
+                if valid[p, t]:
                     x, y = velocities[p, t, 0], velocities[p, t, 1]
                     _read(x, y, w_input, w_hidden, bias, gates, recurrent, hidden)
             vx = vy = px = py = _ZERO
@@ -57,7 +58,7 @@ def swerve(chunks, velocities, known, w_input, w_hidden, bias, w_output, time_st
 
 @function
 def _read(x, y, w_input, w_hidden, bias, gates, recurrent, hidden):
-    """One step of the unit: `hidden` after it has read the velocity (x, y)."""
+    """Update `hidden` by one step of the unit, which reads the velocity (x, y)."""
     size = hidden.shape[0]
     for o in range(3 * size):
         gates[o] = bias[o] + w_input[0, o] * x + w_input[1, o] * y

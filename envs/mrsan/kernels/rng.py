@@ -1,7 +1,7 @@
 """Counter-based random numbers: a pure function of (case, episode, stream, agent, step).
 
-No generator state exists, so an episode is the same to the last bit whatever the batch size, the
-number of threads or the order in which worlds are stepped. The mixer is SplitMix64's finaliser
+There is no generator state, so an episode has the same bits for any batch size, number of threads
+or order in which worlds are stepped. The mixer is SplitMix64's finaliser
 (Steele, Lea and Flood, "Fast splittable pseudorandom number generators", 2014).
 """
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from mrsan.kernels import function
 
-# Streams: what a number is used for.
+# Streams: the purpose of a number.
 START = 0
 HUMAN_TRAITS = 1
 HUMAN_COUNT = 2
@@ -24,7 +24,7 @@ HABITS = 8
 STANDING = 9
 LEAVING = 10
 RECORDING = 11
-TOLD = 12
+REPORT_LOSS = 12
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _MIX_1 = np.uint64(0xBF58476D1CE4E5B9)
@@ -46,13 +46,13 @@ def _mix(x):
 
 @function
 def episode_key(case, episode):
-    """The 64-bit key of one episode of one case."""
+    """Return the 64-bit key of one episode of one case."""
     return _mix(_mix(np.uint64(case) + _GOLDEN) + np.uint64(episode) * _GOLDEN)
 
 
 @function
 def uniform(key, stream, agent, step, draw):
-    """A number in [0, 1). Up to 2^16 agents, 2^32 steps and 256 draws per stream are distinct."""
+    """Draw from [0, 1). Up to 2^16 agents, 2^32 steps and 256 draws per stream are distinct."""
     counter = (
         (np.uint64(stream) << _STREAM_SHIFT)
         | (np.uint64(step) << _STEP_SHIFT)
@@ -64,12 +64,12 @@ def uniform(key, stream, agent, step, draw):
 
 @function
 def uniform_between(low, high, key, stream, agent, step, draw):
-    """A number in [low, high)."""
+    """Draw from [low, high)."""
     return low + (high - low) * uniform(key, stream, agent, step, draw)
 
 
 @function
 def normal(key, stream, agent, step, draw):
-    """A standard normal number (Box-Muller; uses draws `draw` and `draw + 1`)."""
+    """Draw from the standard normal distribution (Box-Muller; uses `draw` and `draw + 1`)."""
     radius = math.sqrt(_MINUS_TWO * math.log(max(uniform(key, stream, agent, step, draw), _TINY)))
     return radius * math.cos(_TWO_PI * uniform(key, stream, agent, step, draw + 1))

@@ -1,4 +1,4 @@
-"""What a robot knows: itself, and those within its field of view, in its own body frame."""
+"""Observations: a robot itself and the agents within its field of view, in its body frame."""
 
 import math
 
@@ -27,13 +27,13 @@ from mrsan.kernels import function, kernel, rng
 from mrsan.se2 import unrotate
 
 _ZERO = np.float32(0.0)
-_LEAST_RADIUS = np.float32(0.05)  # that noise leaves, as of a person in `Scenario`, m
+_LEAST_RADIUS = np.float32(0.05)  # lower limit of noisy radii, as of a person in `Scenario`, m
 _FULL_CIRCLE = np.float32(-1.0)  # the cosine of half a field of view of 360 degrees
 
 
 @kernel
 def observe(chunks, worlds, state, p, ego, humans, humans_visible, robots, robots_visible):
-    """Write the observation of every robot in some worlds, every element of it.
+    """Write every element of the observation of every robot in some worlds.
 
     Args:
         chunks: number of pieces the loop over worlds is cut into.
@@ -48,7 +48,7 @@ def observe(chunks, worlds, state, p, ego, humans, humans_visible, robots, robot
     """
     total, n, m = ego.shape[0], ego.shape[1], humans.shape[2]
     for chunk in prange(chunks):
-        # Arrays and numbers out of the tuples first: Numba copies a tuple wherever it goes.
+        # Take arrays and numbers out of the tuples first: Numba copies a tuple wherever it goes.
         position, velocity = state.robot_position, state.robot_velocity
         heading, goal, clock = state.robot_heading, state.robot_goal, state.clock
         human_position, human_velocity = state.human_position, state.human_velocity
@@ -82,12 +82,12 @@ def observe(chunks, worlds, state, p, ego, humans, humans_visible, robots, robot
                 for j in range(m + n):
                     if j == m + i:
                         continue
-                    slot, seen = j, True
+                    slot, visible = j, True
                     if j < m:
                         dx, dy = human_position[e, j, 0] - x, human_position[e, j, 1] - y
                         ux, uy = human_velocity[e, j, 0] - vx, human_velocity[e, j, 1] - vy
                         radius = human_radius[e, j]
-                        seen = human_present[e, j]
+                        visible = human_present[e, j]
                     else:
                         k = j - m
                         dx, dy = position[e, k, 0] - x, position[e, k, 1] - y
@@ -97,11 +97,11 @@ def observe(chunks, worlds, state, p, ego, humans, humans_visible, robots, robot
                     distance = math.sqrt(dx * dx + dy * dy)
                     ahead, left = unrotate(cos, sin, dx, dy)
                     along, across = unrotate(cos, sin, ux, uy)
-                    seen = seen and distance <= limit
+                    visible = visible and distance <= limit
                     if cos_half_fov > _FULL_CIRCLE:
-                        seen = seen and ahead >= distance * cos_half_fov
-                    if seen and occlusion:
-                        seen = not (
+                        visible = visible and ahead >= distance * cos_half_fov
+                    if visible and occlusion:
+                        visible = not (
                             _is_hidden(
                                 human_position[e],
                                 human_radius[e],
@@ -114,28 +114,28 @@ def observe(chunks, worlds, state, p, ego, humans, humans_visible, robots, robot
                             )
                             or _is_hidden_by_robot(position[e], robot_radius, i, j - m, dx, dy)
                         )
-                    if seen and missed > _ZERO:
+                    if visible and missed > _ZERO:
                         draw = rng.uniform(key, rng.MISSED, i * 128 + j, step, 0)
-                        seen = draw >= missed
-                    if seen and noisy:
+                        visible = draw >= missed
+                    if visible and noisy:
                         agent = i * 128 + j
                         ahead += position_noise * rng.normal(key, rng.NOISE, agent, step, 0)
                         left += position_noise * rng.normal(key, rng.NOISE, agent, step, 2)
                         along += velocity_noise * rng.normal(key, rng.NOISE, agent, step, 4)
                         across += velocity_noise * rng.normal(key, rng.NOISE, agent, step, 6)
-                    if seen and radius_noise > _ZERO and j < m:
+                    if visible and radius_noise > _ZERO and j < m:
                         error = rng.normal(key, rng.NOISE, i * 128 + j, step, 8)
                         radius = max(radius + radius_noise * error, _LEAST_RADIUS)
-                    if not seen:
+                    if not visible:
                         ahead = left = along = across = radius = _ZERO
                     if j < m:
-                        humans_visible[e, i, slot] = seen
+                        humans_visible[e, i, slot] = visible
                         humans[e, i, slot, OTHER_X], humans[e, i, slot, OTHER_Y] = ahead, left
                         humans[e, i, slot, OTHER_VELOCITY_X] = along
                         humans[e, i, slot, OTHER_VELOCITY_Y] = across
                         humans[e, i, slot, OTHER_RADIUS] = radius
                     else:
-                        robots_visible[e, i, slot] = seen
+                        robots_visible[e, i, slot] = visible
                         robots[e, i, slot, OTHER_X], robots[e, i, slot, OTHER_Y] = ahead, left
                         robots[e, i, slot, OTHER_VELOCITY_X] = along
                         robots[e, i, slot, OTHER_VELOCITY_Y] = across
@@ -144,7 +144,7 @@ def observe(chunks, worlds, state, p, ego, humans, humans_visible, robots, robot
 
 @function
 def _is_hidden(position, radius, present, j, x, y, dx, dy):
-    """Whether a human other than `j` stands on the line of sight from (x, y) to (dx, dy)."""
+    """Return whether a human other than `j` blocks the sight from (x, y) to (x + dx, y + dy)."""
     for k in range(present.shape[0]):
         if k == j or not present[k]:
             continue
@@ -155,7 +155,7 @@ def _is_hidden(position, radius, present, j, x, y, dx, dy):
 
 @function
 def _is_hidden_by_robot(position, radius, i, j, dx, dy):
-    """Whether a robot other than `i` and `j` stands on the line of sight from `i`."""
+    """Return whether a robot other than `i` and `j` blocks the sight from `i` by (dx, dy)."""
     for k in range(position.shape[0]):
         x, y = position[k, 0] - position[i, 0], position[k, 1] - position[i, 1]
         if k != i and k != j and _blocks(x, y, radius, dx, dy):
@@ -165,7 +165,7 @@ def _is_hidden_by_robot(position, radius, i, j, dx, dy):
 
 @function
 def _blocks(x, y, radius, dx, dy):
-    """Whether a disc at (x, y) covers the line of sight to something beyond it at (dx, dy)."""
+    """Return whether a disc at (x, y) blocks the sight from the origin to a point behind it."""
     squared = dx * dx + dy * dy
     across = x * dy - y * dx
     return (

@@ -1,4 +1,4 @@
-"""Social forces (Helbing and Molnar, 1995): a pull to the goal, a push from everyone near."""
+"""Social forces (Helbing and Molnar, 1995): attraction to the goal, repulsion between agents."""
 
 import math
 
@@ -8,7 +8,7 @@ from mrsan.kernels import function
 
 _ZERO = np.float32(0.0)
 _TINY = np.float32(1e-6)
-_STEEPEST = np.float32(20.0)  # an exponent beyond which nothing changes but the overflow
+_STEEPEST = np.float32(20.0)  # larger exponents are clipped, as they would overflow
 
 
 @function
@@ -24,18 +24,18 @@ def social_force_velocity(
     reach,
     time_step,
 ):
-    """New velocity of agent `i` among the first `count` rows `[px, py, vx, vy, radius]`.
+    """Return the next velocity of agent `i` among `count` rows `[px, py, vx, vy, radius]`.
 
     Args:
-        agents: [A, 5] position, velocity and radius (m, m/s).
+        agents: [A, 5] positions, velocities and radii (m, m/s).
         count: number of rows of `agents` in use.
         i: the row of the agent that decides.
         preferred_x: preferred velocity, x (m/s).
         preferred_y: preferred velocity, y (m/s).
         max_speed: speed limit (m/s).
-        relaxation_time: how fast the preferred velocity is taken up (s).
-        strength: the push at contact (m/s^2).
-        reach: the distance over which the push falls by 1/e (m).
+        relaxation_time: time to reach the preferred velocity (s).
+        strength: repulsion at contact (m/s^2).
+        reach: distance over which repulsion falls by 1/e (m).
         time_step: length of a step (s).
     """
     ax = (preferred_x - agents[i, 2]) / relaxation_time

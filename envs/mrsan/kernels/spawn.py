@@ -1,4 +1,4 @@
-"""The beginning of an episode: who starts where, and where they want to go."""
+"""The beginning of an episode: starts and goals of robots and people."""
 
 import math
 
@@ -10,17 +10,16 @@ from mrsan.kernels.habits import NEVER, entry_of, place_beside, walking_speed, w
 from mrsan.kernels.layout import (
     CIRCLE,
     IMPATIENT,
+    approximate_human_start,
     draw_human_goal,
     draw_human_start,
-    draw_robot_way,
-    guess_human_start,
+    draw_robot_route,
     layout_of,
 )
 from mrsan.kernels.recorded import (
     NOT_ASSIGNED,
-    RECORDED,
     begin_recording,
-    draw_recorded_way,
+    draw_recorded_route,
     follow,
 )
 from mrsan.kernels.tally import CLOSEST_HUMAN, SOONEST_COLLISION
@@ -28,20 +27,20 @@ from mrsan.kernels.tally import CLOSEST_HUMAN, SOONEST_COLLISION
 _ZERO = np.float32(0.0)
 _FAR = np.float32(np.inf)
 
-# Where it is crowded nearly every place that is drawn is taken, and a map of cells says so at once.
-_PATIENCE = 8  # attempts after which the map is looked at
-_CELLS = 128  # along either side of it
-_CELL = np.float32(0.2)  # side of one, m
+# In a crowd nearly every place that is drawn is occupied, which a map of cells tells quickly.
+_ATTEMPTS_WITHOUT_MAP = 8  # attempts after which the map is used
+_CELLS = 128  # along each side of the map
+_CELL = np.float32(0.2)  # side of a cell, m
 _HALF_MAP = np.float32(0.5 * _CELLS) * _CELL
-_SLACK = np.float32(1e-3)  # more than rounding, or a guess, can do to a distance on it, m
-_AT_ONCE = 16  # attempts that are looked up on it together
+_SLACK = np.float32(1e-3)  # exceeds the errors of rounding and of approximate starts, m
+_BATCH = 16  # attempts that are looked up together
 
-# Attempts to place an agent before the scenario is given up. Where the place is widened (see
-# `layout`), nearly every scenario needs far fewer.
+# Attempts to place an agent before the scenario is refused. As places are widened (see `layout`),
+# nearly every scenario needs far fewer.
 _MOST_ATTEMPTS = 50_000
-_MOST_RECORDED_ATTEMPTS = 20_000  # each looks at everybody in the recording
+_MOST_RECORDED_ATTEMPTS = 20_000  # each examines all people of the recording
 
-# Why an episode could not begin, see `begin_episodes`.
+# Reasons why an episode could not begin, see `begin_episodes`.
 NO_ROOM_FOR_ROBOTS = 1
 NO_ROOM_FOR_PEOPLE = 2
 _NOT_PLACED = -1
@@ -49,7 +48,7 @@ _NOT_PLACED = -1
 
 @kernel
 def begin_episodes(chunks, worlds, state, p, recording, problem):
-    """Start the next episode in each world whose mask `worlds` is set: state as of step 0.
+    """Begin an episode in each world of a mask: write its state at step 0.
 
     Args:
         chunks: number of pieces the loop over worlds is cut into.
@@ -61,30 +60,30 @@ def begin_episodes(chunks, worlds, state, p, recording, problem):
     """
     total = worlds.shape[0]
     for chunk in prange(chunks):
-        taken = np.empty((_CELLS, _CELLS), np.bool_)
-        guessed = np.empty((2, _AT_ONCE), np.float32).T
+        occupied = np.empty((_CELLS, _CELLS), np.bool_)
+        candidates = np.empty((2, _BATCH), np.float32).T
         for e in range(chunk * total // chunks, (chunk + 1) * total // chunks):
             if worlds[e]:
-                problem[e] = _begin(state, e, p, recording, taken, guessed)
+                problem[e] = _begin(state, e, p, recording, occupied, candidates)
                 if problem[e] != 0:
                     break
 
 
 @function
-def _begin(state, e, p, recording, taken, guessed):
-    """Begin the episode of world `e`; return 0, or why there is no room for everybody."""
+def _begin(state, e, p, recording, occupied, candidates):
+    """Begin the episode of world `e`; return 0, or `NO_ROOM_FOR_*`."""
     key = rng.episode_key(state.case[e], state.episode[e])
     state.key[e] = key
     state.clock[e] = 0
     state.terminated[e] = False
     state.truncated[e] = False
     layout = layout_of(key, p)
-    if p.crowd == RECORDED:
+    if p.people_recorded:
         begin_recording(state, e, key, recording, p)
     for i in range(state.robot_heading.shape[1]):
         if not _place_robot(state, e, i, key, layout, recording, p):
             return NO_ROOM_FOR_ROBOTS
-    if p.crowd == RECORDED:
+    if p.people_recorded:
         state.human_present[e, :], state.human_track[e, :] = False, NOT_ASSIGNED
         state.human_entry[e, :] = 0
         follow(state, e, recording, p)
@@ -97,7 +96,7 @@ def _begin(state, e, p, recording, taken, guessed):
         state.human_present[e, j] = j < count
         state.human_entry[e, j] = 0 if j < count else NEVER
         if j < count:
-            marked = _place_human(state, e, j, key, layout, p, taken, guessed, marked)
+            marked = _place_human(state, e, j, key, layout, p, occupied, candidates, marked)
             if marked == _NOT_PLACED:
                 return NO_ROOM_FOR_PEOPLE
             state.human_entry[e, j] = entry_of(key, j - 1 if walks_along(key, j, p) else j, p)
@@ -107,16 +106,16 @@ def _begin(state, e, p, recording, taken, guessed):
 
 @function
 def _place_robot(state, e, i, key, layout, recording, p):
-    """Draw start and goal of robot `i` until they keep clear of the others; return success."""
+    """Draw start and goal of robot `i` until they are clear of the others; return success."""
     position, goal = state.robot_position[e], state.robot_goal[e]
     gap = p.robot_radius + p.robot_radius + p.spawn_clearance
     placed = False
-    for attempt in range(_MOST_RECORDED_ATTEMPTS if p.crowd == RECORDED else _MOST_ATTEMPTS):
-        if p.crowd == RECORDED:
+    for attempt in range(_MOST_RECORDED_ATTEMPTS if p.people_recorded else _MOST_ATTEMPTS):
+        if p.people_recorded:
             begin = state.record_step[e]
-            placed = draw_recorded_way(position[i], goal[i], key, i, attempt, begin, recording, p)
+            placed = draw_recorded_route(position[i], goal[i], key, i, attempt, begin, recording, p)
         else:
-            placed = draw_robot_way(position[i], goal[i], key, i, attempt, layout, p)
+            placed = draw_robot_route(position[i], goal[i], key, i, attempt, layout, p)
         for k in range(i):  # starts and goals of the robots keep apart, all four pairs
             placed = placed and (
                 min(
@@ -141,11 +140,11 @@ def _place_robot(state, e, i, key, layout, recording, p):
 
 
 @function
-def _place_human(state, e, j, key, layout, p, taken, guessed, marked):
-    """Draw human `j` of world `e` until it has room.
+def _place_human(state, e, j, key, layout, p, occupied, candidates, marked):
+    """Draw the start of human `j` of world `e` until it has room.
 
     Returns:
-        How many agents the map `taken` knows now, or `_NOT_PLACED`.
+        The number of agents marked on the map, or `_NOT_PLACED`.
     """
     robots = state.robot_heading.shape[1]
     position, goal = state.human_position[e], state.human_goal[e]
@@ -170,15 +169,15 @@ def _place_human(state, e, j, key, layout, p, taken, guessed, marked):
             place_beside(position, goal, state.human_radius[e], j, key, attempt)
         return marked
     draw_human_start(position[j], key, j, robots + j, attempt, speed, layout, p)
-    while _is_taken(position[j], attempt, taken) or not _has_room(state, e, j, j, p):
+    while _is_occupied(position[j], attempt, occupied) or not _has_room(state, e, j, j, p):
         attempt += 1
         if attempt >= _MOST_ATTEMPTS:
             return _NOT_PLACED
-        if attempt == _PATIENCE:
-            _mark(state, e, marked, robots + j, p, taken)
+        if attempt == _ATTEMPTS_WITHOUT_MAP:
+            _mark_cells(state, e, marked, robots + j, p, occupied)
             marked = robots + j
-        if attempt >= _PATIENCE and layout == CIRCLE:
-            attempt = _skip_taken(key, robots + j, attempt, speed, p, taken, guessed)
+        if attempt >= _ATTEMPTS_WITHOUT_MAP and layout == CIRCLE:
+            attempt = _skip_occupied(key, robots + j, attempt, speed, p, occupied, candidates)
         draw_human_start(position[j], key, j, robots + j, attempt, speed, layout, p)
     draw_human_goal(position[j], goal[j], key, j, robots + j, attempt, speed, layout, p)
     return marked
@@ -186,7 +185,7 @@ def _place_human(state, e, j, key, layout, p, taken, guessed, marked):
 
 @function
 def _has_room(state, e, j, others, p):
-    """Whether human `j` keeps clear of all robots and of the first `others` humans."""
+    """Return whether human `j` is clear of all robots and of the first `others` humans."""
     position, radius = state.human_position[e], state.human_radius[e]
     for k in range(state.robot_heading.shape[1]):
         gap = radius[j] + p.robot_radius + p.spawn_clearance
@@ -200,43 +199,43 @@ def _has_room(state, e, j, others, p):
 
 
 @function
-def _is_taken(place, attempt, taken):
-    """Whether the map says that there is no room for a human, which it does not until asked."""
-    return attempt >= _PATIENCE and _on_map(place[0], place[1], taken)
+def _is_occupied(place, attempt, occupied):
+    """Return whether the map, once it is used, has no room for a human at a place."""
+    return attempt >= _ATTEMPTS_WITHOUT_MAP and _cell_is_occupied(place[0], place[1], occupied)
 
 
 @function
-def _skip_taken(key, agent, attempt, speed, p, taken, guessed):
-    """The next attempt on the circle for which the map does not say that there is no room."""
+def _skip_occupied(key, agent, attempt, speed, p, occupied, candidates):
+    """Return the next attempt on the circle for which the map may have room."""
     while attempt < IMPATIENT:
-        for k in range(guessed.shape[0]):
-            guess_human_start(guessed[k], key, agent, attempt + k, speed, p)
-        for k in range(guessed.shape[0]):
-            if not _on_map(guessed[k, 0], guessed[k, 1], taken):
+        for k in range(candidates.shape[0]):
+            approximate_human_start(candidates[k], key, agent, attempt + k, speed, p)
+        for k in range(candidates.shape[0]):
+            if not _cell_is_occupied(candidates[k, 0], candidates[k, 1], occupied):
                 return attempt + k
-        attempt += guessed.shape[0]
+        attempt += candidates.shape[0]
     return attempt
 
 
 @function
-def _on_map(x, y, taken):
-    """What the map says of a place; outside of it, that there may be room."""
+def _cell_is_occupied(x, y, occupied):
+    """Return whether the cell of a place is occupied; outside the map it is not."""
     x, y = x + _HALF_MAP, y + _HALF_MAP
     if not (_ZERO <= x < _HALF_MAP + _HALF_MAP and _ZERO <= y < _HALF_MAP + _HALF_MAP):
         return False
-    return taken[int(y / _CELL), int(x / _CELL)]
+    return occupied[int(y / _CELL), int(x / _CELL)]
 
 
 @function
-def _mark(state, e, first, last, p, taken):
-    """Mark the cells in which there is no room for a human because of agents `first` to `last`.
+def _mark_cells(state, e, first, last, p, occupied):
+    """Mark the cells that agents `first` to `last` (robots, then humans) occupy.
 
-    Agents are robots, then humans. A cell is marked if all of it is too near to one of them for
-    the smallest human: where the map says nothing there may still be no room.
+    A cell is marked if all of it is too close to one of them for the smallest human, so an
+    unmarked cell may have no room either.
     """
     robots = state.robot_heading.shape[1]
     if first == 0:
-        taken[:, :] = False
+        occupied[:, :] = False
     for k in range(first, last):
         if k < robots:
             place, radius = state.robot_position[e, k], p.robot_radius
@@ -255,7 +254,7 @@ def _mark(state, e, first, last, p, taken):
                 left = np.float32(column) * _CELL - x
                 dx = max(abs(left), abs(left + _CELL))
                 if dx * dx + dy * dy < reach * reach:
-                    taken[row, column] = True
+                    occupied[row, column] = True
 
 
 @function

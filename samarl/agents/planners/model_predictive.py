@@ -45,4 +45,4 @@ class ModelPredictive(Plans, Agent):
             _, aside = self._lookout.update(observation)
         else:
             aside = straight_on(observation.humans_visible)
-        return first_action(self, observation.known, self.scenario, aside)
+        return first_action(self, observation.perception, self.scenario, aside)

@@ -33,7 +33,9 @@ class SocialForce(Agent):
         worlds, robots = observation.ego.shape[:2]
         action = np.empty((worlds, robots, self.scenario.action_size), np.float32)
         forces = (np.float32(x) for x in (self.relaxation_time, self.strength, self.reach))
-        _social_force(worlds, *observation.known, kernel_parameters(self.scenario), *forces, action)
+        _social_force(
+            worlds, *observation.perception, kernel_parameters(self.scenario), *forces, action
+        )
         return action
 
 

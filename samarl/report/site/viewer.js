@@ -63,8 +63,8 @@ function othersOf(episode, robot, k) {
   const at = Math.min(k, episode.last - 1);
   const list = [];
   for (const [kind, seen, tellings, attention] of [
-    ["human", episode.humansSeen, episode.humansTold, episode.humanAttention],
-    ["robot", episode.robotsSeen, episode.robotsTold, episode.robotAttention],
+    ["human", episode.humansSeen, episode.humansReported, episode.humanAttention],
+    ["robot", episode.robotsSeen, episode.robotsReported, episode.robotAttention],
   ]) {
     seen[robot].forEach((switches, number) => {
       if (kind === "robot" && number === robot) return;
