@@ -51,7 +51,7 @@ def main() -> None:
         policy = default_trainer(["policy=flat", f"run_dir={folder}"]).policy
     assert isinstance(policy, StochasticPolicy)
     stage = CurriculumStage(WORLDS, scenario=scenario)
-    samarl_collector = RolloutCollector(stage, policy, STEPS, 0, central=False)
+    samarl_collector = RolloutCollector(stage, policy, STEPS, 0)
     torchrl_collector = torchrl_rollouts(policy, scenario, WORLDS, STEPS, arguments.rounds + 1)
     collectors = (
         ("samarl", samarl_collector.collect),
@@ -85,7 +85,7 @@ class Actor(TensorDictModuleBase):
         self.policy, self.scenario = policy, scenario
         self.state = policy.initial_state(worlds, scenario)
         self.in_keys = [*OBSERVATION_KEYS, ("agents", "active_mask"), "is_init"]
-        recorded = ("action", "unclipped_action", "sample_log_prob", "noise")
+        recorded = ("action", "unclipped_action", "sample_log_prob", "previous_noise")
         self.out_keys = [*(("agents", name) for name in recorded), *FRAME_KEYS]
 
     def forward(self, step: TensorDictBase) -> TensorDictBase:
@@ -101,7 +101,7 @@ class Actor(TensorDictModuleBase):
         step["agents", "action"] = torch.from_numpy(decision.action)  # clipped
         step["agents", "unclipped_action"] = level.action
         step["agents", "sample_log_prob"] = level.log_prob
-        step["agents", "noise"] = decision.step.previous_noise
+        step["agents", "previous_noise"] = decision.step.previous_noise
         for key, tensor in zip(FRAME_KEYS, decision.features, strict=True):
             step[key] = tensor.view(*active.shape, *tensor.shape[2:])
         return step
@@ -162,11 +162,10 @@ def _rollout(
             ("agents", "active_mask"): agents["active_mask"][..., 0],
             ("agents", "action"): agents["unclipped_action"],
             ("agents", "sample_log_prob"): agents["sample_log_prob"],
-            ("agents", "noise"): agents["noise"],
+            ("agents", "previous_noise"): agents["previous_noise"],
             ("agents", "speed"): agents["observation", "ego"][..., VELOCITY].norm(dim=-1),
             ("next", "done"): steps["next", "done"],
             ("next", "agents", "reward"): after["reward"][..., 0],
-            ("next", "agents", "team_reward"): reward_parts["team"][..., 0],
             ("next", "agents", "terminated"): (collided | success) & steps["next", "done"],
         },
         steps.batch_size,

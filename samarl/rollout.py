@@ -35,11 +35,10 @@ class Rollout:
     - `mask` [S, T + 1, 1], False: padding; `is_init` [S, T + 1, 1];
     - `("agents", "active_mask")` [S, T + 1, N], the robot was on its way;
     - `("agents", "speed")` [S, T + 1, N], m/s;
-    - `("agents", ...)` with `action`, `sample_log_prob` and `noise` (of the step before) of the
-      local level, and with a macro level `waypoint_features` [S, T + 1, N, 3];
+    - `("agents", ...)` with `action`, `sample_log_prob` and `previous_noise` (of the step before)
+      of the local level, and with a macro level `waypoint_features` [S, T + 1, N, 3];
     - `("agents", "macro", ...)` with `action`, `sample_log_prob` and `decision_mask`;
     - `("next", "agents", "reward")` and `("next", "agents", "macro", "reward")` [S, T + 1, N];
-    - `("next", "agents", "team_reward")`, the part that pays for all having arrived;
     - `("next", "done")` [S, T + 1, 1];
     - `("next", "agents", "terminated")` [S, T + 1, N]; where only `done` is set, the time limit or
       a team-mate's collision cut the robot's episode short.

@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 import torch
+from tensordict import TensorDict
 from torch import Tensor
 
 from mrsan import Scenario
@@ -14,7 +15,8 @@ from samarl.algorithms.advantages import streams
 from samarl.algorithms.ppo import PPO
 from samarl.policies.checkpoint import make_policy
 from samarl.policies.policy import LOCAL, Policy
-from samarl.policies.stochastic import ActionBatch, ActionEvaluation, StochasticPolicy
+from samarl.policies.stochastic import ActionEvaluation, StochasticPolicy
+from samarl.reward_shaping import RewardShaping
 from samarl.rollout import Rollout
 from samarl.training.collector import RolloutCollector
 from samarl.training.curriculum import CurriculumStage
@@ -106,12 +108,14 @@ def algorithm(of: Policy, name: str = "mappo", **changes: Any) -> PPO:
 
 
 def collector(
-    of: Policy, worlds: int = 12, steps: int = 10, scenario: Scenario = SCENARIO, **stage: Any
-) -> RolloutCollector:
+    of: Policy, worlds: int = 12, steps: int = 10, scenario: Scenario = SCENARIO,
+    shaping: RewardShaping | None = None, **stage: Any,
+) -> RolloutCollector:  # fmt: skip
     """What collects rollouts with it, with the true state."""
     return RolloutCollector(
-        CurriculumStage(worlds, scenario=scenario, **stage), of, steps, 0, central=True
-    )
+        CurriculumStage(worlds, scenario=scenario, **stage), of, steps, 0, shaping,
+        uses_global_state=True,
+    )  # fmt: skip
 
 
 def crowded(**changes: Any) -> Scenario:
@@ -129,21 +133,23 @@ def choices(
     flat = acts.reshape(-1, length).nonzero()
     row, step = flat[:, 0], flat[:, 1]
     at = (row // n, step, row % n)
-    actions, stored = {}, {}
+    decisions, stored = {}, {}
     waypoints = steps["agents"].get("waypoint_features")
     for level in of.levels:
         keys = ("agents",) if level == LOCAL else ("agents", level)
-        where = torch.arange(len(row))
+        index = torch.arange(len(row))
         if level != LOCAL:
-            where = steps[(*keys, "decision_mask")][at].nonzero().squeeze(1)
-        mine = tuple(index[where] for index in at)
-        action = steps[(*keys, "action")][mine]
-        noise = steps["agents", "noise"][mine] if level == LOCAL else action
-        actions[level] = ActionBatch(where, action, noise)
-        stored[level] = (steps[(*keys, "sample_log_prob")][mine], mine[0])
+            index = steps[(*keys, "decision_mask")][at].nonzero().squeeze(1)
+        of_level = tuple(number[index] for number in at)
+        batch = {"index": index, "action": steps[(*keys, "action")][of_level]}
+        if level == LOCAL:
+            batch["previous_noise"] = steps["agents", "previous_noise"][of_level]
+            batch["noise_correlation"] = torch.full((len(index), 1), rollout.correlation)
+        decisions[level] = TensorDict(batch, [len(index)])
+        stored[level] = (steps[(*keys, "sample_log_prob")][of_level], of_level[0])
     with torch.no_grad():
-        found = of.evaluate(
+        evaluations = of.evaluate(
             rollout.sequences(torch.arange(len(steps))), row * (length + 1) + step,
-            None if waypoints is None else waypoints[at], actions, rollout.correlation,
+            None if waypoints is None else waypoints[at], decisions,
         )  # fmt: skip
-    return {level: (found[level], *stored[level]) for level in of.levels}
+    return {level: (evaluations[level], *stored[level]) for level in of.levels}

@@ -9,6 +9,7 @@ from torch import nn
 
 from samarl.policies.policy import Policy
 from samarl.registry import Registry
+from samarl.reward_shaping import RewardShaping
 from samarl.rollout import Rollout
 
 ALGORITHMS: Registry[Algorithm] = Registry("algorithm")
@@ -18,6 +19,7 @@ class Algorithm(nn.Module, ABC):
     """Update a policy from rollouts; critics and other networks are its submodules."""
 
     policy: Policy
+    reward_shaping: RewardShaping  # of the rollouts that are collected for it
     uses_global_state = False  # rollouts must hold the global state
     uses_shield_targets = False  # rollouts must hold the actions of the safety shield
     supports_data_parallel = False  # gradients can be averaged over processes
@@ -31,6 +33,7 @@ class Algorithm(nn.Module, ABC):
         """
         super().__init__()
         self.config = config
+        self.reward_shaping = RewardShaping()
         self.__dict__["policy"] = policy  # not a submodule: it is saved separately
 
     @abstractmethod

@@ -64,9 +64,10 @@ class PopArtHead(nn.Module):
         self.register_buffer("square", torch.zeros(()))
         self.register_buffer("weight", torch.zeros(()))
 
-    def forward(self, inputs: Tensor) -> Tensor:
-        """Return the normalised values [...] of features [..., F]."""
-        return self.last(self.body(inputs)).squeeze(-1)
+    def forward(self, *features: Tensor) -> Tensor:
+        """Return the normalised values [..., 1] of features, [..., F] together."""
+        value: Tensor = self.last(self.body(torch.cat(features, -1)))
+        return value
 
     @torch.no_grad()
     def update(self, targets: Tensor) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 from samarl.algorithms.algorithm import ALGORITHMS
 from samarl.algorithms.critics import SetEncoder
@@ -24,7 +23,7 @@ class MAPPO(PPO):
 
     uses_global_state = True
 
-    def _make_critic(self, config: Any) -> SetEncoder:
+    def _make_critic(self, config: PPOConfig) -> SetEncoder:
         sizes = config.critic_width, config.critic_heads, config.critic_features
         return SetEncoder(NETWORK_EGO_FEATURES, STATE_OTHER_FEATURES, *sizes)
 

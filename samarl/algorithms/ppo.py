@@ -9,16 +9,16 @@ from abc import abstractmethod
 from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple
+from typing import Any
 
 import torch
 from tensordict import TensorDict
 from tensordict.nn import TensorDictModule
 from torch import Tensor, nn
-from torchrl.modules import ProbabilisticActor
 from torchrl.objectives import ClipPPOLoss
+from torchrl.objectives.multiagent import MAPPOLoss
 
-from mrsan import ConfigurationError
+from mrsan import ConfigurationError, Scenario
 from mrsan.fields import number, required
 from samarl.algorithms.action_limits import excess
 from samarl.algorithms.advantages import macro_advantages, step_advantages, streams
@@ -28,7 +28,7 @@ from samarl.distributed import average_gradients, exchanged, joined
 from samarl.observations.frames import Frames
 from samarl.policies.hierarchical import WAYPOINT_FEATURES
 from samarl.policies.policy import LOCAL, MACRO, Policy
-from samarl.policies.stochastic import ActionBatch, StochasticPolicy
+from samarl.policies.stochastic import StochasticPolicy
 from samarl.rollout import Rollout, level_key
 
 MACRO_RISE = 0.3
@@ -39,6 +39,20 @@ Waypoints hardly move at first, so that the local level learns to drive to them.
 
 CHUNK_SIZE = 16384
 """Frames per forward pass of the critics when no gradient is needed, to bound the memory."""
+
+LOCAL_KEYS = (
+    "previous_noise", "waypoint_features", "speed", "unsafe", "safe_action"
+)  # fmt: skip
+"""What the local level's losses read of a rollout, as far as it is there."""
+
+STATISTICS = {
+    "loss_objective": "objective",
+    "kl_approx": "approx_kl",
+    "clip_fraction": "clip_fraction",
+    "ESS": "effective_samples",
+    "entropy": "entropy",
+}
+"""Names of TorchRL's statistics in the logs."""
 
 
 @dataclass
@@ -85,24 +99,20 @@ class PPOConfig:
     )
 
 
-class LevelBatch(NamedTuple):
-    """The data of one level of a rollout for an update, [S, T, N] each."""
-
-    where: Tensor  # bool: the level made a decision that counts
-    valued: Tensor  # bool: the critic learns from this step
-    advantage: Tensor  # normalised
-    target: Tensor  # normalised
-    value: Tensor  # normalised, before the update
+Statistics = dict[str, list[float]]
+LevelBatches = dict[str, TensorDict]  # of each level, see `PPO.prepare`
 
 
 class PPO(Algorithm):
-    """Clipped PPO of all levels at once, with TorchRL's loss."""
+    """Clipped PPO of all levels at once: an encoder, and TorchRL's loss for each level."""
 
     policy: StochasticPolicy
+    config: PPOConfig
     heads: Mapping[str, PopArtHead]
+    loss_class: type[ClipPPOLoss] = MAPPOLoss
     supports_data_parallel = True
 
-    def __init__(self, policy: Policy, config: Any) -> None:
+    def __init__(self, policy: Policy, config: PPOConfig) -> None:
         """See `Algorithm`.
 
         Raises:
@@ -114,39 +124,48 @@ class PPO(Algorithm):
                 f"policy is a {type(policy).__name__}, which has no distribution of actions; "
                 "algorithm.name must be value_learning, or policy.name flat or hierarchical"
             )
-        self.encoder, features = self._make_critic(config), config.critic_features
-        # The local critic sees the waypoint, as its actor does.
-        waypoints = WAYPOINT_FEATURES if MACRO in policy.levels else 0
+        self.encoder, size = self._make_critic(config), config.critic_features
+        # The local critic observes the waypoint, as its actor does.
+        extra = {LOCAL: WAYPOINT_FEATURES if MACRO in policy.levels else 0, MACRO: 0}
         self.heads = nn.ModuleDict(  # type: ignore[assignment]
-            {
-                name: PopArtHead(
-                    features + (waypoints if name == LOCAL else 0), config.critic_features
-                )
-                for name in policy.levels
-            }
+            {level: PopArtHead(size + extra[level], size) for level in policy.levels}
         )
-        self.loss = _torchrl_loss(config)
         self.uses_shield_targets = config.shield_coefficient > 0.0
-        self.path_penalty = config.path_penalty
         self.to(policy.device)
+        self.losses = {level: self._make_loss(level) for level in policy.levels}
         self.optimiser = torch.optim.Adam(
             [*policy.parameters(), *self.parameters()], lr=config.learning_rate, eps=1e-5
         )
 
     @abstractmethod
-    def _make_critic(self, config: Any) -> SetEncoder:
+    def _make_critic(self, config: PPOConfig) -> SetEncoder:
         """Return the encoder of the critics."""
 
     @abstractmethod
     def _critic_frames(self, rollout: Rollout) -> Frames:
         """Return the input of the critics, [B, T + 1, ...]."""
 
-    def _level_reward(self, rollout: Rollout, level: str) -> Tensor:
-        """Return the reward of a level, [S, T, N], minus the path penalty."""
-        paid = rollout.steps[("next", *level_key(level), "reward")][:, :-1]
-        agents = rollout.steps["agents"]
-        driven = agents["speed"][:, 1:] * agents["active_mask"][:, :-1] * rollout.scenario.time_step
-        return paid - self.path_penalty * driven
+    def _make_loss(self, level: str) -> ClipPPOLoss:
+        """Return TorchRL's loss of a level.
+
+        `loss(decisions)` is the policy's part. The critic's part is `loss.loss_critic(samples)`,
+        called separately as the critic also learns from steps in which nothing was decided.
+        """
+        c = self.config
+        waypoint = level == LOCAL and MACRO in self.policy.levels
+        in_keys = ["critic_features", "waypoint_features"] if waypoint else ["critic_features"]
+        return self.loss_class(
+            self.policy.actor(level),
+            TensorDictModule(self.heads[level], in_keys=in_keys, out_keys=["state_value"]),
+            clip_epsilon=c.clip_epsilon,
+            entropy_coeff=c.entropy_coefficient,
+            critic_coeff=0.0,
+            clip_value=c.clip_epsilon,
+            loss_critic_type="l2",
+            normalize_advantage=False,  # `prepare` does, over the whole rollout
+            log_explained_variance=False,
+            functional=False,
+        )
 
     def set_progress(self, share: float) -> None:
         """Decay learning rate, exploration and path penalty linearly.
@@ -154,7 +173,7 @@ class PPO(Algorithm):
         The minimal noise of the macro level rises during the first part, see `MACRO_RISE`.
         """
         c = self.config
-        self.path_penalty = c.path_penalty * (1.0 - share)
+        self.reward_shaping.path_penalty = c.path_penalty * (1.0 - share)
         self._set_learning_rate(share)
         largest = c.std_start + (c.std_end - c.std_start) * share
         for level in self.policy.levels:
@@ -168,258 +187,231 @@ class PPO(Algorithm):
     def update(self, rollouts: list[Rollout]) -> dict[str, float]:
         """Run all epochs over the rollouts of one or several stages."""
         rollouts = [rollout.to(self.policy.device) for rollout in rollouts]
-        statistics: dict[str, list[float]] = defaultdict(list)
-        prepared = self.prepare(rollouts, statistics)
-        kept = self._largest_advantages(prepared)
+        statistics: Statistics = defaultdict(list)
+        batches = self.prepare(rollouts, statistics)
+        self._run_epochs(rollouts, batches, self._select(batches), statistics)
+        return {key: sum(values) / len(values) for key, values in statistics.items()}
+
+    @torch.no_grad()
+    def prepare(self, rollouts: list[Rollout], statistics: Statistics) -> list[LevelBatches]:
+        """Return the data of each level of each rollout, and update the value scales once.
+
+        Returns:
+            For each level a TensorDict [B, T] with the keys that TorchRL's loss reads: `action`,
+            `sample_log_prob`, `advantage`, `value_target` and `state_value` (before the update),
+            the last three normalised, and the inputs of actor and critic but the encoded ones;
+            with `decides` (the level made a decision that counts), `valued` (the critic learns
+            from this step); and of the local level what its auxiliary losses read.
+        """
+        features = [self._critic_features(rollout) for rollout in rollouts]
+        batches: list[LevelBatches] = [{} for _ in rollouts]
+        for level, head in self.heads.items():
+            pairs = zip(rollouts, features, strict=True)
+            levels = [self._level_batch(level, rollout, feature) for rollout, feature in pairs]
+            advantage = joined(torch.cat([data["advantage"][data["decides"]] for data in levels]))
+            target = joined(torch.cat([data["value_target"][data["valued"]] for data in levels]))
+            value = joined(torch.cat([data["state_value"][data["valued"]] for data in levels]))
+            mean, std = advantage.new_zeros(()), advantage.new_ones(())
+            if len(advantage) > 1:  # in a short rollout the macro level may not decide at all
+                mean, std = advantage.mean(), advantage.std().clamp_min(1e-4)
+            if len(target) > 1:
+                unexplained = (target - value).var() / target.var().clamp_min(1e-8)
+                statistics[f"losses/{level}_explained_variance"].append(1.0 - float(unexplained))
+                head.update(target)
+            for batch, data in zip(batches, levels, strict=True):
+                data["advantage"] = (data["advantage"] - mean) / std
+                data["value_target"] = head.normalise(data["value_target"])
+                data["state_value"] = head.normalise(data["state_value"])
+                batch[level] = data
+        return batches
+
+    def _critic_features(self, rollout: Rollout) -> Tensor:
+        """Return the critics' view of all steps, [S, T + 1, N, F]."""
+        frames = Frames(*(x.flatten(0, 1) for x in self._critic_frames(rollout)))
+        features = torch.cat([self.encoder(part) for part in frames.split(CHUNK_SIZE)])
+        s, n = len(rollout.steps), rollout.robots
+        return features.view(s, n, -1, features.shape[-1]).transpose(1, 2)
+
+    def _level_batch(self, level: str, rollout: Rollout, features: Tensor) -> TensorDict:
+        """Return the data of one level, see `prepare`, not yet normalised."""
+        c, agents, head = self.config, rollout.steps["agents"], self.heads[level]
+        of_level, stream = rollout.steps[level_key(level)], streams(rollout.steps)
+        reward = rollout.steps["next", *level_key(level), "reward"][:, :-1]
+        data = {key: of_level[key][:, :-1] for key in ("action", "sample_log_prob")}
+        if level == MACRO:
+            value = head.denormalise(head(features)).squeeze(-1)
+            decided = of_level["decision_mask"][:, :-1]
+            advantage, target, valued = macro_advantages(
+                stream, decided, reward, value, c.discount, c.gae_lambda
+            )
+            data |= {"decides": valued & decided, "valued": valued}
+        else:
+            present = [key for key in LOCAL_KEYS if agents.get(key, None) is not None]
+            waypoint = [agents["waypoint_features"]] if "waypoint_features" in present else []
+            value = head.denormalise(head(features, *waypoint)).squeeze(-1)
+            advantage, target = step_advantages(
+                stream, reward, value, c.local_discount, c.gae_lambda
+            )
+            data |= {"decides": stream.acts, "valued": stream.counts}
+            data |= {key: agents[key][:, :-1] for key in present}
+            correlation = torch.full_like(advantage, rollout.correlation)
+            data["noise_correlation"] = correlation.unsqueeze(-1)
+        data |= {"advantage": advantage.unsqueeze(-1), "value_target": target.unsqueeze(-1)}
+        data["state_value"] = value[:, :-1].unsqueeze(-1)
+        by_row = {key: x.transpose(1, 2).flatten(0, 1) for key, x in data.items()}
+        return TensorDict(by_row, by_row["decides"].shape)
+
+    def _select(self, batches: list[LevelBatches]) -> list[Tensor]:
+        """Return the steps [B, T] from which the policy learns.
+
+        They are those with the largest advantages, as most steps are as good as expected and carry
+        no signal (Cusumano-Towner et al., Robust autonomy emerges from self-play, 2025), and those
+        in which the shield corrected the policy.
+        """
+        acts = [batch[LOCAL]["decides"] for batch in batches]
+        selected = acts
+        if self.config.advantage_filter_fraction < 1.0:
+            sizes = []
+            for batch in batches:
+                of_levels = [
+                    data["advantage"].squeeze(-1).abs() * data["decides"] for data in batch.values()
+                ]
+                sizes.append(torch.stack(of_levels).amax(0))
+            pairs = zip(sizes, acts, strict=True)
+            every = joined(torch.cat([size[where] for size, where in pairs]))
+            dropped = int((1.0 - self.config.advantage_filter_fraction) * len(every))
+            least = every.kthvalue(max(dropped, 1)).values
+            # Not `>=`: NaN must be selected, so that it stops the run.
+            selected = [where & ~(size < least) for size, where in zip(sizes, acts, strict=True)]
         if self.uses_shield_targets:
-            for rollout, data, keep in zip(rollouts, prepared, kept, strict=True):
-                keep |= data[LOCAL].where & rollout.steps["agents", "unsafe"][:, :-1]
+            pairs = zip(selected, (batch[LOCAL] for batch in batches), strict=True)
+            selected = [chosen | (local["decides"] & local["unsafe"]) for chosen, local in pairs]
+        return selected
+
+    def _run_epochs(
+        self,
+        rollouts: list[Rollout],
+        batches: list[LevelBatches],
+        selected: list[Tensor],
+        statistics: Statistics,
+    ) -> None:
+        """Take all steps of the optimiser: whole sequences are shuffled into minibatches."""
         for epoch in range(1, self.config.epochs + 1):
             statistics["losses/epochs"] = [float(epoch)]  # the last one that was run
             divergence: list[float] = []
-            pieces = [
+            splits = [
                 torch.randperm(len(rollout.steps)).tensor_split(self.config.minibatches)
                 for rollout in rollouts
             ]
-            for minibatch in zip(*pieces, strict=True):
+            for minibatch in zip(*splits, strict=True):
                 self.optimiser.zero_grad(set_to_none=True)
-                for rollout, data, keep, sequences in zip(
-                    rollouts, prepared, kept, minibatch, strict=True
+                for rollout, batch, mask, sequences in zip(
+                    rollouts, batches, selected, minibatch, strict=True
                 ):
-                    if len(sequences):
-                        of_piece = sequences.to(self.policy.device)
-                        loss = self._loss(rollout, data, keep, of_piece, statistics, divergence)
-                        if loss.requires_grad:  # otherwise no sample counts
-                            (loss / len(rollouts)).backward()
-                average_gradients([*self.policy.parameters(), *self.parameters()])
-                for name, module in (("actor", self.policy), ("critic", self)):
-                    norm = nn.utils.clip_grad_norm_(
-                        module.parameters(), self.config.max_gradient_norm
+                    if len(sequences) == 0:
+                        continue
+                    sequences = sequences.to(self.policy.device)
+                    rows = rollout.rows(sequences)
+                    part = {level: data[rows] for level, data in batch.items()}
+                    loss = self._policy_loss(
+                        rollout, sequences, part, mask[rows], statistics, divergence
                     )
-                    if not torch.isfinite(norm):
-                        raise FloatingPointError(f"the gradient of the {name} is not finite")
-                    statistics[f"losses/{name}_gradient_norm"].append(float(norm))
-                self.optimiser.step()
+                    loss = loss + self._value_loss(rollout, rows, part, mask[rows], statistics)
+                    if loss.requires_grad:  # otherwise no sample counts
+                        (loss / len(rollouts)).backward()
+                self._descend(statistics)
             divergence = [value for values in exchanged(divergence) for value in values]
             mean_kl = sum(divergence) / max(len(divergence), 1)
             if self.config.target_kl is not None and mean_kl > self.config.target_kl:
                 break
-        return {key: sum(values) / len(values) for key, values in statistics.items()}
 
-    @torch.no_grad()
-    def prepare(
-        self, rollouts: list[Rollout], statistics: dict[str, list[float]]
-    ) -> list[dict[str, LevelBatch]]:
-        """Return advantages and value targets of all levels; update the value scales once."""
-        out: list[dict[str, LevelBatch]] = [{} for _ in rollouts]
-        features = []
-        for rollout in rollouts:
-            given = Frames(*(x.flatten(0, 1) for x in self._critic_frames(rollout)))
-            read = torch.cat([self.encoder(part) for part in given.split(CHUNK_SIZE)])
-            shape = (len(rollout.steps), rollout.robots, -1, read.shape[-1])
-            features.append(read.view(shape).transpose(1, 2))  # [S, T + 1, N, F]
-        for name, head in self.heads.items():
-            found = []
-            for rollout, feature in zip(rollouts, features, strict=True):
-                waypoints = rollout.steps["agents"].get("waypoint_features")
-                value = head.denormalise(head(_critic_input(name, feature, waypoints)))
-                found.append((*self._advantages(name, rollout, value), value[:, :-1]))
-            chosen = joined(torch.cat([advantage[where] for advantage, _, where, _, _ in found]))
-            targets = joined(torch.cat([target[valued] for _, target, _, valued, _ in found]))
-            values = joined(torch.cat([value[valued] for _, _, _, valued, value in found]))
-            mean, std = chosen.new_zeros(()), chosen.new_ones(())
-            if len(chosen) > 1:  # in a short rollout the macro level may decide never
-                mean, std = chosen.mean(), chosen.std().clamp_min(1e-4)
-            if len(targets) > 1:
-                unexplained = (targets - values).var() / targets.var().clamp_min(1e-8)
-                statistics[f"losses/{name}_explained_variance"].append(1.0 - float(unexplained))
-                head.update(targets)
-            for data, (advantage, target, where, valued, value) in zip(out, found, strict=True):
-                data[name] = LevelBatch(
-                    where, valued, (advantage - mean) / std, head.normalise(target),
-                    head.normalise(value),
-                )  # fmt: skip
-        return out
+    def _descend(self, statistics: Statistics) -> None:
+        """Clip the gradients of policy and critics separately, and take a step."""
+        average_gradients([*self.policy.parameters(), *self.parameters()])
+        for name, module in (("actor", self.policy), ("critic", self)):
+            norm = nn.utils.clip_grad_norm_(module.parameters(), self.config.max_gradient_norm)
+            if not torch.isfinite(norm):
+                raise FloatingPointError(f"the gradient of the {name} is not finite")
+            statistics[f"losses/{name}_gradient_norm"].append(float(norm))
+        self.optimiser.step()
 
-    def _advantages(
-        self, level: str, rollout: Rollout, value: Tensor
-    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Return advantage, target, the level's decisions and its critic's samples, [S, T, N]."""
-        c, of, reward = self.config, streams(rollout.steps), self._level_reward(rollout, level)
-        if level == LOCAL:
-            found = step_advantages(of, reward, value, c.local_discount, c.gae_lambda)
-            return *found, of.acts, of.counts
-        decided = rollout.steps["agents", level, "decision_mask"][:, :-1]
-        advantage, target, where = macro_advantages(
-            of, decided, reward, value, c.discount, c.gae_lambda
+    def _policy_loss(
+        self,
+        rollout: Rollout,
+        sequences: Tensor,
+        batch: LevelBatches,
+        selected: Tensor,
+        statistics: Statistics,
+        divergence: list[float],
+    ) -> Tensor:
+        """Return the loss of all levels over the selected steps [B, T] of some sequences."""
+        row, step = selected.nonzero(as_tuple=True)
+        samples = {level: data[row, step] for level, data in batch.items()}  # [P]
+        index = {level: data["decides"].nonzero().squeeze(1) for level, data in samples.items()}
+        embeddings = self.policy.embed(
+            rollout.sequences(sequences),
+            row * rollout.steps.shape[1] + step,
+            samples[LOCAL].get("waypoint_features", None),
+            index,
         )
-        return advantage, target, where & decided, where
-
-    def _largest_advantages(self, prepared: list[dict[str, LevelBatch]]) -> list[Tensor]:
-        """Return the samples [S, T, N] with the largest advantages, from which the policy learns.
-
-        Most steps are as good as expected and carry no signal (Cusumano-Towner et al., Robust
-        autonomy emerges from self-play, 2025).
-        """
-        sizes = []
-        for data in prepared:
-            size = torch.zeros_like(data[LOCAL].advantage)
-            for level in data.values():
-                size = torch.where(level.where, torch.maximum(size, level.advantage.abs()), size)
-            sizes.append(size)
-        acts = [data[LOCAL].where for data in prepared]
-        if self.config.advantage_filter_fraction >= 1.0:
-            return acts
-        every = joined(torch.cat([size[where] for size, where in zip(sizes, acts, strict=True)]))
-        dropped = int((1.0 - self.config.advantage_filter_fraction) * len(every))
-        least = every.kthvalue(max(dropped, 1)).values
-        # Not `>=`: NaN must be kept, so that it stops the run.
-        return [where & ~(size < least) for size, where in zip(sizes, acts, strict=True)]
-
-    def _loss(
-        self, rollout: Rollout, data: dict[str, LevelBatch], kept: Tensor, sequences: Tensor,
-        statistics: dict[str, list[float]], divergence: list[float],
-    ) -> Tensor:  # fmt: skip
-        steps, n = rollout.steps[sequences], rollout.robots
-        chosen = kept[sequences].transpose(1, 2)  # [S, N, T], as the rows of the sequences are
-        s, _, t = chosen.shape
-        flat = chosen.reshape(s * n, t).nonzero()
-        samples = flat[:, 0] * (t + 1) + flat[:, 1]
-        world, robot, step = flat[:, 0] // n, flat[:, 0] % n, flat[:, 1]
-        at = (world, step, robot)
-        actions, of_level = {}, {}
-        waypoints = steps["agents"].get("waypoint_features")
-        for name in data:
-            where = data[name].where[sequences][at].nonzero().squeeze(1)
-            of_level[name] = tuple(index[where] for index in at)
-            action = steps[(*level_key(name), "action")][of_level[name]]
-            noise = steps["agents", "noise"][of_level[name]] if name == LOCAL else action
-            actions[name] = ActionBatch(where, action, noise)
-        choices = self.policy.evaluate(
-            rollout.sequences(sequences), samples, None if waypoints is None else waypoints[at],
-            actions, rollout.correlation,
-        )  # fmt: skip
-        total = torch.zeros((), device=samples.device)
-        for name, choice in choices.items():
-            level, decided = data[name], of_level[name]
-            if len(decided[0]) > 0:
-                before = steps[(*level_key(name), "sample_log_prob")][decided]
-                losses = self.loss(
-                    TensorDict(
-                        {
-                            "new_log_prob": choice.log_prob,
-                            "entropy_of": choice.entropy,
-                            "action": actions[name].action,
-                            "action_log_prob": before,
-                            "advantage": level.advantage[sequences][decided].unsqueeze(-1),
-                        },
-                        [len(decided[0])],
-                    )
-                )
-                # Every decision has the same weight. The macro level decides rarely: averaged
-                # separately, its noise would drown the local level's signal to the shared encoder.
-                share = len(decided[0]) / len(samples)
-                bonus = self.config.entropy_coefficient * choice.entropy.mean()
-                total = total + share * (losses["loss_objective"] - bonus)
-                divergence.append(float(losses["kl_approx"].detach()))
-                for key, called in _STATISTICS.items():
-                    statistics[f"losses/{name}_{called}"].append(float(losses[key].detach()))
-                statistics[f"losses/{name}_entropy"].append(float(choice.entropy.mean().detach()))
-            if name == LOCAL and len(decided[0]) > 0 and self.config.action_limit_penalty > 0.0:
-                speed = steps["agents", "speed"][decided]
-                beyond = excess(
-                    choice.mean, choice.std, speed, rollout.scenario, self.config.action_limit_slack
-                ).mean()
-                total = total + self.config.action_limit_penalty * beyond
-                statistics["losses/action_limit_penalty"].append(float(beyond.detach()))
-            if name == LOCAL and len(decided[0]) > 0 and self.uses_shield_targets:
-                unsafe = steps["agents", "unsafe"][decided]
-                error = choice.mean - steps["agents", "safe_action"][decided]
-                wrong = (error.square().sum(-1) * unsafe).mean()
-                total = total + self.config.shield_coefficient * wrong
-                statistics["losses/unsafe"].append(float(unsafe.float().mean()))
-                statistics["losses/shield_error"].append(float(wrong.detach()))
-        return total + self._critic_loss(rollout, data, sequences, chosen, statistics)
-
-    def _critic_loss(
-        self, rollout: Rollout, data: dict[str, LevelBatch], sequences: Tensor, chosen: Tensor,
-        statistics: dict[str, list[float]],
-    ) -> Tensor:  # fmt: skip
-        """Return the value loss over the policy's samples and those of robots that wait."""
-        acts, counts = (x[sequences].transpose(1, 2) for x in data[LOCAL][:2])
-        where = (chosen | (counts & ~acts)).nonzero(as_tuple=True)  # [S, N, T]
-        world, robot, step = where
-        at = (sequences[world], step, robot)
-        row = sequences[world] * rollout.robots + robot
-        features = self.encoder(Frames(*(x[row, step] for x in self._critic_frames(rollout))))
-        waypoints = rollout.steps["agents"].get("waypoint_features")
-        waypoints = None if waypoints is None else waypoints[at]
-        total = features.new_zeros(())
-        for name, level in data.items():
-            valued = level.valued[at]
-            if not valued.any():
+        total = torch.zeros((), device=self.policy.device)
+        for level, embedding in embeddings.items():
+            decisions = samples[level][index[level]]
+            if len(decisions) == 0:
                 continue
-            value = self.heads[name](_critic_input(name, features, waypoints)[valued])
-            before, target = level.value[at][valued], level.target[at][valued]
-            loss = value_loss(value, before, target, self.config.clip_epsilon)
-            total = total + self.config.critic_coefficient * loss
-            statistics[f"losses/{name}_critic"].append(float(loss.detach()))
+            decisions["embedding"], decisions["row"] = embedding, row[index[level]]
+            terms = self.losses[level](decisions)
+            # Every decision has the same weight. The macro level decides rarely: averaged
+            # separately, its noise would drown the local level's signal to the shared encoder.
+            share = len(decisions) / len(row)
+            total = total + share * (terms["loss_objective"] + terms["loss_entropy"])
+            divergence.append(float(terms["kl_approx"]))
+            for key, name in STATISTICS.items():
+                statistics[f"losses/{level}_{name}"].append(float(terms[key].detach()))
+            if level == LOCAL:
+                total = total + self._auxiliary_loss(decisions, rollout.scenario, statistics)
         return total
 
+    def _auxiliary_loss(
+        self, decisions: TensorDict, scenario: Scenario, statistics: Statistics
+    ) -> Tensor:
+        """Return the penalties on the local level's means: robots' limits and the shield."""
+        c = self.config
+        mean, std = self.policy.distribution(LOCAL, decisions["embedding"], decisions["row"])
+        total = mean.new_zeros(())
+        if c.action_limit_penalty > 0.0:
+            beyond = excess(mean, std, decisions["speed"], scenario, c.action_limit_slack).mean()
+            total = total + c.action_limit_penalty * beyond
+            statistics["losses/action_limit_penalty"].append(float(beyond.detach()))
+        if self.uses_shield_targets:
+            unsafe = decisions["unsafe"]
+            error = (mean - decisions["safe_action"]).square().sum(-1)
+            wrong = (error * unsafe).mean()
+            total = total + c.shield_coefficient * wrong
+            statistics["losses/unsafe"].append(float(unsafe.float().mean()))
+            statistics["losses/shield_error"].append(float(wrong.detach()))
+        return total
 
-def _critic_input(level: str, features: Tensor, waypoint_features: Tensor | None) -> Tensor:
-    """Return the input of a level's critic: the local one sees the waypoint, if there is one."""
-    if level != LOCAL or waypoint_features is None:
-        return features
-    return torch.cat([features, waypoint_features], -1)
-
-
-_STATISTICS = {
-    "loss_objective": "objective",
-    "kl_approx": "approx_kl",
-    "clip_fraction": "clip_fraction",
-    "ESS": "effective_samples",
-}
-
-
-def value_loss(value: Tensor, before: Tensor, target: Tensor, clip_epsilon: float) -> Tensor:
-    """Return the mean clipped squared error of [R] normalised values (Yu et al., 2022)."""
-    clipped = before + (value - before).clamp(-clip_epsilon, clip_epsilon)
-    worst = torch.maximum((value - target).square(), (clipped - target).square())
-    return worst.mean()
-
-
-class _Known(torch.distributions.Distribution):
-    """A distribution of which only the log-probability of the executed action is known."""
-
-    arg_constraints: ClassVar[dict[str, Any]] = {}
-
-    def __init__(self, new_log_prob: Tensor, entropy_of: Tensor) -> None:
-        super().__init__(new_log_prob.shape, validate_args=False)
-        self._log_prob, self._entropy = new_log_prob, entropy_of
-
-    def log_prob(self, value: Tensor) -> Tensor:
-        return self._log_prob
-
-    def entropy(self) -> Tensor:
-        return self._entropy
-
-
-def _torchrl_loss(config: Any) -> ClipPPOLoss:
-    """Return TorchRL's clipped objective over log-probabilities that the policy has computed."""
-    operator = ProbabilisticActor(
-        TensorDictModule(nn.Identity(), in_keys=["new_log_prob"], out_keys=["new_log_prob"]),
-        in_keys=["new_log_prob", "entropy_of"],
-        out_keys=["action"],
-        distribution_class=_Known,
-        return_log_prob=True,
-    )
-    return ClipPPOLoss(
-        operator,
-        None,
-        clip_epsilon=config.clip_epsilon,
-        entropy_bonus=False,
-        critic_coeff=None,
-        normalize_advantage=False,
-        functional=False,
-    )
+    def _value_loss(
+        self,
+        rollout: Rollout,
+        rows: Tensor,
+        batch: LevelBatches,
+        selected: Tensor,
+        statistics: Statistics,
+    ) -> Tensor:
+        """Return the value loss (Yu et al., 2022) over the policy's samples and waiting robots."""
+        local = batch[LOCAL]
+        row, step = (selected | (local["valued"] & ~local["decides"])).nonzero(as_tuple=True)
+        frames = Frames(*(x[rows[row], step] for x in self._critic_frames(rollout)))
+        features = self.encoder(frames)
+        total = features.new_zeros(())
+        for level, data in batch.items():
+            samples = data[row, step]
+            samples["critic_features"] = features
+            samples = samples[samples["valued"]]
+            if len(samples) > 0:
+                loss = self.losses[level].loss_critic(samples)[0].mean()
+                total = total + self.config.critic_coefficient * loss
+                statistics[f"losses/{level}_critic"].append(float(loss.detach()))
+        return total

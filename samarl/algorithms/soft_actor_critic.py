@@ -1,7 +1,7 @@
 """Multi-robot soft actor-critic on sequences: MSA3C, and with other critics MLGA2C and MASAC.
 
-The encoder of the policy feeds actor and critics (MSA3C, Fig. 5). It learns from the critics alone:
-the actor is given its features as they are, as it would otherwise change what it is judged by.
+The policy's encoder feeds actor and critics (MSA3C, Fig. 5). It is trained by the critics' loss
+alone: the actor's loss does not change the features by which the actor is judged.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from samarl.rollout import Rollout
 
 @dataclass
 class SoftActorCriticConfig:
-    """Numbers of the update."""
+    """Hyperparameters of the update."""
 
     learning_rate: float = required(0.0, 1.0, help="initial learning rate; falls linearly to 0")
     discount: float = required(0.0, 0.9999, help="discount per step")
@@ -65,20 +65,24 @@ class SoftActorCriticConfig:
     team_reward: bool = needed(help="every robot receives the sum of all rewards (MSA3C, Eq. 5)")
 
 
+Statistics = dict[str, list[Tensor]]
+
+
 @ALGORITHMS.register("soft_actor_critic", SoftActorCriticConfig)
 class SoftActorCritic(Algorithm):
-    """Twin critics, their slow copies, and an actor that is paid for being undecided.
+    """Twin critics, their target networks, and an actor with an entropy bonus.
 
-    A sequence is what a world did in one round, with the encoder's state as it was when collected.
-    The replay is not saved with the run: after a resume it fills up to `learning_starts` again
-    before updates go on.
+    A sequence holds the steps of one world in one round, with the encoder's state from when it was
+    collected. The replay buffer is not saved with the run: after a resume, updates continue once it
+    holds `learning_starts` steps again.
     """
 
     policy: SquashedPolicy
+    config: SoftActorCriticConfig
     supports_data_parallel = True
-    updates: Tensor  # until now
+    updates: Tensor  # number of critic updates
 
-    def __init__(self, policy: Policy, config: Any) -> None:
+    def __init__(self, policy: Policy, config: SoftActorCriticConfig) -> None:
         """See `Algorithm`.
 
         Raises:
@@ -86,18 +90,19 @@ class SoftActorCritic(Algorithm):
                 too small to begin, or the attention cannot be split into heads.
         """
         super().__init__(policy, share(config, "algorithm", "replay", "learning_starts", "batch"))
+        self.reward_shaping.team_bonus = self.reward_shaping.shared = config.team_reward
         if not isinstance(policy, SquashedPolicy):
             raise ConfigurationError(
                 "algorithm.name is soft_actor_critic; policy.name must be squashed"
             )
-        for name, value, right, good in (
+        for name, value, requirement, valid in (
             ("learning_starts", config.learning_starts, f"not exceed algorithm.replay "
              f"({config.replay})", config.learning_starts <= config.replay),
             ("critic_width", config.critic_width, f"be a multiple of algorithm.critic_heads "
              f"({config.critic_heads})", config.critic_width % config.critic_heads == 0),
         ):  # fmt: skip
-            if not good:
-                raise ConfigurationError(f"algorithm.{name} is {value}; it must {right}")
+            if not valid:
+                raise ConfigurationError(f"algorithm.{name} is {value}; it must {requirement}")
         self.critics = nn.ModuleList(self._make_critic() for _ in range(2))
         self.target_critics = nn.ModuleList(self._make_critic() for _ in range(2))
         self.target_policy = type(policy)(policy.config, policy.action_size)  # for its encoders
@@ -108,19 +113,19 @@ class SoftActorCritic(Algorithm):
         self.log_temperature = nn.Parameter(torch.tensor(config.temperature_start).log())
         self.register_buffer("updates", torch.zeros((), dtype=torch.long))
         self.to(policy.device)
-        self.valuing = [
+        self.critic_parameters = [
             *self.critics.parameters(),
             *(p for net in policy.networks for p in net.encoder.parameters()),
         ]
-        self.acting = [p for net in policy.networks for p in net.heads.parameters()]  # type: ignore[attr-defined]
+        self.actor_parameters = [p for net in policy.networks for p in net.heads.parameters()]  # type: ignore[attr-defined]
         rate = config.learning_rate
-        self.adams = {
-            "critics": torch.optim.Adam(self.valuing, lr=rate),
-            "actor": torch.optim.Adam(self.acting, lr=rate),
+        self.optimisers_by_name = {
+            "critics": torch.optim.Adam(self.critic_parameters, lr=rate),
+            "actor": torch.optim.Adam(self.actor_parameters, lr=rate),
             "temperature": torch.optim.Adam([self.log_temperature], lr=rate),
         }
         self.replays: dict[tuple[int, ...], ReplayBuffer] = {}  # one for each shape of sequences
-        self.kept = 0  # environment steps since the run began or went on
+        self.steps_stored = 0  # environment steps since the run started or resumed
 
     def _make_critic(self) -> TeamCritic:
         c, policy = self.config, self.policy
@@ -131,67 +136,67 @@ class SoftActorCritic(Algorithm):
 
     @property
     def temperature(self) -> Tensor:
-        """What entropy is worth, alpha."""
+        """The weight of the entropy, alpha."""
         return self.log_temperature.detach().exp()
 
     def set_progress(self, share: float) -> None:
-        """The learning rate falls linearly; the actor sees to the noise."""
+        """Decay the learning rate linearly; the actor learns its own noise."""
         self._set_learning_rate(share)
 
     def optimisers(self) -> dict[str, Any]:
         """See `Algorithm.optimisers`."""
-        return dict(self.adams)
+        return dict(self.optimisers_by_name)
 
     def update(self, rollouts: list[Rollout]) -> dict[str, float]:
-        """Keep the sequences of a round, then learn from drawn ones."""
+        """Store the sequences of a round, then learn from sampled ones."""
         c = self.config
         for rollout in rollouts:
-            self._keep(rollout)
-        found: dict[str, list[Tensor]] = defaultdict(list)
-        found["charts/temperature"].append(self.temperature)
-        if self.kept >= c.learning_starts:
+            self._store(rollout)
+        statistics: Statistics = defaultdict(list)
+        statistics["charts/temperature"].append(self.temperature)
+        if self.steps_stored >= c.learning_starts:
             for _ in range(c.updates):
-                self._learn(self._draw(), found)
-        return {name: float(torch.stack(values).mean()) for name, values in found.items()}
+                self._learn(self._sample(), statistics)
+        return {name: float(torch.stack(values).mean()) for name, values in statistics.items()}
 
-    def _learn(self, batch: TensorDict, found: dict[str, list[Tensor]]) -> None:
-        """One update of the critics, and every `policy_delay` of them one of the actor."""
+    def _learn(self, batch: TensorDict, statistics: Statistics) -> None:
+        """Update the critics, and in every `policy_delay`-th call the actor."""
         y = features(self.policy, batch)
-        now, later = y[:, :-1], y[:, 1:].detach()
-        target = self.targets(batch, later)
-        loss, value = self.critic_loss(batch, now, target)
-        self._descend("critics", loss, self.valuing, found)
-        found["losses/critic"].append(loss.detach())
-        found["losses/mean_value"].append(value.detach())
-        found["losses/mean_target"].append(target[batch["valued"]].mean())
+        current, following = y[:, :-1], y[:, 1:].detach()
+        target = self.targets(batch, following)
+        loss, value = self.critic_loss(batch, current, target)
+        self._descend("critics", loss, self.critic_parameters, statistics)
+        statistics["losses/critic"].append(loss.detach())
+        statistics["losses/mean_value"].append(value.detach())
+        statistics["losses/mean_target"].append(target[batch["valued"]].mean())
         self.updates += 1
         due = self.updates % self.config.policy_delay == 0
         if due and all(exchanged(bool(batch["acts"].any()))):
-            loss, log_prob = self.actor_loss(batch, now.detach())
-            self._descend("actor", loss, self.acting, found)
-            found["losses/actor"].append(loss.detach())
-            found["losses/entropy"].append(-log_prob.mean())
-            self._descend("temperature", self.temperature_loss(log_prob), [], found)
-        self._follow()
+            loss, log_prob = self.actor_loss(batch, current.detach())
+            self._descend("actor", loss, self.actor_parameters, statistics)
+            statistics["losses/actor"].append(loss.detach())
+            statistics["losses/entropy"].append(-log_prob.mean())
+            self._descend("temperature", self.temperature_loss(log_prob), [], statistics)
+        self._update_targets()
 
     @torch.no_grad()
-    def targets(self, batch: TensorDict, later: Tensor) -> Tensor:
-        """What Q is regressed on, [S, T, N]: r + discount (Q' - alpha log pi') (MSA3C, Eq. 15).
+    def targets(self, batch: TensorDict, following: Tensor) -> Tensor:
+        """Return the targets of Q, [S, T, N]: r + discount (Q' - alpha log pi') (MSA3C, Eq. 15).
 
         Args:
             batch: sequences, see `sequences_of`.
-            later: [S, T, N, F] the actor's features of the next steps.
+            following: [S, T, N, F] the actor's features of the next steps.
         """
-        on_way = batch["active"][:, 1:]
-        action, log_prob = self.policy.draw(later)
-        action, log_prob = action * on_way.unsqueeze(-1), log_prob * on_way
+        active = batch["active"][:, 1:]
+        action, log_prob = self.policy.draw(following)
+        action, log_prob = action * active.unsqueeze(-1), log_prob * active
         y = features(self.target_policy, batch)[:, 1:]
-        value = q_of(self.target_critics, y, action, action, on_way).amin(0)
+        value = q_of(self.target_critics, y, action, action, active).amin(0)
         soft = value - self.temperature * log_prob
-        return batch["reward"] + self.config.discount * batch["going"] * soft
+        return batch["reward"] + self.config.discount * batch["continues"] * soft
 
     def critic_loss(self, batch: TensorDict, y: Tensor, target: Tensor) -> tuple[Tensor, Tensor]:
-        """The squared errors of both critics (MSA3C, Eq. 14), and the mean of their values."""
+        """Return the loss of both critics (MSA3C, Eq. 14) and the mean of their values."""
         action, where = batch["action"], batch["valued"]
         value = q_of(self.critics, y, action, action, batch["active"][:, :-1])[:, where]
         if not where.any():
@@ -199,27 +204,27 @@ class SoftActorCritic(Algorithm):
         return (value - target[where]).square().mean(1).sum(), value.mean()
 
     def actor_loss(self, batch: TensorDict, y: Tensor) -> tuple[Tensor, Tensor]:
-        """What the actor makes small (MSA3C, Eq. 16), and the log-probabilities of the P samples.
+        """Return the actor's loss (MSA3C, Eq. 16) and the log-probabilities of the P samples.
 
-        Every robot changes its own action among those that the others took.
+        Each robot's own action varies while those of the others stay as they were executed.
         """
-        where, on_way = batch["acts"], batch["active"][:, :-1]
+        where, active = batch["acts"], batch["active"][:, :-1]
         action, log_prob = self.policy.draw(y)
         self.critics.requires_grad_(False)
-        value = q_of(self.critics, y, action, batch["action"], on_way).amin(0)
+        value = q_of(self.critics, y, action, batch["action"], active).amin(0)
         loss = (self.temperature * log_prob - value)[where].mean()
         self.critics.requires_grad_(True)
         return loss, log_prob[where].detach()
 
     def temperature_loss(self, log_prob: Tensor) -> Tensor:
-        """Entropy is worth more while there is less of it than -A."""
+        """Return the temperature's loss: alpha rises while the entropy is below -A."""
         return -self.log_temperature * (log_prob - self.policy.action_size).mean()
 
     def _descend(
-        self, name: str, loss: Tensor, clipped: Sequence[Tensor], found: dict[str, list[Tensor]]
+        self, name: str, loss: Tensor, clipped: Sequence[Tensor], statistics: Statistics
     ) -> None:
-        """A step against the gradient."""
-        optimiser = self.adams[name]
+        """Take a step of one optimiser."""
+        optimiser = self.optimisers_by_name[name]
         optimiser.zero_grad(set_to_none=True)
         loss.backward()
         average_gradients(p for group in optimiser.param_groups for p in group["params"])
@@ -227,52 +232,52 @@ class SoftActorCritic(Algorithm):
             norm = nn.utils.clip_grad_norm_(clipped, self.config.max_gradient_norm)
             if not torch.isfinite(norm):
                 raise FloatingPointError(f"the gradient of the {name} is not finite")
-            found[f"losses/{name}_gradient_norm"].append(norm)
+            statistics[f"losses/{name}_gradient_norm"].append(norm)
         optimiser.step()
 
     @torch.no_grad()
-    def _follow(self) -> None:
-        """The slow copies go `target_rate` of the way."""
-        for slow, fast in (
+    def _update_targets(self) -> None:
+        """Move the target networks towards the networks by `target_rate`."""
+        for target, network in (
             (self.target_critics, self.critics), (self.target_policy, self.policy)
         ):  # fmt: skip
-            for behind, ahead in zip(slow.parameters(), fast.parameters(), strict=True):
-                behind.lerp_(ahead, self.config.target_rate)
+            for slow, fast in zip(target.parameters(), network.parameters(), strict=True):
+                slow.lerp_(fast, self.config.target_rate)
 
-    def _keep(self, rollout: Rollout) -> None:
-        """Keep the sequences of a rollout."""
+    def _store(self, rollout: Rollout) -> None:
+        """Add the sequences of a rollout to the replay buffer."""
         c = self.config
         if c.critic is Aggregation.concatenation and rollout.robots != c.robots:
             raise ConfigurationError(
                 f"algorithm.robots is {c.robots}; it must be {rollout.robots}, as the scenario's, "
                 "for algorithm.critic concatenation"
             )
-        found = sequences_of(rollout, c.team_reward)
-        shape = tuple(found["frames", "humans"].shape[1:])
-        steps = found["reward"].shape[1]
+        sequences = sequences_of(rollout, c.team_reward)
+        shape = tuple(sequences["frames", "humans"].shape[1:])
+        steps = sequences["reward"].shape[1]
         if shape not in self.replays:
             storage = LazyTensorStorage(max(c.replay // steps, 1), device=self.policy.device)
             self.replays[shape] = ReplayBuffer(storage=storage)
-        self.replays[shape].extend(found)
-        self.kept += rollout.environment_steps
+        self.replays[shape].extend(sequences)
+        self.steps_stored += rollout.environment_steps
 
-    def _draw(self) -> TensorDict:
-        """A batch of sequences of one shape; a replay that holds more is drawn from more often."""
+    def _sample(self) -> TensorDict:
+        """Sample sequences of one shape; larger replay buffers are sampled more often."""
         replays = list(self.replays.values())
         sizes = torch.tensor([float(len(replay)) for replay in replays])
-        drawn: TensorDict = replays[int(sizes.multinomial(1))].sample(self.config.batch)
-        return drawn
+        batch: TensorDict = replays[int(sizes.multinomial(1))].sample(self.config.batch)
+        return batch
 
 
 def q_of(
     critics: Iterable[nn.Module], y: Tensor, own: Tensor, others: Tensor, active: Tensor
 ) -> Tensor:
-    """Q of each critic, [2, ..., N]; see `TeamCritic.forward`."""
+    """Return Q of each critic, [2, ..., N]; see `TeamCritic.forward`."""
     return torch.stack([critic(y, own, others, active) for critic in critics])
 
 
 def features(policy: SquashedPolicy, batch: TensorDict) -> Tensor:
-    """Y of all robots in all steps and in the one after them, [S, T + 1, N, F]."""
+    """Return Y of all robots in all steps and in the one after them, [S, T + 1, N, F]."""
     frames = Frames(*(part.flatten(0, 1) for part in Frames(**batch["frames"])))
     states = tuple(
         {name: part.flatten(0, 1) for name, part in batch.get(f"encoder {i}", {}).items()}
@@ -283,51 +288,51 @@ def features(policy: SquashedPolicy, batch: TensorDict) -> Tensor:
 
 
 def sequences_of(rollout: Rollout, team: bool) -> TensorDict:
-    """What there is to learn from a rollout.
+    """Return the sequences of a rollout in the form of the replay buffer.
 
-    A robot's own value ends when it arrives. The team's goes on without it: then the steps in which
-    it waits have values too. Where the time limit cut an episode short, or a team-mate's collision,
-    the last step is left out (see `advantages.Streams`); that collision ends the team's value.
+    A robot's own value ends when it arrives. The team's value continues without it, so the steps in
+    which it waits have values too. Where the time limit or a team-mate's collision cut an episode
+    short, the last step is removed (see `advantages.Streams`); such a collision ends the team's
+    value.
 
     Args:
         rollout: S sequences of T steps.
-        team: robots are paid what all of them are paid.
+        team: the reward is shared by the team.
 
     Returns:
         [S] with `frames` (the parts of `Frames`, [S, N, h + T + 1, ...]), `is_init` [S, N,
         h + T + 1], `encoder I`, the state of the encoder of set I of parameters, [S, N / sets,
         ...], if it has any; `action` [S, T, N, A] in [-1, 1]; `reward` [S, T, N]; `active` [S,
-        T + 1, N]; `valued`, critics learn from the step; `acts`, the actor does; `going`, the value
-        does not end with it.
+        T + 1, N]; `valued`, critics learn from the step; `acts`, the actor does; `continues`, the
+        value does not end with it.
     """
     steps, s, n = rollout.steps, len(rollout.steps), rollout.robots
     after, active = steps["next", "agents"], steps["agents", "active_mask"]
     if team:
         ends = after["terminated"].any(-1, keepdim=True).expand_as(after["terminated"])
-        reward = after["reward"].sum(-1, keepdim=True).expand_as(after["reward"])
         steps = steps.clone(recurse=False)
         steps["next", "agents", "terminated"] = ends
-        of = streams(steps)
-        valued, going = of.counts, ~of.terminated
+        stream = streams(steps)
+        valued, continues = stream.counts, ~stream.terminated
     else:
-        of, reward = streams(steps), after["reward"] - after["team_reward"]
-        valued, going = of.acts, ~of.terminated & active[:, 1:]
-    found = TensorDict(
+        stream = streams(steps)
+        valued, continues = stream.acts, ~stream.terminated & active[:, 1:]
+    sequences = TensorDict(
         {
             "frames": {
                 k: part.unflatten(0, (s, n)) for k, part in rollout.frames._asdict().items()
             },
             "is_init": rollout.is_init.unflatten(0, (s, n)),
             "action": steps["agents", "action"][:, :-1].tanh(),
-            "reward": reward[:, :-1],
+            "reward": after["reward"][:, :-1],
             "active": active,
             "valued": valued,
-            "acts": of.acts,
-            "going": going,
+            "acts": stream.acts,
+            "continues": continues,
         },
         [s],
     )
     for i, state in enumerate(rollout.encoder):
         if state:
-            found[f"encoder {i}"] = {k: part.unflatten(0, (s, -1)) for k, part in state.items()}
-    return found
+            sequences[f"encoder {i}"] = {k: part.unflatten(0, (s, -1)) for k, part in state.items()}
+    return sequences

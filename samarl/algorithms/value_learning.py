@@ -1,7 +1,7 @@
-"""Value learning with replay and a target network, imitation of ORCA first.
+"""Value learning with a replay buffer and a target network, after imitating ORCA.
 
-How CADRL (Chen et al., 2017) and SARL (Chen et al., 2019) learn: V of a state is regressed on what
-the step was paid and on what the target network says of the state it led to.
+This is how CADRL (Chen et al., 2017) and SARL (Chen et al., 2019) learn: V of a state is regressed
+on the reward of the step plus the discounted target value of the next state.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ OTHERS = ("humans", "humans_known", "robots", "robots_known")  # `Frames` with s
 
 @dataclass
 class ValueLearningConfig:
-    """Numbers of the update; discounted as the policy does it."""
+    """Hyperparameters of the update; the discount is the policy's."""
 
     learning_rate: float = required(0.0, 1.0, help="initial learning rate; falls linearly to 0")
     imitation: float = required(0.0, 1.0, help="initial share of the training in which ORCA drives")
@@ -55,23 +55,25 @@ class ValueLearningConfig:
 
 @ALGORITHMS.register("value_learning", ValueLearningConfig)
 class ValueLearning(Algorithm):
-    """Nobody is paid for the team: a robot cannot foresee when the others arrive.
+    """Learn values without the team bonus: a robot cannot predict when the others arrive.
 
-    The replay is not saved with the run: after a resume it fills up to `learning_starts` again
-    before updates go on.
+    The replay buffer is not saved with the run: after a resume, updates continue once it holds
+    `learning_starts` samples again.
     """
 
     policy: LookaheadPolicy
+    config: ValueLearningConfig
     supports_data_parallel = True
-    rounds: Tensor  # of updates until now
+    rounds: Tensor  # number of rounds with updates
 
-    def __init__(self, policy: Policy, config: Any) -> None:
+    def __init__(self, policy: Policy, config: ValueLearningConfig) -> None:
         """See `Algorithm`.
 
         Raises:
             ConfigurationError: the policy has no values, or `replay` is too small to begin.
         """
         super().__init__(policy, share(config, "algorithm", "replay", "learning_starts", "batch"))
+        self.reward_shaping.team_bonus = False
         if not isinstance(policy, LookaheadPolicy):
             raise ConfigurationError(
                 "algorithm.name is value_learning; policy.name must be one with values: lookahead"
@@ -87,26 +89,26 @@ class ValueLearning(Algorithm):
         self.register_buffer("rounds", torch.zeros((), dtype=torch.long))
         self.to(policy.device)
         self.optimiser = torch.optim.Adam(policy.parameters(), lr=config.learning_rate)
-        self.slots = [0] * len(OTHERS)  # in the replay, for so many others
+        self.slots = [0] * len(OTHERS)  # of the replay buffer's samples, for each of `OTHERS`
         self.replay = self._empty_replay()
         self.set_progress(0.0)
 
     def set_progress(self, share: float) -> None:
-        """ORCA drives first; then epsilon falls linearly, and the learning rate all the time."""
+        """Let ORCA drive first, then decay epsilon linearly; the learning rate always decays."""
         c = self.config
         self._set_learning_rate(share)
-        over = min(max(share - c.imitation, 0.0) / max(c.epsilon_share, 1e-6), 1.0)
+        decayed = min(max(share - c.imitation, 0.0) / max(c.epsilon_share, 1e-6), 1.0)
         self.policy.imitating = share < c.imitation
-        self.policy.epsilon = c.epsilon_start + (c.epsilon_end - c.epsilon_start) * over
+        self.policy.epsilon = c.epsilon_start + (c.epsilon_end - c.epsilon_start) * decayed
 
     def optimisers(self) -> dict[str, Any]:
         """See `Algorithm.optimisers`."""
         return {"adam": self.optimiser}
 
     def update(self, rollouts: list[Rollout]) -> dict[str, float]:
-        """Keep the samples of a round, then take `updates` gradient steps on drawn ones."""
+        """Store the samples of a round, then take `updates` gradient steps."""
         c = self.config
-        self._keep([samples_of(rollout) for rollout in rollouts])
+        self._store([samples_of(rollout) for rollout in rollouts])
         statistics = {"charts/epsilon": 0.0 if self.policy.imitating else self.policy.epsilon}
         if not all(exchanged(len(self.replay) >= c.learning_starts)):
             return statistics
@@ -133,52 +135,51 @@ class ValueLearning(Algorithm):
 
     @torch.no_grad()
     def targets(self, samples: TensorDict) -> Tensor:
-        """What the values of samples [P] are regressed on: r + discount V(next), [P]."""
-        later = self.target.value(Frames(**samples["next"]), samples["robot"])
-        return samples["reward"] + self.policy.config.discount * later * samples["going"]
+        """Return the targets of the values of samples [P]: r + discount V(next), [P]."""
+        following = self.target.value(Frames(**samples["next"]), samples["robot"])
+        return samples["reward"] + self.policy.config.discount * following * samples["continues"]
 
     def _empty_replay(self) -> ReplayBuffer:
         storage = LazyTensorStorage(self.config.replay, device=self.policy.device)
         return ReplayBuffer(storage=storage)
 
-    def _keep(self, found: list[TensorDict]) -> None:
-        """Keep samples; the replay gets more slots where there are more people or robots now."""
-        shapes = [[samples["now", part].shape[2] for part in OTHERS] for samples in found]
+    def _store(self, parts: list[TensorDict]) -> None:
+        """Add samples to the replay buffer, which is widened for more people or robots."""
+        shapes = [[samples["now", part].shape[2] for part in OTHERS] for samples in parts]
         slots = [max(sizes) for sizes in zip(self.slots, *shapes, strict=True)]
         if slots != self.slots:
-            found = [*([self.replay[:]] if len(self.replay) else []), *found]
+            parts = [*([self.replay[:]] if len(self.replay) else []), *parts]
             self.slots, self.replay = slots, self._empty_replay()
-        samples = torch.cat([widened(part, slots) for part in found])
+        samples = torch.cat([widened(part, slots) for part in parts])
         if len(samples) > 0:
             self.replay.extend(samples)
 
 
 def samples_of(rollout: Rollout) -> TensorDict:
-    """What there is to learn from a rollout, one sample for each step of a robot on its way.
+    """Return the samples of a rollout: one for each step of an active robot.
 
-    Where the time limit or a team-mate's collision cut its episode short the last step is left
-    out, as nobody knows what would have come (see `advantages.Streams`).
+    Where the time limit or a team-mate's collision cut its episode short, the last step is removed,
+    as its continuation is unknown (see `advantages.Streams`).
 
     Returns:
         [P] with `now` and `next` (the parts of `Frames`, [P, 1, ...]), `reward`, `robot` and
-        `going`: it was still on its way in the next step, else it had arrived or collided.
+        `continues`: the robot was still active in the next step.
     """
-    steps, of, n = rollout.steps, streams(rollout.steps), rollout.robots
-    world, step, robot = of.acts.nonzero(as_tuple=True)
+    steps, stream, n = rollout.steps, streams(rollout.steps), rollout.robots
+    world, step, robot = stream.acts.nonzero(as_tuple=True)
     at, row = (world, step, robot), world * n + robot
-    after = steps["next", "agents"]
-    goes_on = steps["agents", "active_mask"][:, 1:] & ~of.terminated
+    continues = steps["agents", "active_mask"][:, 1:] & ~stream.terminated
 
-    def seen(step: Tensor) -> TensorDict:
+    def frames(step: Tensor) -> TensorDict:
         parts = rollout.frames._asdict().items()
         return TensorDict({name: part[row, step, None] for name, part in parts}, [len(row)])
 
     return TensorDict(
         {
-            "now": seen(step),  # encoders without history: frame t is that of step t
-            "next": seen(step + 1),
-            "reward": (after["reward"] - after["team_reward"])[at],
-            "going": goes_on[at],
+            "now": frames(step),  # encoders without history: frame t is that of step t
+            "next": frames(step + 1),
+            "reward": steps["next", "agents", "reward"][at],
+            "continues": continues[at],
             "robot": robot,
         },
         [len(row)],
@@ -186,7 +187,7 @@ def samples_of(rollout: Rollout) -> TensorDict:
 
 
 def widened(samples: TensorDict, slots: Sequence[int]) -> TensorDict:
-    """The same with unknown others in the slots that are missing, as many as of `OTHERS`."""
+    """Return samples with `slots` slots for each of `OTHERS`; additional ones are masked out."""
     wide = samples.clone()
     for frames in (wide["now"], wide["next"]):
         for part, most in zip(OTHERS, slots, strict=True):

@@ -20,7 +20,7 @@ from samarl.policies.policy import (
     PolicyState,
     PolicyStep,
 )
-from samarl.policies.stochastic import Distribution, ExplorationNoise, StochasticPolicy
+from samarl.policies.stochastic import ExplorationNoise, StochasticPolicy
 
 # Initial means and deviations: robots move forward, and explore speed and turning more than
 # lateral acceleration.
@@ -54,7 +54,8 @@ class FlatPolicy(StochasticPolicy):
         """See `StochasticPolicy.step`."""
         scene = self._encode(features, is_init, state)
         rows = torch.arange(len(is_init), device=is_init.device)
-        distribution = self._action_distribution(LOCAL, scene, features.ego[:, 0], rows)
+        embedding = self._embedding(scene, features.ego[:, 0], rows)
+        distribution = self.distribution(LOCAL, embedding, rows)
         mean, local, previous, current = self._sample_local(distribution, is_init, state, noise)
         step = PolicyStep(
             action=local.action.clamp(-1.0, 1.0),
@@ -65,12 +66,12 @@ class FlatPolicy(StochasticPolicy):
         )
         return step, {**state, "noise": current}
 
-    def _distributions(
+    def _embeddings(
         self,
         scene: Any,
         ego: Tensor,
         rows: Tensor,
         waypoint_features: Tensor | None,
         decision_indices: Mapping[str, Tensor],
-    ) -> dict[str, Distribution]:
-        return {LOCAL: self._action_distribution(LOCAL, scene, ego, rows)}
+    ) -> dict[str, Tensor]:
+        return {LOCAL: self._embedding(scene, ego, rows)}

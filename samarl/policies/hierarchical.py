@@ -9,11 +9,9 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 from torch.jit import is_tracing  # type: ignore[attr-defined]
 
-from mrsan import Observation, RewardParts, Scenario
 from mrsan.fields import required
 from samarl.encoders import Encoder
 from samarl.encoders.encoder import samples_of
@@ -39,9 +37,8 @@ from samarl.policies.policy import (
     PolicyConfig,
     PolicyState,
     PolicyStep,
-    progress_to,
 )
-from samarl.policies.stochastic import Distribution, ExplorationNoise, StochasticPolicy
+from samarl.policies.stochastic import ExplorationNoise, StochasticPolicy
 from samarl.registry import needed
 
 REACHED = 0.3  # m; a waypoint that is nearer is replaced
@@ -140,7 +137,8 @@ class HierarchicalPolicy(StochasticPolicy):
 
         waypoint_features = encode_waypoint(to_body(waypoint, pose))
         query = self._local_query(ego, waypoint_features)
-        distribution = self._action_distribution(LOCAL, scene, query, rows, waypoint_features)
+        embedding = self._embedding(scene, query, rows, waypoint_features)
+        distribution = self.distribution(LOCAL, embedding, rows)
         mean, local, previous, current = self._sample_local(distribution, is_init, state, noise)
         step = PolicyStep(
             action=local.action.clamp(-1.0, 1.0),
@@ -161,10 +159,8 @@ class HierarchicalPolicy(StochasticPolicy):
         # traced for export or the ablation uses the choices of other robots.
         everybody = is_tracing() or self.waypoint_source is Waypoints.shuffled
         index = rows if everybody else due.nonzero().squeeze(1)
-        distribution = self._action_distribution(
-            MACRO, samples_of(scene, index), ego[index], rows[index]
-        )
-        mean, std = distribution.mean.float(), distribution.std.float()
+        embedding = self._embedding(samples_of(scene, index), ego[index], rows[index])
+        mean, std = self.distribution(MACRO, embedding, rows[index])
         if noise is None:
             action, probability = mean, torch.zeros_like(mean[:, 0])
         else:
@@ -178,41 +174,20 @@ class HierarchicalPolicy(StochasticPolicy):
             due,
         )
 
-    def _distributions(
+    def _embeddings(
         self,
         scene: Any,
         ego: Tensor,
         rows: Tensor,
         waypoint_features: Tensor | None,
         decision_indices: Mapping[str, Tensor],
-    ) -> dict[str, Distribution]:
+    ) -> dict[str, Tensor]:
         assert waypoint_features is not None
         due, query = decision_indices[MACRO], self._local_query(ego, waypoint_features)
         return {
-            MACRO: self._action_distribution(MACRO, samples_of(scene, due), ego[due], rows[due]),
-            LOCAL: self._action_distribution(LOCAL, scene, query, rows, waypoint_features),
+            MACRO: self._embedding(samples_of(scene, due), ego[due], rows[due]),
+            LOCAL: self._embedding(scene, query, rows, waypoint_features),
         }
-
-    def rewards(
-        self,
-        reward: NDArray[np.float32],
-        parts: RewardParts,
-        before: Observation,
-        after: Observation,
-        state: PolicyState,
-        scenario: Scenario,
-    ) -> dict[str, NDArray[np.float32]]:
-        """See `Policy.rewards`: the task's for the macro level, following waypoints for the local.
-
-        The arrival bonus exceeds the discounted value of endless waypoint following; otherwise the
-        robot would circle its waypoint.
-        """
-        waypoint = state["waypoint"].view(*reward.shape, 2).cpu().numpy()
-        progress = np.float32(self.config.waypoint_progress) * progress_to(waypoint, before, after)
-        local = parts.collision + parts.discomfort + parts.lookahead
-        local += np.where(parts.progress != 0.0, progress, np.float32(0.0))
-        local += parts.arrival + np.float32(self.config.arrival_bonus) * (parts.arrival > 0.0)
-        return {MACRO: self._route_reward(reward, parts, before, after, scenario), LOCAL: local}
 
     @torch.no_grad()
     def explain(self, decision: Decision) -> Explanation:

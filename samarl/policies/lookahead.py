@@ -119,7 +119,7 @@ class LookaheadPolicy(Policy):
     ) -> Tensor:
         """Return the best command [R, A] of the R active robots, or any with chance `epsilon`."""
         commands = command_set(self.config, scenario.kinematics)
-        target = self._route(tracks.ego, scenario)
+        target = self.route(tracks.ego, scenario)
         outcomes = look_ahead(tracks, active, target, commands, scenario)
         imagined = frames_of(outcomes.tracks, scenario, self.config.known_origin).to(self.device)
         rows = torch.from_numpy(np.flatnonzero(active)).to(self.device).repeat(len(commands))

@@ -21,8 +21,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.utils._pytree import tree_map
 
-from mrsan import ConfigurationError, Observation, RewardParts, Scenario
-from mrsan.features import GOAL
+from mrsan import ConfigurationError, Observation, Scenario
 from mrsan.fields import required, setting
 from samarl.encoders import ENCODERS, Encoder
 from samarl.encoders.encoder import samples_of
@@ -30,10 +29,9 @@ from samarl.observations.features import (
     NETWORK_EGO_FEATURES,
     NETWORK_OTHER_FEATURES,
     frames_of,
-    to_world,
 )
 from samarl.observations.frames import Frames
-from samarl.observations.route import route
+from samarl.observations.route import route as next_on_route
 from samarl.observations.tracker import Tracker, Tracks
 from samarl.policies.explanation import Explanation
 from samarl.registry import Registry, needed
@@ -249,60 +247,13 @@ class Policy(nn.Module, ABC):
         order = torch.cat(samples).argsort()
         return tree_map(lambda *tensors: torch.cat(tensors)[order], *parts)
 
-    def _route(self, ego: NDArray[np.float32], scenario: Scenario) -> NDArray[np.float32]:
-        """Return where the route of each robot leads next; see `route`."""
+    def route(self, ego: NDArray[np.float32], scenario: Scenario) -> NDArray[np.float32]:
+        """Return where the route of each robot leads next, [E, N, 2]; see `next_on_route`."""
         c = self.config
-        return route(ego, scenario.fov_degrees, c.round_below, c.round_radius)
-
-    def rewards(
-        self,
-        reward: NDArray[np.float32],
-        parts: RewardParts,
-        before: Observation,
-        after: Observation,
-        state: PolicyState,
-        scenario: Scenario,
-    ) -> dict[str, NDArray[np.float32]]:
-        """Return the reward of each level for a step, [E, N].
-
-        Args:
-            reward: of the task, [E, N].
-            parts: the terms it is the sum of.
-            before: the observation that the decision was made from.
-            after: the observation after the step, before any reset.
-            state: the memory after the decision.
-            scenario: the task.
-        """
-        return {LOCAL: self._route_reward(reward, parts, before, after, scenario)}
-
-    def _route_reward(
-        self,
-        reward: NDArray[np.float32],
-        parts: RewardParts,
-        before: Observation,
-        after: Observation,
-        scenario: Scenario,
-    ) -> NDArray[np.float32]:
-        """Return the task's reward [E, N] with progress along the route instead of to the goal."""
-        if scenario.fov_degrees >= self.config.round_below:
-            return reward
-        target = to_world(self._route(before.ego, scenario), before.ego)
-        progress = np.float32(scenario.reward.progress) * progress_to(target, before, after)
-        return np.where(parts.progress != 0.0, reward - parts.progress + progress, reward)
+        return next_on_route(ego, scenario.fov_degrees, c.round_below, c.round_radius)
 
     def _precision(self) -> torch.autocast:
         return torch.autocast(self.device.type, torch.bfloat16, enabled=self.low_precision)
-
-
-def progress_to(
-    target: NDArray[np.float32], before: Observation, after: Observation
-) -> NDArray[np.float32]:
-    """Return by how many metres each robot came nearer to a target in the world frame, [E, N]."""
-    here, there = (to_world(np.zeros_like(o.ego[..., GOAL]), o.ego) for o in (before, after))
-    progress: NDArray[np.float32] = np.linalg.norm(here - target, axis=-1) - np.linalg.norm(
-        there - target, axis=-1
-    )
-    return progress
 
 
 def empty_features(rows: int, robots: int, humans: int, device: torch.device) -> Frames:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import NoReturn
 
 import torch
+from tensordict import TensorDict
 from torch import Tensor
 from torch.nn import functional
 
@@ -25,7 +26,6 @@ from samarl.policies.policy import (
     PolicyStep,
 )
 from samarl.policies.stochastic import (
-    ActionBatch,
     ActionEvaluation,
     ExplorationNoise,
     Sequences,
@@ -73,16 +73,14 @@ class SquashedPolicy(FlatPolicy):
         sequences: Sequences,
         samples: Tensor,
         waypoint_features: Tensor | None,
-        actions: Mapping[str, ActionBatch],
-        correlation: float,
+        decisions: Mapping[str, TensorDict],
     ) -> dict[str, ActionEvaluation]:
         """See `StochasticPolicy.evaluate`; mean and deviation are those before tanh.
 
         The entropy of a squashed Gaussian has no closed form: it is estimated from the actions.
         """
-        arguments = sequences, samples, waypoint_features, actions, correlation
-        local = super().evaluate(*arguments)[LOCAL]
-        slope = log_slope(actions[LOCAL].action)
+        local = super().evaluate(sequences, samples, waypoint_features, decisions)[LOCAL]
+        slope = log_slope(decisions[LOCAL]["action"])
         return {
             LOCAL: local._replace(log_prob=local.log_prob - slope, entropy=local.entropy + slope)
         }

@@ -7,18 +7,20 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
-from torch.distributions import Normal
+from tensordict import TensorDict
+from tensordict.nn import TensorDictModule
+from torch import Tensor, nn
 from torch.utils._pytree import tree_map
 
 from mrsan import Observation, Scenario
 from samarl.encoders.encoder import samples_of
 from samarl.observations.frames import Frames
+from samarl.policies.heads import log_prob
 from samarl.policies.policy import (
     LOCAL,
     Decision,
@@ -28,6 +30,9 @@ from samarl.policies.policy import (
     PolicyStep,
     empty_features,
 )
+
+if TYPE_CHECKING:
+    from torchrl.modules import ProbabilisticActor
 
 
 class ExplorationNoise(NamedTuple):
@@ -51,14 +56,6 @@ class Sequences(NamedTuple):
     features: Frames  # [B, h + T, ...] the first h are history
     is_init: Tensor  # [B, h + T] whether an episode begins with a frame
     encoder_states: tuple[Any, ...]  # of each set of parameters, before the first step
-
-
-class ActionBatch(NamedTuple):
-    """The actions of one level in Q of P samples."""
-
-    decision_indices: Tensor  # [Q] which of the samples
-    action: Tensor  # [Q, A] before it was bounded
-    previous_noise: Tensor  # [Q, A] noise of the step before; unused by the macro level
 
 
 class ActionEvaluation(NamedTuple):
@@ -99,15 +96,15 @@ class StochasticPolicy(Policy):
         """
 
     @abstractmethod
-    def _distributions(
+    def _embeddings(
         self,
         scene: Any,
         ego: Tensor,
         rows: Tensor,
         waypoint_features: Tensor | None,
         decision_indices: Mapping[str, Tensor],
-    ) -> dict[str, Distribution]:
-        """Return the distribution of each level in Q of the P samples.
+    ) -> dict[str, Tensor]:
+        """Return the embedding of each level in Q of the P samples, [Q, Y].
 
         Args:
             scene: [P, ...].
@@ -168,7 +165,7 @@ class StochasticPolicy(Policy):
             step, policy_state = self.step(
                 features,
                 per_row(observation.ego),
-                per_row(self._route(observation.ego, scenario)),
+                per_row(self.route(observation.ego, scenario)),
                 per_row(np.repeat(is_init[:, None], shape[1], 1)),
                 policy_state,
                 noise,
@@ -191,22 +188,23 @@ class StochasticPolicy(Policy):
         fresh = {level: normal(size) for level, size in self.action_sizes().items()}
         return ExplorationNoise(fresh, normal(self.action_size), correlation)
 
-    def evaluate(
+    def embed(
         self,
         sequences: Sequences,
         samples: Tensor,
         waypoint_features: Tensor | None,
-        actions: Mapping[str, ActionBatch],
-        correlation: float,
-    ) -> dict[str, ActionEvaluation]:
-        """Recompute the distributions of `step` and the probability of what was done.
+        decision_indices: Mapping[str, Tensor],
+    ) -> dict[str, Tensor]:
+        """Encode whole sequences as `step` did; return the input of each level's `actor`.
 
         Args:
             sequences: what B robots perceived in T steps.
             samples: [P] which of the steps, as b T + t.
             waypoint_features: [P, 3] of the local level; None without a macro level.
-            actions: what each level did, and where.
-            correlation: of the noise of the local level.
+            decision_indices: [Q] in which of the samples each level decided.
+
+        Returns:
+            [Q, Y] for each level.
         """
         features, is_init, encoder_states = sequences
         steps, sets = features.ego.shape[1] - self.history, len(self.networks)
@@ -224,15 +222,65 @@ class StochasticPolicy(Policy):
         with self._precision():
             scene = self._per_parameter_set(rows, observe)
             ego = features.ego[rows, self.history + step]
-            indices = {level: batch.decision_indices for level, batch in actions.items()}
-            distributions = self._distributions(scene, ego, rows, waypoint_features, indices)
+            return self._embeddings(scene, ego, rows, waypoint_features, decision_indices)
+
+    def actor(self, level: str) -> ProbabilisticActor:
+        """Return a level as TorchRL's actor, which its losses accept.
+
+        It reads `embedding` [Q, Y] (see `embed`) and `row` [Q] (see `Policy._per_parameter_set`),
+        for the local level also `previous_noise` [Q, A] and `noise_correlation` [Q, 1]. It writes
+        `loc` and `scale` [Q, A] of the distribution of `action` given the previous noise, and
+        `mean` and `std` [Q, A] without that condition.
+        """
+        # Imported here as it takes seconds, and only training needs it.
+        from torchrl.modules import IndependentNormal, ProbabilisticActor
+
+        noise = ["previous_noise", "noise_correlation"] if level == LOCAL else []
+        head = TensorDictModule(
+            LevelHead(self, level),
+            in_keys=["embedding", "row", *noise],
+            out_keys=["loc", "scale", "mean", "std"],
+        )
+        return ProbabilisticActor(
+            head,
+            in_keys=["loc", "scale"],
+            out_keys=["action"],
+            distribution_class=IndependentNormal,
+            distribution_kwargs={"validate_args": False},
+            return_log_prob=True,
+            log_prob_key="sample_log_prob",
+        )
+
+    def evaluate(
+        self,
+        sequences: Sequences,
+        samples: Tensor,
+        waypoint_features: Tensor | None,
+        decisions: Mapping[str, TensorDict],
+    ) -> dict[str, ActionEvaluation]:
+        """Recompute the distributions of `step` and the probability of what was done.
+
+        Args:
+            sequences: what B robots perceived in T steps.
+            samples: [P] which of the steps, as b T + t.
+            waypoint_features: [P, 3] of the local level; None without a macro level.
+            decisions: of each level: TensorDicts [Q] with `index` (which of the samples),
+                `action`, and for the local level `previous_noise` and `noise_correlation`.
+        """
+        indices = {level: batch["index"] for level, batch in decisions.items()}
+        embeddings = self.embed(sequences, samples, waypoint_features, indices)
+        steps = sequences.features.ego.shape[1] - self.history
         evaluations = {}
-        for level, (mean, std) in distributions.items():
-            mean, std, batch = mean.float(), std.float(), actions[level]
-            rho = correlation if level == LOCAL else 0.0
-            normal = _given_previous_noise(mean, std, batch.previous_noise, rho)
-            log_prob, entropy = normal.log_prob(batch.action).sum(-1), normal.entropy().sum(-1)
-            evaluations[level] = ActionEvaluation(mean, std, log_prob, entropy)
+        for level, embedding in embeddings.items():
+            rows = samples[indices[level]] // steps
+            batch = decisions[level].clone(False).update({"embedding": embedding, "row": rows})
+            distribution = self.actor(level).get_dist(batch)
+            evaluations[level] = ActionEvaluation(
+                batch["mean"],
+                batch["std"],
+                distribution.log_prob(batch["action"]),
+                distribution.entropy(),
+            )
         return evaluations
 
     def resume(self, features: Frames, is_init: Tensor, state: PolicyState, rows: Tensor) -> None:
@@ -281,24 +329,29 @@ class StochasticPolicy(Policy):
         """Return what the encoder may see of the features."""
         return features
 
-    def _action_distribution(
-        self,
-        level: str,
-        scene: Any,
-        query: Tensor,
-        rows: Tensor,
-        waypoint_features: Tensor | None = None,
-    ) -> Distribution:
-        """Return the distribution of a level for the queries [P, F_e] to a scene [P, ...]."""
+    def _embedding(
+        self, scene: Any, query: Tensor, rows: Tensor, waypoint_features: Tensor | None = None
+    ) -> Tensor:
+        """Return the embedding [P, Y] of a scene [P, ...] for the queries [P, F_e] of a level."""
 
-        def distribution(net: Any, index: int, samples: Any) -> Distribution:
-            y = net.encoder.read(samples_of(scene, samples), query[samples])
-            if waypoint_features is not None:
-                y = torch.cat([y, waypoint_features[samples]], -1)
-            return Distribution(*net.heads[level](y))
+        def read(net: Any, index: int, samples: Any) -> Tensor:
+            y: Tensor = net.encoder.read(samples_of(scene, samples), query[samples])
+            return y
 
-        result: Distribution = self._per_parameter_set(rows, distribution)
-        return result
+        embedding: Tensor = self._per_parameter_set(rows, read)
+        if waypoint_features is None:
+            return embedding
+        return torch.cat([embedding, waypoint_features], -1)
+
+    def distribution(self, level: str, embedding: Tensor, rows: Tensor) -> Distribution:
+        """Return the distribution of a level's actions for embeddings [P, Y], without condition."""
+
+        def head(net: Any, index: int, samples: Any) -> Distribution:
+            return Distribution(*net.heads[level](embedding[samples]))
+
+        with self._precision():
+            mean, std = self._per_parameter_set(rows, head)
+        return Distribution(mean.float(), std.float())
 
     def _sample_local(
         self,
@@ -312,7 +365,7 @@ class StochasticPolicy(Policy):
         Returns:
             The means, what was drawn, the noise of the step before, and that of this step.
         """
-        mean, std = distribution.mean.float(), distribution.std.float()
+        mean, std = distribution
         everywhere = torch.ones_like(is_init)
         if noise is None:
             zero = torch.zeros_like(mean[:, 0])
@@ -321,12 +374,39 @@ class StochasticPolicy(Policy):
         previous = torch.where(is_init.unsqueeze(-1), noise.initial, state["noise"])
         current = rho * previous + (1.0 - rho**2) ** 0.5 * noise.fresh[LOCAL]
         action = mean + std * current
-        normal = _given_previous_noise(mean, std, previous, rho)
-        level = LevelStep(action, normal.log_prob(action).sum(-1), everywhere)
+        loc, scale = given_previous_noise(mean, std, previous, rho)
+        level = LevelStep(action, log_prob(action, loc, scale), everywhere)
         return mean, level, previous, current
 
 
-def _given_previous_noise(mean: Tensor, std: Tensor, previous: Tensor, rho: float) -> Normal:
-    """Return the distribution of correlated actions: only the fresh part of the noise is random."""
-    expected = mean + rho * std * previous if rho else mean
-    return Normal(expected, (1.0 - rho**2) ** 0.5 * std, validate_args=False)
+class LevelHead(nn.Module):
+    """One level of a policy as a module, see `StochasticPolicy.actor`."""
+
+    def __init__(self, policy: StochasticPolicy, level: str) -> None:
+        super().__init__()
+        self.policy, self.level = policy, level
+
+    def forward(
+        self,
+        embedding: Tensor,
+        row: Tensor,
+        previous_noise: Tensor | None = None,
+        noise_correlation: Tensor | float = 0.0,
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Return loc, scale, mean and std, [Q, A] each."""
+        mean, std = self.policy.distribution(self.level, embedding, row)
+        if previous_noise is None:
+            return mean, std, mean, std
+        return *given_previous_noise(mean, std, previous_noise, noise_correlation), mean, std
+
+
+def given_previous_noise(
+    mean: Tensor, std: Tensor, previous: Tensor, correlation: Tensor | float
+) -> tuple[Tensor, Tensor]:
+    """Return loc and scale of correlated actions: only the fresh part of the noise is random.
+
+    With a_t = mean + std n_t and n_t = rho n_(t-1) + sqrt(1 - rho^2) e_t, where e_t is standard
+    normal, a_t given n_(t-1) has the location mean + rho std n_(t-1) and the scale
+    sqrt(1 - rho^2) std.
+    """
+    return mean + correlation * std * previous, (1.0 - correlation**2) ** 0.5 * std

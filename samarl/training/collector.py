@@ -19,6 +19,7 @@ from samarl.observations.frames import Frames
 from samarl.planning.shield import Shield, shielded
 from samarl.policies.policy import LOCAL, Decision, Policy, PolicyState, empty_features
 from samarl.policies.stochastic import StochasticPolicy
+from samarl.reward_shaping import RewardShaping, level_rewards
 from samarl.rollout import Rollout, level_key
 from samarl.training.curriculum import CurriculumStage
 from samarl.training.restarts import SnapshotBuffer, WarmStartCrowd
@@ -35,9 +36,15 @@ class RolloutCollector:
     """
 
     def __init__(
-        self, stage: CurriculumStage, policy: Policy, steps: int, first: int, central: bool,
-        taught: bool = False,
-    ) -> None:  # fmt: skip
+        self,
+        stage: CurriculumStage,
+        policy: Policy,
+        steps: int,
+        first: int,
+        shaping: RewardShaping | None = None,
+        uses_global_state: bool = False,
+        uses_shield_targets: bool = False,
+    ) -> None:
         """Start the training cases `first`, `first + 1`, ... in the worlds of `stage`.
 
         Args:
@@ -45,21 +52,23 @@ class RolloutCollector:
             policy: decides and explores.
             steps: T.
             first: the first case number within the training split; 2 E of them are used.
-            central: store the global state too, for central critics.
-            taught: store the actions of the safety shield too.
+            shaping: of the rewards; None: none.
+            uses_global_state: store the global state too, for central critics.
+            uses_shield_targets: store the actions of the safety shield too.
         """
         self.stage, self.policy, self.steps = stage, policy, steps
-        self.uses_global_state = central
-        self.teacher = Shield() if taught else None
+        self.shaping = shaping or RewardShaping()
+        self.uses_global_state = uses_global_state
+        self.shield = Shield() if uses_shield_targets else None
         scenario, worlds = stage.scenario, stage.worlds
         self.world = World(scenario, worlds)
         self.state = policy.initial_state(worlds, scenario)
         cases = np.array([Split.training.case(first + e) for e in range(worlds)])
         self.observation = self.world.reset(cases)
         self.is_init = np.ones(worlds, np.bool_)
-        round_about = scenario.fov_degrees < policy.config.round_below
+        drives_round = scenario.fov_degrees < policy.config.round_below
         self.crowd = None
-        if stage.midway_start_probability > 0.0 and round_about:
+        if stage.midway_start_probability > 0.0 and drives_round:
             self.crowd = WarmStartCrowd(scenario, worlds, first + worlds)
         self.snapshots = SnapshotBuffer(RESTART_STEPS)
         self.age = np.zeros(worlds, np.int64)  # steps since the episode began or was restarted
@@ -73,8 +82,8 @@ class RolloutCollector:
             *(t.repeat(1, self.past + steps + 1, *[1] * (t.dim() - 2)) for t in example)
         )
         self.begins = torch.ones(self.frames.ego.shape[:2], dtype=torch.bool, device=policy.device)
-        self.decision: Decision  # for the step that comes next
-        self.before: Any = None  # what the encoders remembered before it
+        self.decision: Decision  # for the next step
+        self.encoder_before: Any = None  # state of the encoders before it
         for _ in range(RESTART_STEPS if self._restarts else 0):
             self.snapshots.append(self.world, self._memory())
         self._decide(steps)
@@ -93,35 +102,35 @@ class RolloutCollector:
         every = torch.arange(len(self.begins), device=policy.device)
         if isinstance(policy, StochasticPolicy):
             policy.resume(self.frames.at(recent), self.begins[:, recent], self.state, every)
-        began = self.before
+        encoder_before = self.encoder_before
         mask = torch.ones(world.worlds, t + 1, 1, dtype=torch.bool)
         closed: list[tuple[NDArray, Tensor, Frames, Tensor]] = []
         columns, states = [], []
         episodes: list[Episodes] = []
         for step in range(t):
-            column, state = self._step(episodes)
-            columns.append(column)
-            states.append(state)
+            states.append(state_of(world) if self.uses_global_state else None)
+            columns.append(self._decision_column() | self._step(episodes))
             back = self._begin(world.state.done)
             if back.any():
                 worlds = np.flatnonzero(back)
                 rows = self._rows_of(worlds)
                 until = mask[worlds].clone()
                 until[:, step + 1 :] = False
-                closed.append((worlds, until, *self._shown(rows)))
+                closed.append((worlds, until, *self._rollout_frames(rows)))
                 mask[worlds, : step + 1] = False
                 self._restart(worlds, back[worlds], self.past + step + 1)
             self._decide(step + 1)
-        columns.append(self._column(self.decision, None, None, None, None))
+        outcome = {key: torch.zeros_like(x) for key, x in columns[-1].items() if key[0] == "next"}
+        columns.append(self._decision_column() | outcome)
         states.append(state_of(world) if self.uses_global_state else None)
-        return self._rollout(columns, states, mask, closed, began, episodes)
+        return self._rollout(columns, states, mask, closed, encoder_before, episodes)
 
     def _decide(self, step: int) -> None:
         """Let the policy decide before step 1 to T of the rollout."""
         if self._restarts:
             self.snapshots.append(self.world, self._memory())
         if step == self.steps:
-            self.before = tree_map(torch.clone, self._policy_memory().get("encoder", ()))
+            self.encoder_before = tree_map(torch.clone, self._policy_memory().get("encoder", ()))
         scenario = self.stage.scenario
         self.active = ~self.world.state.arrived
         self.decision = self.policy.act(
@@ -134,70 +143,62 @@ class RolloutCollector:
         begins = torch.from_numpy(np.repeat(self.is_init, scenario.robots))
         self.begins[:, column] = begins.to(self.begins.device)
 
-    def _step(self, episodes: list[Episodes]) -> tuple[dict[Any, Tensor], Frames | None]:
-        """Execute the decision; return its column of the rollout and the global state."""
-        world, decision, before = self.world, self.decision, self.observation
-        state = state_of(world) if self.uses_global_state else None
-        result = world.step(decision.action)
-        rewards = self.policy.rewards(
-            result.reward, result.reward_parts, before, result.observation, self.state,
-            self.stage.scenario,
+    def _decision_column(self) -> dict[Any, Tensor]:
+        """Return what was decided for the next step, by the keys of `Rollout.steps`."""
+        decision, step = self.decision, self.decision.step
+        active = torch.from_numpy(self.active)
+        column: dict[Any, Tensor] = {
+            ("is_init",): torch.from_numpy(self.is_init[:, None].copy()),
+            ("agents", "active_mask"): active,
+            ("agents", "speed"): torch.from_numpy(_speed(self.observation)),
+        }
+        if step.previous_noise is not None:
+            column["agents", "previous_noise"] = step.previous_noise
+        if step.waypoint_features is not None:
+            column["agents", "waypoint_features"] = step.waypoint_features
+        if self.shield is not None:
+            mean = step.mean.clamp(-1.0, 1.0)
+            safe = torch.from_numpy(
+                shielded(decision.tracks, mean.numpy(), self.stage.scenario, self.shield)
+            )
+            column["agents", "safe_action"] = safe
+            column["agents", "unsafe"] = ((safe - mean).abs().amax(-1) > UNSAFE) & active
+        for name, level in decision.levels.items():
+            key = level_key(name)
+            column[(*key, "action")] = level.action
+            column[(*key, "sample_log_prob")] = level.log_prob
+            if name != LOCAL:
+                column[(*key, "decision_mask")] = level.decided & active
+        return column
+
+    def _step(self, episodes: list[Episodes]) -> dict[Any, Tensor]:
+        """Execute the decision; return its outcome by the keys of `Rollout.steps`."""
+        world = self.world
+        result = world.step(self.decision.action)
+        rewards = level_rewards(
+            self.policy, self.shaping, self.stage.scenario, self.observation, result, self.state,
+            self.active,
         )  # fmt: skip
-        ended = result.terminated | result.truncated
-        terminated = self._failed() | world.state.arrived.all(1, keepdims=True)
+        ended = (result.terminated | result.truncated)[:, None]
+        terminated = (self._failed() | world.state.arrived.all(1, keepdims=True)) & ended
         if ended.any():
-            episodes.append(episodes_of(world.state, world.scenario, ended & self.fresh))
+            episodes.append(episodes_of(world.state, world.scenario, ended[:, 0] & self.fresh))
         self.age += 1
         self.observation = result.observation
-        team = result.reward_parts.team
-        return self._column(decision, before, rewards, ended, terminated, team), state
+        outcome: dict[Any, Tensor] = {
+            ("next", "done"): torch.from_numpy(ended),
+            ("next", "agents", "terminated"): torch.from_numpy(terminated),
+        }
+        for level, reward in rewards.items():
+            outcome[("next", *level_key(level), "reward")] = torch.from_numpy(reward)
+        return outcome
 
     def _failed(self) -> NDArray[np.bool_]:
         """Return which robots ended an episode by a collision, [E, N]."""
         return (self.world.state.collision != 0) & self.stage.scenario.collisions_end
 
-    def _column(
-        self, decision: Decision, before: Observation | None, rewards: Any, ended: Any,
-        terminated: Any, team: Any = None,
-    ) -> dict[Any, Tensor]:  # fmt: skip
-        """Return one step of `Rollout.steps`, by its keys."""
-        e, n = self.world.worlds, self.stage.scenario.robots
-        if before is None:  # decided, not taken
-            before = self.observation
-            rewards = dict.fromkeys(decision.levels, np.zeros((e, n), np.float32))
-            ended, terminated = np.zeros(e, np.bool_), np.zeros((e, n), np.bool_)
-            team = np.zeros((e, n), np.float32)
-        speed = np.linalg.norm(before.ego[..., VELOCITY], axis=-1)
-        active = torch.from_numpy(self.active)
-        found: dict[Any, Tensor] = {
-            "is_init": torch.from_numpy(self.is_init[:, None].copy()),
-            ("agents", "active_mask"): active,
-            ("agents", "speed"): torch.from_numpy(speed),
-            ("next", "done"): torch.from_numpy(ended[:, None].copy()),
-            ("next", "agents", "terminated"): torch.from_numpy(terminated & ended[:, None]),
-            ("next", "agents", "team_reward"): torch.from_numpy(team.copy()),
-        }
-        if decision.step.previous_noise is not None:
-            found["agents", "noise"] = decision.step.previous_noise
-        if decision.step.waypoint_features is not None:
-            found["agents", "waypoint_features"] = decision.step.waypoint_features
-        if self.teacher is not None:
-            wanted = decision.step.mean.clamp(-1.0, 1.0)
-            safe = shielded(decision.tracks, wanted.numpy(), self.stage.scenario, self.teacher)
-            found["agents", "safe_action"] = torch.from_numpy(safe)
-            unsafe = (found["agents", "safe_action"] - wanted).abs().amax(-1) > UNSAFE
-            found["agents", "unsafe"] = unsafe & active
-        for name, level in decision.levels.items():
-            at = level_key(name)
-            found[(*at, "action")] = level.action
-            found[(*at, "sample_log_prob")] = level.log_prob
-            found[("next", *at, "reward")] = torch.from_numpy(rewards[name])
-            if name != LOCAL:
-                found[(*at, "decision_mask")] = level.decided & active
-        return found
-
     def _begin(self, ended: NDArray[np.bool_]) -> NDArray[np.int64]:
-        """Start the next episodes where one ended, or return how many steps to go back, [E]."""
+        """Start the next episodes where one ended; return how many steps to go back, [E]."""
         world, e, stage = self.world, self.world.worlds, self.stage
         back = np.zeros(e, np.int64)
         self.is_init = ended.copy()
@@ -206,20 +207,20 @@ class RolloutCollector:
                 self.crowd.step()
             return back
         if self._restarts:
-            hit = self._failed().any(1) & ended & (self.age > 1)
-            again = hit & (torch.rand(e).numpy() < stage.failure_restart_probability)
+            collided = self._failed().any(1) & ended & (self.age > 1)
+            restarts = collided & (torch.rand(e).numpy() < stage.failure_restart_probability)
             drawn = torch.randint(1, RESTART_STEPS + 1, (e,)).numpy()
-            back[again] = np.minimum(drawn, self.age)[again]
-        anew = ended & (back == 0)
-        self.is_init = anew
-        self.observation = world.reset(worlds=anew)
+            back[restarts] = np.minimum(drawn, self.age)[restarts]
+        reset = ended & (back == 0)
+        self.is_init = reset
+        self.observation = world.reset(worlds=reset)
         if self.crowd is not None:
             self.crowd.step()
-            midway = anew & (torch.rand(e).numpy() < stage.midway_start_probability)
+            midway = reset & (torch.rand(e).numpy() < stage.midway_start_probability)
             self.crowd.enter(world, midway, self.policy.config.round_radius)
             self.observation = world.observe()
         self.age[ended] = 0
-        self.fresh[ended] = anew[ended]
+        self.fresh[ended] = reset[ended]
         return back
 
     def _restart(self, worlds: NDArray, back: NDArray, column: int) -> None:
@@ -244,19 +245,19 @@ class RolloutCollector:
         rows = (worlds[:, None] * n + np.arange(n)).ravel()
         return torch.from_numpy(rows).to(self.policy.device)
 
-    def _shown(self, rows: Tensor | slice) -> tuple[Frames, Tensor]:
-        """Copy the frames of some rows that a rollout holds, and where episodes begin."""
-        shown = slice(self.past - self.policy.history, None)
-        frames = Frames(*(tensor[rows, shown].clone() for tensor in self.frames))
-        return frames, self.begins[rows, shown].clone()
+    def _rollout_frames(self, rows: Tensor | slice) -> tuple[Frames, Tensor]:
+        """Copy the frames of some rows for a rollout, and where episodes begin."""
+        columns = slice(self.past - self.policy.history, None)
+        frames = Frames(*(tensor[rows, columns].clone() for tensor in self.frames))
+        return frames, self.begins[rows, columns].clone()
 
     def _memory(self) -> list[Tensor]:
         """Return the state of the collector besides the worlds, [E, ...] each, not copied."""
-        e, found = self.world.worlds, []
+        e, parts = self.world.worlds, []
         for leaf in (self.is_init, *tree_leaves(self._policy_memory())):
             tensor = torch.from_numpy(leaf) if isinstance(leaf, np.ndarray) else leaf
-            found.append(tensor.view(e, len(tensor) // e, *tensor.shape[1:]))
-        return found
+            parts.append(tensor.view(e, len(tensor) // e, *tensor.shape[1:]))
+        return parts
 
     def _policy_memory(self) -> PolicyState:
         """Return the memory that the policy cannot recompute from the last frames; not copied."""
@@ -266,35 +267,35 @@ class RolloutCollector:
 
     def _rollout(
         self, columns: list[dict[Any, Tensor]], states: list[Frames | None], mask: Tensor,
-        closed: list, began: Any, episodes: list[Episodes],
+        closed: list, encoder_before: Any, episodes: list[Episodes],
     ) -> Rollout:  # fmt: skip
         e, device = self.world.worlds, self.policy.device
         steps = TensorDict({}, [e, self.steps + 1])
         for key in columns[0]:
             steps[key] = torch.stack([column[key] for column in columns], 1)
         steps["mask"] = mask
-        frames, begins = self._shown(slice(None))
+        frames, begins = self._rollout_frames(slice(None))
         state = None
         if self.uses_global_state:
             state = Frames.joined([s for s in states if s is not None], 1)
         if closed:
             worlds = torch.from_numpy(np.concatenate([part[0] for part in closed]))
-            again = steps[worlds]
-            again["mask"] = torch.cat([part[1] for part in closed])
-            steps = torch.cat([steps, again])
+            extra = steps[worlds]
+            extra["mask"] = torch.cat([part[1] for part in closed])
+            steps = torch.cat([steps, extra])
             frames = Frames.joined([frames, *(part[2] for part in closed)], 0)
             begins = torch.cat([begins, *(part[3] for part in closed)])
             rows = self._rows_of(worlds.numpy())
             if state is not None:
                 state = Frames.joined([state, state.of(rows.cpu())], 0)
-            sets = len(began)
-            began = tuple(
+            sets = len(encoder_before)
+            encoder_before = tuple(
                 tree_map(lambda t, i=i: torch.cat([t, t[rows[i::sets] // sets]]), of_set)
-                for i, of_set in enumerate(began)
+                for i, of_set in enumerate(encoder_before)
             )
         return Rollout(
             self.stage.scenario, self.stage.noise_correlation, steps.to(device), frames,
-            begins, began, None if state is None else state.to(device), episodes,
+            begins, encoder_before, None if state is None else state.to(device), episodes,
             e * self.steps,
         )  # fmt: skip
 
@@ -313,7 +314,7 @@ class RolloutCollector:
             "begins": self.begins,
             "decision": self.decision,
             "active": self.active,
-            "before": self.before,
+            "encoder_before": self.encoder_before,
         }
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
@@ -323,5 +324,11 @@ class RolloutCollector:
             self.crowd.world.restore(saved["crowd"])
         self.snapshots.snapshots.extend(saved["snapshots"])
         for name in ("observation", "state", "age", "fresh", "is_init", "frames", "begins",
-                     "decision", "active", "before"):  # fmt: skip
+                     "decision", "active", "encoder_before"):  # fmt: skip
             setattr(self, name, saved[name])
+
+
+def _speed(observation: Observation) -> NDArray[np.float32]:
+    """Return the speeds of all robots, [E, N] m/s."""
+    speed: NDArray[np.float32] = np.linalg.norm(observation.ego[..., VELOCITY], axis=-1)
+    return speed

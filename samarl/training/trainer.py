@@ -169,6 +169,7 @@ class Trainer:
                     self.policy,
                     self.config.rollout,
                     first + 2 * part.worlds * rank(),
+                    self.algorithm.reward_shaping,
                     self.algorithm.uses_global_state,
                     self.algorithm.uses_shield_targets,
                 )

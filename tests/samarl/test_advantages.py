@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -275,7 +274,8 @@ def test_who_arrives_early_is_paid_for_the_team_unless_everyone_is_for_himself(
             head.body[-1].weight.zero_()
             head.body[-1].bias.copy_(torch.tensor([0.8, 0.0, 0.0]))
             head.log_std.fill_(-20.0)
-    going = collector(model, 1, 24, scenario)
+    learner = algorithm(model, name, gae_lambda=1.0, local_discount=0.9, **changes)
+    going = collector(model, 1, 24, scenario, learner.reward_shaping)
     state = going.world.state
     for n, far in enumerate((1.5, 3.5)):
         goal, start = state.robot_goal[0, n], state.robot_start[0, n]
@@ -283,20 +283,18 @@ def test_who_arrives_early_is_paid_for_the_team_unless_everyone_is_for_himself(
         state.robot_position[0, n] = goal - far * ahead
         state.robot_heading[0, n] = np.arctan2(ahead[1], ahead[0])
     going.observation = going.world.observe()
-    steps = going.collect().steps
+    rollout = going.collect()
+    steps = rollout.steps
     end = int(steps["next", "done"][0, :, 0].nonzero()[0])
     early = int((~steps["agents", "active_mask"][0, :, 0]).nonzero()[0])
     assert 0 < early < end - 3
     assert steps["next", "agents", "terminated"][0, end].all()
-    team = scenario.reward.team
-    assert steps["next", "agents", "team_reward"][0, end].tolist() == [team, team]
-    assert steps["next", "agents", "team_reward"].sum().item() == pytest.approx(2 * team)
-    learner = algorithm(model, name, gae_lambda=1.0, local_discount=0.9, **changes)
-    zero = torch.zeros_like(steps["agents", "speed"])
-    rollout: Any = SimpleNamespace(steps=steps, scenario=scenario)
-    _, target, _, _ = learner._advantages(LOCAL, rollout, zero)
     rewards = [float(r) for r in steps["next", "agents", "reward"][0, : end + 1, 0]]
-    alone = sum(0.9**k * r for k, r in enumerate(rewards)) - 0.9**end * team
-    paid = share * 0.9**end * team
-    assert target[0, 0, 0].item() == pytest.approx(alone + paid, rel=1e-4)
-    assert rewards[-1] == pytest.approx(team)
+    assert rewards[-1] == pytest.approx(share * scenario.reward.team)
+    with torch.no_grad():  # all values are zero
+        for parameter in learner.heads[LOCAL].last.parameters():
+            parameter.zero_()
+    features = torch.zeros(1, 25, 2, learner.config.critic_features)
+    target = learner._level_batch(LOCAL, rollout, features)["value_target"]
+    expected = sum(0.9**k * r for k, r in enumerate(rewards))
+    assert target[0, 0, 0].item() == pytest.approx(expected, rel=1e-4)

@@ -5,11 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from tensordict import TensorDict
 
 from mrsan import World
 from samarl.algorithms.critics import PopArtHead
-from samarl.algorithms.ppo import value_loss
 from samarl.observations.features import state_of
+from samarl.policies.policy import LOCAL
+from tests import learning
 from tests.learning import SCENARIO
 
 
@@ -36,12 +38,19 @@ def test_the_scale_is_that_of_the_targets() -> None:
 
 
 def test_a_value_is_not_led_further_than_the_clip() -> None:
-    value, before = torch.tensor([1.5], requires_grad=True), torch.tensor([1.0])
-    loss = value_loss(value, before, torch.tensor([3.0]), 0.2)
+    learner = learning.algorithm(learning.policy("flat"), clip_epsilon=0.2)
+    head = learner.heads[LOCAL]
+    with torch.no_grad():
+        head.last.weight.zero_()
+        head.last.bias.fill_(1.5)
+    size = learner.config.critic_features
+    numbers = {"critic_features": torch.zeros(1, size), "state_value": torch.ones(1, 1)}
+    samples = TensorDict({**numbers, "value_target": torch.full((1, 1), 3.0)}, [1])
+    loss = learner.losses[LOCAL].loss_critic(samples)[0].mean()
     assert loss.item() == pytest.approx((3.0 - 1.2) ** 2)
     loss.backward()
-    assert value.grad is not None
-    assert value.grad.item() == 0.0
+    assert head.last.bias.grad is not None
+    assert head.last.bias.grad.item() == 0.0
 
 
 def test_critics_see_everybody_with_their_goals() -> None:

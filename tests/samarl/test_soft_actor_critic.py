@@ -51,7 +51,7 @@ def learner(of: SquashedPolicy, **changes: Any) -> SoftActorCritic:
 def collected(of: SquashedPolicy, rounds: int = 3, **stage: Any) -> Rollout:
     """A rollout of crowded worlds, in the middle of episodes."""
     stage = {"scenario": SCENARIO, **stage}
-    going = RolloutCollector(CurriculumStage(12, **stage), of, 10, 0, central=False)
+    going = RolloutCollector(CurriculumStage(12, **stage), of, 10, 0)
     for _ in range(rounds - 1):
         going.collect()
     return going.collect()
@@ -202,12 +202,12 @@ def batch_of(
     s, t, n = on_way.shape
     scenario = Scenario(kinematics=Kinematics.holonomic, robots=n, humans=2)
     policy = squashed()
-    going = RolloutCollector(CurriculumStage(s, scenario=scenario), policy, t - 1, 0, False)
+    going = RolloutCollector(CurriculumStage(s, scenario=scenario), policy, t - 1, 0)
     rollout = going.collect()
     steps = rollout.steps
     steps["agents", "active_mask"] = on_way
-    steps["next", "agents", "reward"] = torch.tensor(reward)
-    steps["next", "agents", "team_reward"] = torch.zeros(s, t, n)
+    paid = torch.tensor(reward)
+    steps["next", "agents", "reward"] = paid.sum(-1, True).expand_as(paid) if team else paid
     steps["next", "done"] = torch.tensor(done).unsqueeze(-1)
     steps["next", "agents", "terminated"] = torch.tensor(terminated)
     return sequences_of(rollout, team)
@@ -240,7 +240,7 @@ def test_where_values_are_learned_and_where_they_end() -> None:
     assert alone["acts"].tolist() == [
         [[o, o], [o, o], [x, o]], [[o, o], [x, x], [o, o]], [[o, o], [o, o], [x, o]]
     ]  # fmt: skip
-    assert alone["going"][alone["acts"]].tolist() == [
+    assert alone["continues"][alone["acts"]].tolist() == [
         o, o, x, o, x, o, o, o, o, o, o, o, o, x
     ]  # fmt: skip
     assert alone["reward"].tolist() == [row[:3] for row in REWARD]
@@ -252,7 +252,7 @@ def test_where_values_are_learned_and_where_they_end() -> None:
     assert team["acts"].tolist() == [
         [[o, o], [o, o], [x, o]], [[o, o], [x, x], [o, o]], [[o, o], [o, o], [o, o]]
     ]  # fmt: skip
-    ends = ~team["going"]
+    ends = ~team["continues"]
     assert ends.nonzero().tolist() == [[0, 2, 0], [0, 2, 1], [2, 2, 0], [2, 2, 1]]
     assert team["reward"][0].tolist() == [[3.0, 3.0], [13.0, 13.0], [-20.0, -20.0]]
 
@@ -303,10 +303,10 @@ def losses(algorithm: SoftActorCritic, batch: TensorDict) -> list[Tensor]:
     now, later = y[:, :-1], y[:, 1:].detach()
     loss, _ = algorithm.critic_loss(batch, now, algorithm.targets(batch, later))
     loss.backward()
-    of_critics = [p.grad.clone() for p in algorithm.valuing if p.grad is not None]
+    of_critics = [p.grad.clone() for p in algorithm.critic_parameters if p.grad is not None]
     loss, _ = algorithm.actor_loss(batch, now.detach())
     loss.backward()
-    return of_critics + [p.grad.clone() for p in algorithm.acting if p.grad is not None]
+    return of_critics + [p.grad.clone() for p in algorithm.actor_parameters if p.grad is not None]
 
 
 @pytest.mark.parametrize("encoder", ["temporal_spatial_graph", "social_attention"])
@@ -339,8 +339,8 @@ def test_the_actor_does_not_move_the_encoder_nor_the_critics() -> None:
     y = features(policy, batch)[:, :-1].detach()
     loss, _ = algorithm.actor_loss(batch, y)
     loss.backward()
-    assert all(p.grad is None for p in algorithm.valuing)
-    assert all(p.grad is not None for p in algorithm.acting)
+    assert all(p.grad is None for p in algorithm.critic_parameters)
+    assert all(p.grad is not None for p in algorithm.actor_parameters)
     assert all(p.requires_grad for p in algorithm.critics.parameters())
 
 
@@ -361,7 +361,7 @@ def test_the_target_networks_follow_slowly() -> None:
         policy.networks[0].encoder.values.fill_(1.0)
         algorithm.target_policy.networks[0].encoder.values.fill_(0.0)
     for expected in (0.25, 0.25 + 0.75 * 0.25):
-        algorithm._follow()
+        algorithm._update_targets()
         assert (algorithm.target_policy.networks[0].encoder.values == expected).all()
 
 
@@ -392,7 +392,7 @@ def test_teams_of_other_sizes_are_kept_apart() -> None:
     )
     algorithm.update([one, three])
     assert sorted(len(replay) for replay in algorithm.replays.values()) == [12, 12]
-    assert algorithm.kept == 240
+    assert algorithm.steps_stored == 240
     for _ in range(3):
         statistics = algorithm.update([one])
     assert all(math.isfinite(value) for value in statistics.values())
@@ -415,7 +415,7 @@ def test_it_learns_to_drive_to_the_goal() -> None:
         policy, learning_starts=400, updates=10, batch=16, learning_rate=2e-3, team_reward=False,
         target_rate=0.03, discount=0.9,
     )  # fmt: skip
-    going = RolloutCollector(CurriculumStage(16, scenario=scenario), policy, 10, 0, False)
+    going = RolloutCollector(CurriculumStage(16, scenario=scenario), policy, 10, 0)
     paid = []
     for _ in range(30):
         rollout = going.collect()

@@ -17,7 +17,12 @@ from tests import learning
 def test_the_shield_is_asked_about_what_the_policy_would_do_without_noise() -> None:
     policy, scenario = learning.policy("flat", gain=30.0), learning.crowded()
     going = RolloutCollector(
-        CurriculumStage(16, scenario=scenario), policy, 1, 0, True, taught=True
+        CurriculumStage(16, scenario=scenario),
+        policy,
+        1,
+        0,
+        uses_shield_targets=True,
+        uses_global_state=True,
     )
     for _ in range(20):
         decision = going.decision
@@ -43,7 +48,12 @@ def test_the_policy_learns_what_the_shield_would_do_where_it_is_unsafe() -> None
         advantage_filter_fraction=0.25,
     )
     going = RolloutCollector(
-        CurriculumStage(16, scenario=scenario), policy, 16, 0, True, taught=True
+        CurriculumStage(16, scenario=scenario),
+        policy,
+        16,
+        0,
+        uses_shield_targets=True,
+        uses_global_state=True,
     )
     rollout = going.collect()
     unsafe = rollout.steps["agents", "unsafe"][:, :-1]
@@ -71,21 +81,30 @@ def test_every_decision_counts_the_same_whatever_its_level() -> None:
     rollout = learning.collector(policy, 6, 12).collect()
     statistics: dict[str, list[float]] = defaultdict(list)
     prepared = learner.prepare([rollout], statistics)
-    acts = prepared[0][LOCAL].where
-    kept = acts & (torch.rand(acts.shape) < 0.3)  # else the advantages add up to nothing
+    acts = prepared[0][LOCAL]["decides"]
+    selected = acts & (torch.rand(acts.shape) < 0.3)  # of all, the advantages add up to zero
     every = torch.arange(len(rollout.steps))
-    loss = learner._loss(rollout, prepared[0], kept, every, statistics, [])
+    loss = learner._policy_loss(rollout, every, prepared[0], selected, statistics, [])
     # Before anything has moved all ratios are 1: the objective is minus the advantage.
-    total = sum(float(x.advantage[x.where & kept].sum()) for x in prepared[0].values())
-    assert abs(float(loss) + total / int(kept.sum())) < 1e-4
+    total = sum(
+        float(data["advantage"][data["decides"] & selected].sum()) for data in prepared[0].values()
+    )
+    assert abs(float(loss.detach()) + total / int(selected.sum())) < 1e-4
     assert abs(total) > 1.0
 
 
 def test_a_metre_costs_what_it_should() -> None:
     policy, scenario = learning.policy("flat"), replace(learning.SCENARIO, humans=0, robots=1)
-    rollout = learning.collector(policy, 4, 12, scenario).collect()
-    free, costly = (learning.algorithm(policy, path_penalty=p) for p in (0.0, 0.5))
-    taken = (free._level_reward(rollout, LOCAL) - costly._level_reward(rollout, LOCAL)).sum(1)
+    rollouts = []
+    for penalty in (0.0, 0.5):
+        torch.manual_seed(0)
+        learner = learning.algorithm(policy, path_penalty=penalty)
+        learner.set_progress(0.0)
+        shaping = learner.reward_shaping
+        rollouts.append(learning.collector(policy, 4, 12, scenario, shaping).collect())
+    free, rollout = rollouts
+    key = ("next", "agents", "reward")
+    taken = (free.steps[key] - rollout.steps[key])[:, :-1].sum(1)
     speed = rollout.steps["agents", "speed"][:, 1:]  # nobody arrives, collides or runs out of time
     assert not rollout.steps["next", "done"].any()
     torch.testing.assert_close(taken, 0.5 * 0.25 * speed.sum(1))

@@ -175,7 +175,7 @@ def test_a_run_stopped_within_a_round_goes_on_bit_for_bit(
     assert weights[0].read_bytes() == weights[1].read_bytes()
 
 
-@pytest.mark.parametrize(("number", "of"), [("advantage", "actor"), ("target", "critic")])
+@pytest.mark.parametrize(("number", "of"), [("advantage", "actor"), ("value_target", "critic")])
 def test_a_loss_that_is_not_finite_stops_the_run_and_names_the_last_good_state(
     number: str,
     of: str,
@@ -190,9 +190,7 @@ def test_a_loss_that_is_not_finite_stops_the_run_and_names_the_last_good_state(
         calls.append(arguments)
         (data,) = prepare(self, *arguments)
         if len(calls) == 3:
-            data[LOCAL] = data[LOCAL]._replace(
-                **{number: getattr(data[LOCAL], number) * float("nan")}
-            )
+            data[LOCAL][number] *= float("nan")
         return [data]
 
     monkeypatch.setattr(PPO, "prepare", poisoned)

@@ -234,13 +234,14 @@ def test_kept_samples_are_those_of_the_largest_advantages() -> None:
     prepared = learner.prepare(
         [collector(model).collect()], {"losses/local_explained_variance": []}
     )
-    (kept,) = learner._largest_advantages(prepared)
-    level = prepared[0][LOCAL]
-    size = level.advantage.abs()
-    assert kept.sum().item() == pytest.approx(0.25 * level.where.sum().item(), abs=2)
-    assert size[kept].min() >= size[level.where & ~kept].max()
-    assert level.advantage[level.where].mean().item() == pytest.approx(0.0, abs=1e-5)
-    assert level.advantage[level.where].std().item() == pytest.approx(1.0, abs=1e-4)
+    (selected,) = learner._select(prepared)
+    local = prepared[0][LOCAL]
+    decides, advantage = local["decides"], local["advantage"].squeeze(-1)
+    size = advantage.abs()
+    assert selected.sum().item() == pytest.approx(0.25 * decides.sum().item(), abs=2)
+    assert size[selected].min() >= size[decides & ~selected].max()
+    assert advantage[decides].mean().item() == pytest.approx(0.0, abs=1e-5)
+    assert advantage[decides].std().item() == pytest.approx(1.0, abs=1e-4)
 
 
 @pytest.mark.parametrize(

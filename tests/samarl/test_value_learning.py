@@ -228,7 +228,6 @@ def rollout_of(
                 "done": torch.tensor(done).unsqueeze(-1),
                 "agents": {
                     "reward": torch.tensor(reward),
-                    "team_reward": torch.zeros(s, t, n),
                     "terminated": torch.tensor(terminated),
                 },
             },
@@ -272,8 +271,6 @@ def test_what_a_value_is_regressed_on() -> None:
         ],
         mask=[[o, o, o, o], [o, o, o, o], [x, o, o, o]],
     )
-    rollout.steps["next", "agents", "team_reward"][0, 1, 0] = 5.0
-    rollout.steps["next", "agents", "reward"][0, 1, 0] = 15.0
     samples = samples_of(rollout)
     now, then = (samples[name, "ego"][:, 0] for name in ("now", "next"))
     assert (then[:, 0] == now[:, 0] + 1).all()
@@ -282,7 +279,7 @@ def test_what_a_value_is_regressed_on() -> None:
     found = {
         (int(row) // 2, int(step), int(row) % 2): (float(r), bool(goes_on))
         for step, row, r, goes_on in zip(
-            now[:, 0], now[:, 1], samples["reward"], samples["going"], strict=True
+            now[:, 0], now[:, 1], samples["reward"], samples["continues"], strict=True
         )
     }
     assert found == {

@@ -1,0 +1,104 @@
+"""Reward shaping: what each level of a policy is paid in training, from the world's named terms.
+
+It happens here alone, while experience is collected; algorithms read only the result.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mrsan import Observation, Scenario, Step
+from mrsan.features import GOAL, VELOCITY
+from samarl.observations.features import to_world
+from samarl.policies.hierarchical import HierarchicalConfig
+from samarl.policies.policy import LOCAL, MACRO, Policy, PolicyState
+
+Floats = NDArray[np.float32]
+
+
+@dataclass
+class RewardShaping:
+    """The shaping that an algorithm asks for, which is the same for all policies."""
+
+    path_penalty: float = 0.0  # per metre driven
+    team_bonus: bool = True  # include the reward for the arrival of the whole team
+    shared: bool = False  # each robot receives the sum over its team (MSA3C, Eq. 5)
+
+
+def level_rewards(
+    policy: Policy,
+    shaping: RewardShaping,
+    scenario: Scenario,
+    before: Observation,
+    step: Step,
+    state: PolicyState,
+    active: NDArray[np.bool_],
+) -> dict[str, Floats]:
+    """Return the reward of each level for one step, [E, N] each.
+
+    The top level is paid by the task. A local level below it is paid for following its waypoint.
+
+    Args:
+        policy: which decided.
+        shaping: what the algorithm asks for.
+        scenario: the task.
+        before: the observation from which the decision was made.
+        step: the outcome, whose observation is from before any reset.
+        state: the policy's memory after the decision.
+        active: [E, N] the robots that had not arrived when the step began.
+    """
+    task = _task_reward(policy, shaping, scenario, before, step)
+    rewards = {LOCAL: task}
+    if MACRO in policy.levels:
+        waypoint = state["waypoint"].view(*task.shape, 2).cpu().numpy()
+        rewards = {MACRO: task, LOCAL: _waypoint_reward(policy.config, waypoint, before, step)}
+    if shaping.path_penalty > 0.0:
+        speed = np.linalg.norm(step.observation.ego[..., VELOCITY], axis=-1)
+        penalty = np.float32(shaping.path_penalty * scenario.time_step) * speed * active
+        rewards = {level: reward - penalty for level, reward in rewards.items()}
+    return rewards
+
+
+def _task_reward(
+    policy: Policy, shaping: RewardShaping, scenario: Scenario, before: Observation, step: Step
+) -> Floats:
+    """Return the task's reward [E, N], with progress along the route instead of to the goal."""
+    reward, parts = step.reward, step.reward_parts
+    if scenario.fov_degrees < policy.config.round_below:
+        target = to_world(policy.route(before.ego, scenario), before.ego)
+        progress = np.float32(scenario.reward.progress) * progress_to(target, before, step)
+        reward = np.where(parts.progress != 0.0, reward - parts.progress + progress, reward)
+    if not shaping.team_bonus:
+        reward = reward - parts.team
+    if shaping.shared:
+        reward = np.repeat(reward.sum(1, keepdims=True), reward.shape[1], 1)
+    return reward
+
+
+def _waypoint_reward(
+    config: HierarchicalConfig, waypoint: Floats, before: Observation, step: Step
+) -> Floats:
+    """Return the reward [E, N] of a local level, with progress to waypoints [E, N, 2].
+
+    The arrival bonus exceeds the discounted value of endless waypoint following; otherwise the
+    robot would circle its waypoint.
+    """
+    parts = step.reward_parts
+    progress = np.float32(config.waypoint_progress) * progress_to(waypoint, before, step)
+    reward = parts.collision + parts.discomfort + parts.lookahead
+    reward += np.where(parts.progress != 0.0, progress, np.float32(0.0))
+    reward += parts.arrival + np.float32(config.arrival_bonus) * (parts.arrival > 0.0)
+    return reward
+
+
+def progress_to(target: Floats, before: Observation, step: Step) -> Floats:
+    """Return by how many metres each robot came nearer to a target in the world frame, [E, N]."""
+
+    def distance(ego: Floats) -> Floats:
+        position = to_world(np.zeros_like(ego[..., GOAL]), ego)
+        return np.linalg.norm(position - target, axis=-1)
+
+    return distance(before.ego) - distance(step.observation.ego)
