@@ -36,7 +36,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 class CrowdModel:
     """The functions of a crowd model; see `mrsan.kernels.people` for their arguments."""
 
-    name: str
+    variant: str  # names the cache file of the compiled step
     choose_velocities: Any  # of all people of a world
     update_presence: Any = enter_and_leave
     crowd_velocity: Any = None  # of one person, which `walk_to_goals` calls
@@ -88,8 +88,10 @@ def register_crowd(name: str, settings: type | None = None) -> Callable[[F], F]:
                 f"crowd model {name} takes {', '.join(signature(source).parameters)}; it must "
                 f"take {', '.join(expected)}"
             )
+        # A cached kernel refers to the module of the function, so it is of no use to another one.
         CROWDS[name] = CrowdModel(
-            name, walk_to_goals, crowd_velocity=function(source), settings=settings,
+            f"{name}_{source.__module__}", walk_to_goals, crowd_velocity=function(source),
+            settings=settings,
             kernel_settings=(lambda scenario: ()) if settings is None else _conversion(settings),
         )  # fmt: skip
         return source
@@ -174,18 +176,19 @@ class SocialForceSettings(NamedTuple):
         )
 
 
-for _model in (
-    CrowdModel(
-        Crowd.orca.value, walk_to_goals, crowd_velocity=orca_crowd, kernel_settings=OrcaSettings.of
+CROWDS |= {
+    Crowd.orca.value: CrowdModel(
+        "orca", walk_to_goals, crowd_velocity=orca_crowd, kernel_settings=OrcaSettings.of
     ),
-    CrowdModel(
-        Crowd.social_force.value, walk_to_goals, crowd_velocity=social_force_crowd,
+    Crowd.social_force.value: CrowdModel(
+        "social_force", walk_to_goals, crowd_velocity=social_force_crowd,
         kernel_settings=SocialForceSettings.of,
     ),
-    CrowdModel(Crowd.still.value, stand_still),
-    CrowdModel(Crowd.recorded.value, walk_as_recorded, update_presence=follow_recording),
-):  # fmt: skip
-    CROWDS[_model.name] = _model
+    Crowd.still.value: CrowdModel("still", stand_still),
+    Crowd.recorded.value: CrowdModel(
+        "recorded", walk_as_recorded, update_presence=follow_recording
+    ),
+}  # fmt: skip
 
 
 def crowd_model(name: Any) -> CrowdModel:
@@ -229,7 +232,7 @@ def check_crowd(name: Any, settings: Any) -> None:
 def step_kernel(model: CrowdModel) -> kernel:
     """Return the kernel that moves worlds whose people follow a crowd model."""
     return advance.variant(
-        model.name,
+        model.variant,
         choose_velocities=model.choose_velocities,
         update_presence=model.update_presence,
         crowd_velocity=model.crowd_velocity,

@@ -107,8 +107,8 @@ def scenarios() -> st.SearchStrategy[dict[str, Any]]:
     choices = {
         f.name: values(f, hints[f.name])
         for f in dataclasses.fields(Scenario)
-        if "low" in f.metadata or f.type in ("bool", "Layout", "Crowd", "Kinematics")
-    }
+        if "low" in f.metadata or f.type in ("bool", "Layout", "Kinematics")
+    } | {"crowd": st.sampled_from(list(Crowd))}
     return st.lists(st.sampled_from(sorted(choices)), unique=True, max_size=12).flatmap(
         lambda names: st.fixed_dictionaries({name: choices[name] for name in names})
     )
