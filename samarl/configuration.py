@@ -48,7 +48,9 @@ def register_schemas() -> None:
     """Let Hydra check types and names against the dataclasses."""
     store = ConfigStore.instance()
     store.store(name="config_schema", node=Config)
-    store.store(group="scenario", name="schema", node=Scenario)
+    scenario = OmegaConf.structured(Scenario)
+    OmegaConf.set_struct(scenario.crowd_settings, False)  # its names depend on the crowd model
+    store.store(group="scenario", name="schema", node=scenario)
     store.store(group="evaluation", name="schema", node=Evaluation)
 
 

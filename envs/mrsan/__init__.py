@@ -10,6 +10,7 @@ ensure_compile_cache()  # before anything is compiled
 
 from mrsan.cases import Split
 from mrsan.choices import Crowd, Kinematics, Layout, TeamPerception
+from mrsan.crowds import register_crowd
 from mrsan.features import EGO_FEATURES, OTHER_FEATURES
 from mrsan.fields import ConfigurationError
 from mrsan.metrics import Episodes, Outcome, social_score
@@ -39,6 +40,7 @@ __all__ = [
     "Step",
     "TeamPerception",
     "World",
+    "register_crowd",
     "social_score",
 ]
 

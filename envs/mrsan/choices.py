@@ -1,4 +1,4 @@
-"""The named choices of a scenario; values are the numbers that kernels compare with."""
+"""The named choices of a scenario; except for `Crowd`, values are the numbers of the kernels."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from mrsan.kernels import team as team_kernel
 
 
 class Crowd(StrEnum):
-    """The crowd models that ship; a plugin can register others, see `mrsan.crowds`."""
+    """The built-in crowd models; `mrsan.register_crowd` adds others."""
 
     orca = "orca"
     social_force = "social_force"
     still = "still"
-    recorded = "recorded"  # as in a file; of more than `humans` the nearest
+    recorded = "recorded"  # people of a file; of more than `humans`, the nearest
 
 
 class Layout(Enum):

@@ -1,4 +1,4 @@
-"""Where compiled kernels are kept, and what is said while they are made."""
+"""The folder of compiled kernels, and a notice while kernels are compiled."""
 
 from __future__ import annotations
 
@@ -15,56 +15,56 @@ from numba.core import event
 
 
 def ensure_compile_cache() -> None:
-    """Let Numba keep kernels in a temporary folder where it cannot keep them anywhere else.
+    """Let Numba cache kernels in a temporary folder if it can cache them nowhere else.
 
-    It keeps them beside the package, or in the home; in a container that runs as another user it
-    may write in neither and would refuse to compile at all.
+    By default Numba writes beside the package or into the home folder. In a container that runs as
+    another user, it may be able to write to neither and would refuse to compile.
     """
     try:
-        numba.njit(cache=True)(_anything)
+        numba.njit(cache=True)(_probe)
     except RuntimeError:
         config.CACHE_DIR = str(_temporary_folder())
-        print(f"compiled kernels are kept in {config.CACHE_DIR}: neither the package's folder nor "
-              "the home can be written", file=sys.stderr, flush=True)  # fmt: skip
+        print(f"compiled kernels are cached in {config.CACHE_DIR}: neither the package's folder "
+              "nor the home folder is writable", file=sys.stderr, flush=True)  # fmt: skip
 
 
-def _anything() -> None:
-    """A function that could be compiled."""
+def _probe() -> None:
+    """Do nothing: Numba looks for a cache folder when this function is decorated."""
 
 
 def _temporary_folder() -> Path:
-    """A folder of this user's that nobody else can write: what lies in it is executed."""
+    """Return a folder that only this user can write to, because its content is executed."""
     user = os.getuid() if hasattr(os, "getuid") else 0
     folder = Path(tempfile.gettempdir()) / f"mrsan-kernels-{user}"
     folder.mkdir(mode=0o700, exist_ok=True)
-    found = folder.lstat()
-    private = found.st_uid == user and not found.st_mode & 0o077 and stat.S_ISDIR(found.st_mode)
-    if private or sys.platform == "win32":  # there the temporary folder is the user's own
+    status = folder.lstat()
+    private = status.st_uid == user and not status.st_mode & 0o077 and stat.S_ISDIR(status.st_mode)
+    if private or sys.platform == "win32":  # where every user has a temporary folder
         return folder
     return Path(tempfile.mkdtemp(prefix="mrsan-kernels-"))
 
 
-class _Announcer(event.Listener):
-    """Says what is being compiled, so that nobody wonders at the pause."""
+class _CompilationNotice(event.Listener):
+    """Print what is being compiled, once each, to explain the pause."""
 
     def __init__(self) -> None:
-        self.said: set[str] = set()
+        self.printed: set[str] = set()
 
     def on_start(self, event: Any) -> None:
-        """Numba begins to compile (a kernel found in the cache does not come here)."""
+        """Print a notice; Numba does not call this for kernels that it loads from the cache."""
         function = event.data["dispatcher"].py_func
         package, _, module = str(function.__module__).rpartition(".")
         if package.startswith("mrsan"):
-            many = function.__qualname__.endswith("_parallel")
-            what = f"the simulator of {'many worlds' if many else 'one world'}"
+            parallel = function.__qualname__.endswith("_parallel")
+            subject = f"the simulator of {'many worlds' if parallel else 'one world'}"
         else:
-            what = module.replace("_", " ")
-        if package.startswith(("mrsan", "samarl")) and what not in self.said:
-            self.said.add(what)
-            print(f"Compiling {what} (once) ...", file=sys.stderr, flush=True)
+            subject = module.replace("_", " ")
+        if package.startswith(("mrsan", "samarl")) and subject not in self.printed:
+            self.printed.add(subject)
+            print(f"Compiling {subject} (once) ...", file=sys.stderr, flush=True)
 
     def on_end(self, event: Any) -> None:
-        """Nothing to say."""
+        """Do nothing; the interface requires this method."""
 
 
-event.register("numba:compile", _Announcer())
+event.register("numba:compile", _CompilationNotice())

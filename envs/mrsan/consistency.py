@@ -1,4 +1,4 @@
-"""Settings of a scenario that contradict each other."""
+"""Checks of the settings of a scenario against each other."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from mrsan.fields import ConfigurationError
 if TYPE_CHECKING:
     from mrsan.scenario import Scenario
 
-_MOST_COVERED = 0.35  # share of a walled floor that discs at starts and goals may cover
+_MAX_COVERAGE = 0.35  # largest share of a walled floor that discs at starts and goals may cover
 
 
 def check_consistency(s: Scenario) -> None:
@@ -72,12 +72,12 @@ def _check_order(s: Scenario) -> None:
 def _check_arena(s: Scenario, arena_radius: float) -> None:
     """Check that the wall leaves room for the starts and goals of all robots."""
     layouts = _layouts(s)
-    refused = f"scenario.arena_radius is {arena_radius}; "
+    invalid = f"scenario.arena_radius is {arena_radius}; "
     if any(layout is not Layout.circle for layout in layouts):
         smallest = s.floor_size / math.sqrt(2.0) + s.robot_radius
         if arena_radius < smallest:
             raise ConfigurationError(
-                f"{refused}it must be null or at least {smallest:.2f}, so that the corners of the "
+                f"{invalid}it must be null or at least {smallest:.2f}, so that the corners of the "
                 "floor lie inside"
             )
     circle = Layout.circle in layouts
@@ -85,15 +85,15 @@ def _check_arena(s: Scenario, arena_radius: float) -> None:
     smallest = s.circle_radius + jitter + s.robot_radius
     if circle and arena_radius < smallest:
         raise ConfigurationError(
-            f"{refused}it must be null or at least {smallest:.2f}, so that every start and goal "
+            f"{invalid}it must be null or at least {smallest:.2f}, so that every start and goal "
             "lies inside"
         )
     # Each start and goal keeps a disc of this radius free of the other robots'.
     disc = s.robot_radius + s.spawn_clearance / 2
     floor_radius = arena_radius - s.robot_radius - jitter
-    if 2 * s.robots * disc**2 > _MOST_COVERED * floor_radius**2:
-        smallest = math.sqrt(2 * s.robots / _MOST_COVERED) * disc + s.robot_radius + jitter
+    if 2 * s.robots * disc**2 > _MAX_COVERAGE * floor_radius**2:
+        smallest = math.sqrt(2 * s.robots / _MAX_COVERAGE) * disc + s.robot_radius + jitter
         raise ConfigurationError(
-            f"{refused}{s.robots} robots with scenario.spawn_clearance {s.spawn_clearance} need "
+            f"{invalid}{s.robots} robots with scenario.spawn_clearance {s.spawn_clearance} need "
             f"at least {smallest:.2f}"
         )

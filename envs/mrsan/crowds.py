@@ -1,7 +1,7 @@
 """Crowd models: the compiled functions that move people, by the names that scenarios use.
 
-A custom crowd model is a function that chooses the next velocity of one person, registered by a
-module that commands import with `plugins=[module]`; `register_crowd` describes its arguments.
+A custom crowd model is a function that chooses the next velocity of one person. A user's module
+registers it with `register_crowd`, and commands import that module with `plugins=[module]`.
 """
 
 from __future__ import annotations
@@ -10,7 +10,8 @@ from collections import namedtuple
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from functools import cache
-from typing import Any, NamedTuple, TypeVar, get_type_hints
+from inspect import signature
+from typing import Any, NamedTuple, TypeVar, cast, get_type_hints
 
 import numpy as np
 
@@ -35,11 +36,11 @@ F = TypeVar("F", bound=Callable[..., Any])
 class CrowdModel:
     """The functions of a crowd model; see `mrsan.kernels.people` for their arguments."""
 
-    name: str
+    variant: str  # names the cache file of the compiled step
     choose_velocities: Any  # of all people of a world
     update_presence: Any = enter_and_leave
     crowd_velocity: Any = None  # of one person, which `walk_to_goals` calls
-    settings: type | None = None  # dataclass of `Scenario.crowd_settings`; None: there are none
+    settings: type | None = None  # dataclass of `Scenario.crowd_settings`; None: it has none
     kernel_settings: Callable[[Any], tuple[Any, ...]] = lambda scenario: ()
 
 
@@ -61,45 +62,88 @@ def register_crowd(name: str, settings: type | None = None) -> Callable[[F], F]:
     - `max_speed`: the preferred speed;
     - `p`: the scenario's parameters, such as `p.time_step`;
     - `settings`: the model's own settings, such as `settings.reach`;
-    - `scratch`: the arrays of `mrsan.kernels.orca.orca_room` to work in.
+    - `scratch`: the working arrays that `mrsan.kernels.orca.orca_room` returns.
 
     Args:
-        name: value of `Scenario.crowd`.
-        settings: a dataclass of the model's own settings, each with a default, whose values
-            `Scenario.crowd_settings` changes; None: there are none.
+        name: value of `Scenario.crowd`, an identifier. A later model of the same name replaces an
+            earlier one, except the built-in ones.
+        settings: a dataclass of the model's own settings, whose values `Scenario.crowd_settings`
+            changes. Each has a default and is a number declared by `mrsan.fields.number`, a bool
+            or an enum. None: the model has no settings.
+
+    Raises:
+        ValueError: the name is not an identifier or belongs to a built-in model.
+        TypeError: the function or the settings do not have the required form.
     """
+    if not name.isidentifier() or name in Crowd.__members__:
+        raise ValueError(
+            f"the name of a crowd model is {name!r}; it must be an identifier other than "
+            f"{', '.join(Crowd)}"
+        )
 
     def register(source: F) -> F:
+        expected = list(signature(orca_crowd).parameters)
+        if len(signature(source).parameters) != len(expected):
+            raise TypeError(
+                f"crowd model {name} takes {', '.join(signature(source).parameters)}; it must "
+                f"take {', '.join(expected)}"
+            )
+        # A cached kernel refers to the module of the function, so it is of no use to another one.
         CROWDS[name] = CrowdModel(
-            name, walk_to_goals, crowd_velocity=function(source), settings=settings,
-            kernel_settings=(lambda scenario: ()) if settings is None else _reader(settings),
+            f"{name}_{source.__module__}", walk_to_goals, crowd_velocity=function(source),
+            settings=settings,
+            kernel_settings=(lambda scenario: ()) if settings is None else _conversion(settings),
         )  # fmt: skip
         return source
 
     return register
 
 
-def _reader(settings: type) -> Callable[[Any], tuple[Any, ...]]:
-    """Return what reads `Scenario.crowd_settings` into a named tuple, the form that Numba takes."""
-    hints = get_type_hints(settings)
-    forms = {f.name: kernel_form(hints[f.name]) for f in fields(settings)}
-    for name, form in forms.items():
-        if form is None:
+def _conversion(schema: type) -> Callable[[Any], tuple[Any, ...]]:
+    """Return the function from a scenario to the settings of its crowd model, a named tuple."""
+    schema()  # raises TypeError if a setting has no default
+    hints = get_type_hints(schema)
+    forms: dict[str, Callable[[Any], Any]] = {}
+    for field in fields(schema):
+        form = kernel_form(hints[field.name])
+        if form is None or (hints[field.name] in (int, float) and "low" not in field.metadata):
             raise TypeError(
-                f"{settings.__name__}.{name} has type {hints[name]}; a setting of a crowd model "
-                "must be a float, an int, a bool or an enum"
+                f"{schema.__name__}.{field.name} is declared as {hints[field.name]}; a setting of "
+                "a crowd model must be a number declared by mrsan.fields.number, a bool or an enum"
             )
-    numbers: Any = namedtuple("Numbers", forms)  # type: ignore[misc]
-    # Numba stores the type in its cache, so it must be importable.
-    numbers.__module__ = settings.__module__
-    numbers.__qualname__ = f"{settings.__qualname__}.Numbers"
-    settings.Numbers = numbers  # type: ignore[attr-defined]
+        forms[field.name] = form
+    settings_tuple = __getattr__(_PREFIX + ":".join(forms))
 
-    def read(scenario: Any) -> tuple[Any, ...]:
-        values = settings(**scenario.crowd_settings)
-        return numbers(*(form(getattr(values, name)) for name, form in forms.items() if form))
+    def convert(scenario: Any) -> tuple[Any, ...]:
+        settings = _checked_settings(schema, scenario.crowd_settings)
+        values = (form(getattr(settings, name)) for name, form in forms.items())
+        return cast(tuple[Any, ...], settings_tuple(*values))
 
-    return read
+    return convert
+
+
+def _checked_settings(schema: type, values: dict[str, Any]) -> Any:
+    settings = schema(**values)
+    check_numbers(settings, "scenario.crowd_settings")
+    return settings
+
+
+_PREFIX = "CrowdSettings:"
+
+
+@cache
+def __getattr__(name: str) -> Any:
+    """Return the named-tuple class of settings with the names in `CrowdSettings:name:name`.
+
+    Numba stores this class in its cache by module and name, and loads it even when the cached
+    kernel is out of date. A class in the user's module would no longer exist after it was renamed.
+    """
+    if not name.startswith(_PREFIX):
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    names = name.removeprefix(_PREFIX).split(":")
+    settings_tuple: Any = namedtuple("CrowdSettings", names)  # type: ignore[misc]
+    settings_tuple.__module__, settings_tuple.__qualname__ = __name__, name
+    return settings_tuple
 
 
 class OrcaSettings(NamedTuple):
@@ -111,7 +155,7 @@ class OrcaSettings(NamedTuple):
 
     @classmethod
     def of(cls, s: Any) -> OrcaSettings:
-        """Return those of a scenario."""
+        """Return the settings of a scenario."""
         return cls(
             np.float32(s.neighbor_distance), int(s.max_neighbors), np.float32(s.time_horizon)
         )
@@ -126,24 +170,39 @@ class SocialForceSettings(NamedTuple):
 
     @classmethod
     def of(cls, s: Any) -> SocialForceSettings:
-        """Return those of a scenario."""
+        """Return the settings of a scenario."""
         return cls(
             np.float32(s.relaxation_time), np.float32(s.force_strength), np.float32(s.force_range)
         )
 
 
-for _model in (
-    CrowdModel(
-        Crowd.orca.value, walk_to_goals, crowd_velocity=orca_crowd, kernel_settings=OrcaSettings.of
+CROWDS |= {
+    Crowd.orca.value: CrowdModel(
+        "orca", walk_to_goals, crowd_velocity=orca_crowd, kernel_settings=OrcaSettings.of
     ),
-    CrowdModel(
-        Crowd.social_force.value, walk_to_goals, crowd_velocity=social_force_crowd,
+    Crowd.social_force.value: CrowdModel(
+        "social_force", walk_to_goals, crowd_velocity=social_force_crowd,
         kernel_settings=SocialForceSettings.of,
     ),
-    CrowdModel(Crowd.still.value, stand_still),
-    CrowdModel(Crowd.recorded.value, walk_as_recorded, update_presence=follow_recording),
-):  # fmt: skip
-    CROWDS[_model.name] = _model
+    Crowd.still.value: CrowdModel("still", stand_still),
+    Crowd.recorded.value: CrowdModel(
+        "recorded", walk_as_recorded, update_presence=follow_recording
+    ),
+}  # fmt: skip
+
+
+def crowd_model(name: Any) -> CrowdModel:
+    """Return the crowd model of a name.
+
+    Raises:
+        ConfigurationError: no such model is registered in this process.
+    """
+    if not isinstance(name, str) or name not in CROWDS:
+        raise ConfigurationError(
+            f"scenario.crowd is {name!r}; it must be one of {', '.join(CROWDS)} or registered in "
+            "this process: import its module, in commands by plugins=[module]"
+        )
+    return CROWDS[name]
 
 
 def check_crowd(name: Any, settings: Any) -> None:
@@ -152,16 +211,11 @@ def check_crowd(name: Any, settings: Any) -> None:
     Raises:
         ConfigurationError: there is no such model, or a setting is unknown or out of range.
     """
-    if not isinstance(name, str) or name not in CROWDS:
-        raise ConfigurationError(
-            f"scenario.crowd is {name!r}; it must be one of {', '.join(CROWDS)} (plugins=[module] "
-            "registers others)"
-        )
+    schema = crowd_model(name).settings
     if not isinstance(settings, dict):
         raise ConfigurationError(
-            f"scenario.crowd_settings is {settings!r}; it must be names with their values"
+            f"scenario.crowd_settings is {settings!r}; it must be a mapping from names to values"
         )
-    schema = CROWDS[name].settings
     names = [] if schema is None else [f.name for f in fields(schema)]
     for key in settings:
         if key not in names:
@@ -171,14 +225,14 @@ def check_crowd(name: Any, settings: Any) -> None:
                 f"{permitted}"
             )
     if schema is not None:
-        check_numbers(schema(**settings), "scenario.crowd_settings")
+        _checked_settings(schema, settings)
 
 
 @cache
 def step_kernel(model: CrowdModel) -> kernel:
     """Return the kernel that moves worlds whose people follow a crowd model."""
     return advance.variant(
-        model.name,
+        model.variant,
         choose_velocities=model.choose_velocities,
         update_presence=model.update_presence,
         crowd_velocity=model.crowd_velocity,

@@ -30,7 +30,7 @@ Array = NDArray[Any]
 
 
 def as_spaces(scenario: Scenario) -> tuple[spaces.Dict, spaces.Box]:
-    """The observation and action space of one robot."""
+    """Return the observation and the action space of one robot."""
 
     def floats(*shape: int) -> spaces.Box:
         return spaces.Box(-np.inf, np.inf, shape, np.float32)
@@ -53,25 +53,25 @@ def as_spaces(scenario: Scenario) -> tuple[spaces.Dict, spaces.Box]:
     }
     if scenario.team_tracks:
         entries |= {"humans_reported": flags(scenario.humans), "robots_reported": flags(others)}
-    # No empty spaces: some libraries drop them on one side and not on the other.
+    # Without empty spaces, which some libraries drop from spaces but not from observations.
     entries = {key: space for key, space in entries.items() if 0 not in (space.shape or ())}
     return spaces.Dict(entries), spaces.Box(-1.0, 1.0, (scenario.action_size,), np.float32)
 
 
 def robot_observations(observation: Observation, world: int) -> list[dict[str, Array]]:
-    """What each robot of a world observes, as `as_spaces` describes it."""
+    """Return the observation of each robot of a world, in the form of `as_spaces`."""
     arrays = _arrays(observation).items()
     robots = range(observation.ego.shape[1])
     return [{key: value[world, robot] for key, value in arrays} for robot in robots]
 
 
 def robot_reward_parts(step: Step, world: int, robot: int) -> NDArray[np.float32]:
-    """What the reward of one robot is the sum of, in the order of `mrsan.RewardParts`."""
+    """Return the terms of the reward of one robot, in the order of `mrsan.RewardParts`."""
     return np.array([part[world, robot] for part in step.reward_parts], np.float32)
 
 
 def end_info(world: World, index: int, robot: int) -> dict[str, Any]:
-    """How the episode of world `index` ended for all, and for `robot`."""
+    """Return how the episode of world `index` ended for the team and for `robot`."""
     mask = np.arange(world.worlds) == index
     episodes = episodes_of(world.state, world.scenario, mask)
     return {
@@ -95,8 +95,8 @@ def _single_robot(scenario: Scenario | None, overrides: dict[str, Any]) -> Scena
     scenario = overridden(scenario, overrides)
     if scenario.robots != 1:
         raise ConfigurationError(
-            f"scenario.robots is {scenario.robots}; Gymnasium drives 1, use the PettingZoo or "
-            "TorchRL environment for several"
+            f"scenario.robots is {scenario.robots}; it must be 1 in a Gymnasium environment (use "
+            "the PettingZoo or TorchRL environment for several robots)"
         )
     return scenario
 
@@ -104,13 +104,13 @@ def _single_robot(scenario: Scenario | None, overrides: dict[str, Any]) -> Scena
 class GymnasiumEnv(gymnasium.Env[dict[str, Array], Array]):
     """One robot in one world; `gymnasium.make("mrsan/SocialNavigation-v0", humans=5)`.
 
-    `reset(seed=s)` plays case `s`; without a seed the next episode of it. The `info` of a step has
-    `arrived` and `reward_parts`, in the order of `mrsan.RewardParts`, and that of the last
-    `is_success`, `outcome` and `social_score`. `render_mode` "rgb_array" gives pictures
-    [512, 512, 3], "human" opens a window.
+    `reset(seed=s)` begins case `s`; without a seed, the next episode of the same case. The `info`
+    of a step contains `arrived` and `reward_parts`, in the order of `mrsan.RewardParts`, and that
+    of the last step also `is_success`, `outcome` and `social_score`. `render_mode` "rgb_array"
+    returns pictures [512, 512, 3]; "human" opens a window.
     """
 
-    metadata = {"render_modes": RENDER_MODES, "render_fps": 4}  # noqa: RUF012 (as Gymnasium has it)
+    metadata = {"render_modes": RENDER_MODES, "render_fps": 4}  # noqa: RUF012 (as in Gymnasium)
 
     observation_space: spaces.Space[Any]
     action_space: spaces.Space[Any]
@@ -118,28 +118,34 @@ class GymnasiumEnv(gymnasium.Env[dict[str, Array], Array]):
     def __init__(
         self, scenario: Scenario | None = None, render_mode: str | None = None, **overrides: Any
     ) -> None:
-        """Make a world of `scenario` (SAMARL's with one robot) with `overrides` of its fields."""
+        """Create a world.
+
+        Args:
+            scenario: the task. None: SAMARL's, with one robot.
+            render_mode: None, "rgb_array" or "human".
+            **overrides: fields of the scenario, such as `humans=5`.
+        """
         self.scenario = _single_robot(scenario, overrides)
         self.world = World(self.scenario)
         self._renderer = Renderer(render_mode, self.scenario)
         self.render_mode, self.metadata = render_mode, self._renderer.metadata
         self.observation_space, self.action_space = as_spaces(self.scenario)
-        self._fresh = True
+        self._is_first_reset = True
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Array], dict[str, Any]]:
-        """Begin case `seed`, or the next episode."""
+        """Begin case `seed`; without a seed, the next episode of the same case."""
         super().reset(seed=seed)
-        if seed is None and self._fresh:
+        if seed is None and self._is_first_reset:
             seed = int(self.np_random.integers(2**31))
-        self._fresh = False
+        self._is_first_reset = False
         observation = self.world.reset(None if seed is None else [seed])
-        self._renderer.moved(self.world)
+        self._renderer.update_window(self.world)
         return robot_observations(observation, 0)[0], {"arrived": False}
 
     def step(self, action: Array) -> tuple[dict[str, Array], float, bool, bool, dict[str, Any]]:
-        """Move by one time step.
+        """Move the robot by one time step.
 
         Raises:
             ActionError: the action is not a number, out of range or of the wrong shape.
@@ -150,7 +156,7 @@ class GymnasiumEnv(gymnasium.Env[dict[str, Array], Array]):
                 f"action has shape {action.shape}; it must have {self.action_space.shape}"
             )
         step = self.world.step(action[None, None])
-        self._renderer.moved(self.world)
+        self._renderer.update_window(self.world)
         terminated, truncated = bool(step.terminated[0]), bool(step.truncated[0])
         info: dict[str, Any] = {
             "arrived": bool(self.world.state.arrived[0, 0]),
@@ -162,11 +168,11 @@ class GymnasiumEnv(gymnasium.Env[dict[str, Array], Array]):
         return observation, float(step.reward[0, 0]), terminated, truncated, info
 
     def render(self) -> Array | None:
-        """The picture in mode "rgb_array", [512, 512, 3] uint8; else None."""
+        """Return the picture in mode "rgb_array", [512, 512, 3] uint8; otherwise None."""
         return self._renderer.frame(self.world)
 
     def close(self) -> None:
-        """Close the window, if there is one."""
+        """Close the window if there is one."""
         self._renderer.close()
 
 
@@ -174,8 +180,8 @@ class GymnasiumVectorEnv(VectorEnv[dict[str, Array], Array, Array]):
     """E single-robot worlds stepped together, with Gymnasium's three autoreset modes.
 
     `gymnasium.make_vec("mrsan/SocialNavigation-v0", num_envs=64, autoreset_mode="SameStep")`.
-    World `e` plays case `seed + e`, so it gives the numbers that `SyncVectorEnv` of E single
-    environments gives.
+    World `e` plays case `seed + e`, so the results equal those of a `SyncVectorEnv` of E single
+    environments.
     """
 
     def __init__(
@@ -186,9 +192,17 @@ class GymnasiumVectorEnv(VectorEnv[dict[str, Array], Array, Array]):
         render_mode: str | None = None,
         **overrides: Any,
     ) -> None:
-        """Make `num_envs` worlds of `scenario` with `overrides` of its fields."""
+        """Create the worlds.
+
+        Args:
+            num_envs: their number E.
+            scenario: the task. None: SAMARL's, with one robot.
+            autoreset_mode: when a world that has ended begins its next episode.
+            render_mode: None or "rgb_array".
+            **overrides: fields of the scenario, such as `humans=5`.
+        """
         if render_mode == "human":
-            raise ConfigurationError("render_mode is 'human'; it must be None or rgb_array here")
+            raise ConfigurationError("render_mode is 'human'; it must be None or rgb_array")
         self.scenario = _single_robot(scenario, overrides)
         self.num_envs = num_envs
         self.autoreset_mode = AutoresetMode(autoreset_mode)
@@ -199,7 +213,7 @@ class GymnasiumVectorEnv(VectorEnv[dict[str, Array], Array, Array]):
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.world = World(self.scenario, num_envs)
-        self._fresh = True
+        self._is_first_reset = True
 
     def reset(
         self,
@@ -207,16 +221,21 @@ class GymnasiumVectorEnv(VectorEnv[dict[str, Array], Array, Array]):
         seed: int | list[int | None] | None = None,
         options: dict[str, Any] | None = None,
     ) -> tuple[dict[str, Array], dict[str, Any]]:
-        """Begin cases `seed`, `seed + 1`, ...; `options["reset_mask"]` [E] resets only some."""
+        """Begin cases `seed`, `seed + 1`, ...; without a seed, the next episodes of the same cases.
+
+        Args:
+            seed: case of the first world, or [E] the case of each; None: as before.
+            options: `options["reset_mask"]`, [E] bool, are the worlds to reset; None: all.
+        """
         mask = np.ones(self.num_envs, np.bool_)
         if options is not None and "reset_mask" in options:
             mask = np.asarray(options["reset_mask"])
             if mask.shape != (self.num_envs,) or mask.dtype != np.bool_:
                 raise ValueError(f"reset_mask is {mask!r}; it must be {self.num_envs} booleans")
         super().reset(seed=seed if isinstance(seed, int) else None)
-        if seed is None and self._fresh:
+        if seed is None and self._is_first_reset:
             seed = int(self.np_random.integers(2**31))
-        self._fresh = False
+        self._is_first_reset = False
         if seed is None or isinstance(seed, int):
             seeds = [None if seed is None else seed + e for e in range(self.num_envs)]
         else:
@@ -232,7 +251,7 @@ class GymnasiumVectorEnv(VectorEnv[dict[str, Array], Array, Array]):
         return self._batch(self.world.observe()), info
 
     def step(self, actions: Array) -> tuple[dict[str, Array], Array, Array, Array, dict[str, Any]]:
-        """Move every world by one time step, and reset those that ended as the mode says.
+        """Move every world by one time step; reset ended worlds according to the autoreset mode.
 
         Raises:
             ActionError: an action is not a number, out of range or of the wrong shape.
@@ -287,13 +306,13 @@ class GymnasiumVectorEnv(VectorEnv[dict[str, Array], Array, Array]):
         return self._batch(observation), reward, step.terminated, step.truncated, infos
 
     def render(self) -> tuple[Array, ...] | None:
-        """A picture of every world in mode "rgb_array", [512, 512, 3] uint8 each; else None."""
+        """Return pictures [512, 512, 3] uint8 of all worlds in mode "rgb_array"; otherwise None."""
         if self.render_mode is None:
             return None
         return tuple(self._renderer.picture(self.world, e) for e in range(self.num_envs))
 
     def _endings(self, done: Array) -> dict[str, Any]:
-        """Outcome and social score of the worlds that ended, in Gymnasium's vector form."""
+        """Return success, outcome and social score of ended worlds, in Gymnasium's vector form."""
         episodes = episodes_of(self.world.state, self.scenario, done)
         outcome = np.full(self.num_envs, None, dtype=object)
         outcome[done] = [Outcome(value).name for value in episodes.outcome[:, 0]]

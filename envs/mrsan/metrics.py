@@ -45,7 +45,7 @@ class Episodes(NamedTuple):
     ran_into_human: NDArray[np.bool_]  # [B, N] it hit a human that did not approach faster
     steps: NDArray[np.int64]  # [B]
     arrived: NDArray[np.bool_]  # [B, N] in time, regardless of collisions
-    contacts: NDArray[np.float64]  # [B, N] contacts begun; two robots share one
+    contacts: NDArray[np.float64]  # [B, N] beginnings of contacts; two robots share one
     comfort_share: NDArray[np.float64]  # [B, N] share of steps within 0.25 m of a human
 
     @property

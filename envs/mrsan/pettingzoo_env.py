@@ -25,10 +25,11 @@ Array = NDArray[Any]
 class PettingZooEnv(ParallelEnv[str, dict[str, Array], Array]):
     """N robots named `robot_0`, ... in one world.
 
-    All robots stay until the joint episode ends (a collision, all arrived, the time limit): a
-    robot that has arrived parks, its action is ignored and may be left out, and it still shares
-    the team's bonus. `reset(seed=s)` plays case `s`; without a seed the next episode of it. The
-    infos of a step have `arrived` and `reward_parts`, in the order of `mrsan.RewardParts`.
+    All robots stay until the joint episode ends (by a collision, the last arrival or the time
+    limit). A robot that has arrived parks: its action is ignored and may be omitted, and it still
+    receives the team's bonus. `reset(seed=s)` begins case `s`; without a seed, the next episode of
+    the same case. The infos of a step contain `arrived` and `reward_parts`, in the order of
+    `mrsan.RewardParts`, and those of the last step also the entries of `end_info`.
 
     Examples:
         >>> env = PettingZooEnv(humans=5)
@@ -47,7 +48,13 @@ class PettingZooEnv(ParallelEnv[str, dict[str, Array], Array]):
     def __init__(
         self, scenario: Scenario | None = None, render_mode: str | None = None, **overrides: Any
     ) -> None:
-        """Make one world of `scenario` (SAMARL's by default) with `overrides` of its fields."""
+        """Create one world.
+
+        Args:
+            scenario: the task. None: SAMARL's.
+            render_mode: None, "rgb_array" or "human".
+            **overrides: fields of the scenario, such as `humans=5`.
+        """
         self.scenario = overridden(scenario, overrides)
         self.world = World(self.scenario)
         self._renderer = Renderer(render_mode, self.scenario)
@@ -60,26 +67,26 @@ class PettingZooEnv(ParallelEnv[str, dict[str, Array], Array]):
         self.action_spaces = dict.fromkeys(self.possible_agents, action)
         numbers = 8 * self.scenario.robots + 6 * self.scenario.humans
         self.state_space = spaces.Box(-np.inf, np.inf, (numbers,), np.float32)
-        self._fresh = True
+        self._is_first_reset = True
 
     def observation_space(self, agent: str) -> spaces.Space[Any]:
-        """What `agent` observes."""
+        """Return the observation space of `agent`."""
         return self.observation_spaces[agent]
 
     def action_space(self, agent: str) -> spaces.Space[Any]:
-        """How `agent` acts."""
+        """Return the action space of `agent`."""
         return self.action_spaces[agent]
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, dict[str, Array]], dict[str, dict[str, Any]]]:
-        """Begin case `seed`, or the next episode."""
-        if seed is None and self._fresh:
+        """Begin case `seed`; without a seed, the next episode of the same case."""
+        if seed is None and self._is_first_reset:
             seed = int(np.random.default_rng().integers(2**31))
-        self._fresh = False
+        self._is_first_reset = False
         observation = self.world.reset(None if seed is None else [seed])
         self.agents = list(self.possible_agents)
-        self._renderer.moved(self.world)
+        self._renderer.update_window(self.world)
         return self._split(observation), {agent: {"arrived": False} for agent in self.agents}
 
     def step(
@@ -108,9 +115,9 @@ class PettingZooEnv(ParallelEnv[str, dict[str, Array], Array]):
                     )
                 joint[0, i] = action
             elif not self.world.state.arrived[0, i]:
-                raise ActionError(f"action of {agent} is missing; it is still on its way")
+                raise ActionError(f"action of {agent} is missing; only arrived robots may omit it")
         step = self.world.step(joint)
-        self._renderer.moved(self.world)
+        self._renderer.update_window(self.world)
         terminated, truncated = bool(step.terminated[0]), bool(step.truncated[0])
         arrived = self.world.state.arrived[0]
         infos: dict[str, dict[str, Any]] = {
@@ -130,29 +137,30 @@ class PettingZooEnv(ParallelEnv[str, dict[str, Array], Array]):
         )
 
     def render(self) -> Array | None:
-        """The picture in mode "rgb_array", [512, 512, 3] uint8; else None."""
+        """Return the picture in mode "rgb_array", [512, 512, 3] uint8; otherwise None."""
         return self._renderer.frame(self.world)
 
     def close(self) -> None:
-        """Close the window, if there is one."""
+        """Close the window if there is one."""
         self._renderer.close()
 
     def state(self) -> Array:
-        """The true state of everybody, flat: see `mrsan.World`.
+        """Return the true state of all agents as one array, in the units of `mrsan.World`.
 
         Returns:
-            [8 N + 6 M] of each robot position, velocity, heading, goal and whether it has arrived,
-            then of each human whether it is there, position, velocity and radius (zero if not).
+            [8 N + 6 M]: the position, velocity, heading, goal and arrival (0 or 1) of each robot,
+            then the presence (0 or 1), position, velocity and radius of each human, all zero for
+            absent humans.
         """
         s, e = self.world.state, 0
         robots = (s.robot_position[e], s.robot_velocity[e], s.robot_heading[e, :, None],
                   s.robot_goal[e], s.arrived[e, :, None])  # fmt: skip
-        there = s.human_present[e, :, None]
+        present = s.human_present[e, :, None]
         humans = np.concatenate(
-            [there, s.human_position[e], s.human_velocity[e], s.human_radius[e, :, None]], axis=1
+            [present, s.human_position[e], s.human_velocity[e], s.human_radius[e, :, None]], axis=1
         )
         return np.concatenate(
-            [np.concatenate(robots, axis=1).ravel(), (humans * there).ravel()]
+            [np.concatenate(robots, axis=1).ravel(), (humans * present).ravel()]
         ).astype(np.float32)
 
     def _split(self, observation: Observation) -> dict[str, dict[str, Array]]:

@@ -23,7 +23,7 @@ from mrsan.state import Bools, Floats
 SHIPPED = Path(__file__).parent / "predictors"
 FORMAT = 1  # of a weights file and its card
 MOST_HISTORY = 200  # largest number of positions that a network reads
-MOVING = 0.05  # slower people have no direction of their own, m/s
+MIN_MOVING_SPEED = 0.05  # slower people have no direction of motion, m/s
 
 
 class Predictor(ABC):
@@ -68,7 +68,7 @@ def register_predictor(name: str) -> Callable[[P], P]:
 
 @register_predictor("constant_velocity")
 class ConstantVelocity(Predictor):
-    """All people keep their velocities."""
+    """Predicts that all people keep their velocities."""
 
     def predict(self, past: Floats, valid: Bools, velocity: Floats, steps: int) -> Floats:
         """See `Predictor.predict`."""
@@ -80,7 +80,7 @@ class RecurrentPredictor(ConstantVelocity):
     """Constant velocity plus offsets from a small network, for each person separately.
 
     Its inputs and outputs are in the person's own frame, so predictions rotate with the world. A
-    person who has not moved lately has no such frame and stays. Zero weights give constant
+    person who has not moved recently has no such frame and stays. Zero weights give constant
     velocity.
     """
 
@@ -118,9 +118,9 @@ def own_frame(
     """Return people's last velocities in their own frames, which face their last direction.
 
     Args:
-        past: see `Predictor.predict`.
-        valid: likewise.
-        velocity: likewise.
+        past: [..., M, H, 2] positions, see `Predictor.predict`, m.
+        valid: [..., M, H] bool, which of them are valid.
+        velocity: [..., M, 2] present velocities, m/s.
         time_step: s.
 
     Returns:
@@ -133,10 +133,12 @@ def own_frame(
     velocities = np.concatenate([earlier, velocity[..., None, :]], -2)
     readable = np.concatenate([readable, np.ones((*readable.shape[:-1], 1), np.bool_)], -1)
     speed = np.sqrt((velocities * velocities).sum(-1))
-    moved = readable & (speed > MOVING)
+    moved = readable & (speed > MIN_MOVING_SPEED)
     last = moved.shape[-1] - 1 - moved[..., ::-1].argmax(-1)[..., None]
     direction = np.take_along_axis(velocities, last[..., None], -2)[..., 0, :]
-    direction = direction / np.maximum(np.take_along_axis(speed, last, -1), np.float32(MOVING))
+    direction = direction / np.maximum(
+        np.take_along_axis(speed, last, -1), np.float32(MIN_MOVING_SPEED)
+    )
     direction = np.where(moved.any(-1, keepdims=True), direction, np.float32(0.0))
     return unrotate_vectors(velocities, direction[..., None, :]), readable, direction
 
@@ -145,7 +147,7 @@ def find_predictor(name: str, time_step: float, field: str = "predictor") -> Pre
     """Return a predictor by its name or weights file.
 
     Args:
-        name: a registered name, a shipped file without its extension, or the path of a file.
+        name: a registered name, an included file without its extension, or the path of a file.
         time_step: of the simulator, s.
         field: name of the setting, for errors.
 
@@ -201,14 +203,14 @@ def load_recurrent(path: Path, time_step: float, field: str = "predictor") -> Re
     if not abs(trained_for - time_step) <= 1e-6:
         raise ConfigurationError(
             f"{field}: {path.name} predicts in steps of {trained_for:g} s; scenario.time_step is "
-            f"{time_step:g}"
+            f"{time_step:g} and must be the same"
         )
     return RecurrentPredictor(_checked_weights(content, path, field), history, time_step)
 
 
 def _checked_weights(content: bytes, path: Path, field: str) -> dict[str, NDArray[Any]]:
     """Return the weights in a file, which must have the names and shapes of a network."""
-    from safetensors import SafetensorError  # only here: robots may run without it
+    from safetensors import SafetensorError  # imported here because robots may run without it
     from safetensors.numpy import load
 
     try:

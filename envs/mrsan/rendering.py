@@ -1,4 +1,4 @@
-"""One state of a world as a picture, for `render_mode` of the wrappers."""
+"""Pictures of the state of a world, for `render_mode` of the wrappers."""
 
 from __future__ import annotations
 
@@ -13,23 +13,27 @@ from mrsan.scenario import Scenario
 from mrsan.world import World
 
 RENDER_MODES = ["rgb_array", "human"]
-_SIZE = 512  # pixels a side
-_FINE = 2  # drawn so many times larger and then reduced, which smooths the edges
+_SIZE = 512  # side of the picture, pixels
+_OVERSAMPLING = 2  # drawn larger by this factor and then reduced, which smooths the edges
 _MARGIN = 1.5  # m around the circle on which robots start
-_VIEW = 3.0  # m, how far the view of a robot is outlined at most
-# Okabe and Ito's, which colour-blind readers tell apart.
+_VIEW_RANGE = 3.0  # m, largest range at which the field of view of a robot is outlined
+# The palette of Okabe and Ito, which colour-blind readers can tell apart.
 ROBOT_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 _PERSON, _ZONE, _GRID, _INK = "#8C8C8C", "#F0F0F0", "#E4E4E4", "#222222"
 
 
 class Renderer:
-    """Draws worlds of a scenario, and shows them in a window where the mode is `human`."""
+    """Draws worlds of a scenario, and shows them in a window if the mode is `human`."""
 
     def __init__(self, mode: str | None, scenario: Scenario) -> None:
-        """Of `mode` None nothing is drawn.
+        """Prepare to draw.
+
+        Args:
+            mode: one of `RENDER_MODES`. None: nothing is drawn.
+            scenario: the task of the worlds.
 
         Raises:
-            ConfigurationError: there is no such mode, or no window to be had.
+            ConfigurationError: there is no such mode, or no screen for a window.
         """
         if mode is not None and mode not in RENDER_MODES:
             raise ConfigurationError(
@@ -42,15 +46,15 @@ class Renderer:
         self._window = _Window(scenario.time_step) if mode == "human" else None
 
     def picture(self, world: World, index: int = 0) -> NDArray[np.uint8]:
-        """The state of one world, [512, 512, 3]."""
-        return _Drawing(self.scenario).of(world, index)
+        """Draw the state of one world, [512, 512, 3]."""
+        return _Drawing(self.scenario).picture(world, index)
 
     def frame(self, world: World) -> NDArray[np.uint8] | None:
-        """What `render()` of a single environment returns."""
+        """Return what `render()` of a single environment returns."""
         return self.picture(world) if self.mode == "rgb_array" else None
 
-    def moved(self, world: World) -> None:
-        """Called after every reset and step: the window follows by itself."""
+    def update_window(self, world: World) -> None:
+        """Show the state of the world after a reset or step, in mode `human`."""
         if self._window is not None:
             self._window.show(self.picture(world))
 
@@ -61,34 +65,34 @@ class Renderer:
 
 
 class _Drawing:
-    """From metres to pixels."""
+    """One picture in progress; converts metres to pixels."""
 
     def __init__(self, scenario: Scenario) -> None:
         self.scenario = scenario
         half = scenario.half_extent + _MARGIN
-        self.half, self.scale = half, _FINE * _SIZE / (2 * half)
-        self.image = Image.new("RGB", (_FINE * _SIZE, _FINE * _SIZE), "white")
+        self.half, self.scale = half, _OVERSAMPLING * _SIZE / (2 * half)
+        self.image = Image.new("RGB", (_OVERSAMPLING * _SIZE, _OVERSAMPLING * _SIZE), "white")
         self.draw = ImageDraw.Draw(self.image)
 
-    def of(self, world: World, index: int) -> NDArray[np.uint8]:
+    def picture(self, world: World, index: int) -> NDArray[np.uint8]:
         state, scenario = world.state, self.scenario
         self._grid()
         people = np.flatnonzero(state.human_present[index])
         zone = scenario.reward.discomfort_distance
         for j in people:
-            where, radius = state.human_position[index, j], float(state.human_radius[index, j])
-            self._disc(where, radius + zone, fill=_ZONE)
+            centre, radius = state.human_position[index, j], float(state.human_radius[index, j])
+            self._disc(centre, radius + zone, fill=_ZONE)
         for j in people:
-            where, radius = state.human_position[index, j], float(state.human_radius[index, j])
-            self._disc(where, radius, fill=_PERSON)
-            self._line(where, where + state.human_velocity[index, j], _PERSON)
-        for i, where in enumerate(state.robot_position[index]):
-            self._robot(state, index, i, where)
+            centre, radius = state.human_position[index, j], float(state.human_radius[index, j])
+            self._disc(centre, radius, fill=_PERSON)
+            self._line(centre, centre + state.human_velocity[index, j], _PERSON)
+        for i, centre in enumerate(state.robot_position[index]):
+            self._robot(state, index, i, centre)
         label = f"{state.clock[index] * scenario.time_step:.2f} s"
-        self.draw.text((12, 8), label, fill=_INK, font_size=14 * _FINE)
-        return np.asarray(self.image.reduce(_FINE))
+        self.draw.text((12, 8), label, fill=_INK, font_size=14 * _OVERSAMPLING)
+        return np.asarray(self.image.reduce(_OVERSAMPLING))
 
-    def _robot(self, state: Any, index: int, i: int, where: NDArray[np.float32]) -> None:
+    def _robot(self, state: Any, index: int, i: int, centre: NDArray[np.float32]) -> None:
         scenario, colour = self.scenario, ROBOT_COLOURS[i % len(ROBOT_COLOURS)]
         goal, radius = state.robot_goal[index, i], scenario.robot_radius
         for turn in (0.0, np.pi / 2):
@@ -97,24 +101,24 @@ class _Drawing:
         self._disc(goal, radius, outline=colour)
         heading = float(state.robot_heading[index, i])
         if scenario.fov_degrees < 360.0 and not state.arrived[index, i]:
-            self._view(where, heading, colour)
+            self._field_of_view(centre, heading, colour)
         hit = state.collision[index, i] != 0
-        self._disc(where, radius, fill=colour, outline="#C00000" if hit else None, width=4)
-        nose = where + 1.6 * radius * np.array([np.cos(heading), np.sin(heading)])
-        self._line(where, nose, _INK)
+        self._disc(centre, radius, fill=colour, outline="#C00000" if hit else None, width=4)
+        nose = centre + 1.6 * radius * np.array([np.cos(heading), np.sin(heading)])
+        self._line(centre, nose, _INK)
 
-    def _view(self, where: NDArray[np.float32], heading: float, colour: str) -> None:
+    def _field_of_view(self, centre: NDArray[np.float32], heading: float, colour: str) -> None:
         half = np.radians(self.scenario.fov_degrees) / 2
-        reach = min(_VIEW, self.scenario.sensing_range)
+        reach = min(_VIEW_RANGE, self.scenario.sensing_range)
         angles = heading + np.linspace(-half, half, 24)
-        arc = where + reach * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-        edge = [self._pixel(point) for point in (where, *arc, where)]
-        self.draw.line(edge, fill=colour, width=_FINE)
+        arc = centre + reach * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+        outline = [self._pixel(point) for point in (centre, *arc, centre)]
+        self.draw.line(outline, fill=colour, width=_OVERSAMPLING)
 
     def _grid(self) -> None:
-        for at in np.arange(-2 * int(self.half / 2), self.half, 2.0):
-            self._line(np.array([at, -self.half]), np.array([at, self.half]), _GRID, 1)
-            self._line(np.array([-self.half, at]), np.array([self.half, at]), _GRID, 1)
+        for offset in np.arange(-2 * int(self.half / 2), self.half, 2.0):
+            self._line(np.array([offset, -self.half]), np.array([offset, self.half]), _GRID, 1)
+            self._line(np.array([-self.half, offset]), np.array([self.half, offset]), _GRID, 1)
 
     def _pixel(self, point: NDArray[Any]) -> tuple[float, float]:
         x, y = float(point[0]), float(point[1])
@@ -126,25 +130,25 @@ class _Drawing:
     ) -> None:  # fmt: skip
         self.draw.circle(
             self._pixel(centre), radius * self.scale, fill=fill, outline=outline,
-            width=width * _FINE,
+            width=width * _OVERSAMPLING,
         )  # fmt: skip
 
     def _line(self, a: NDArray[Any], b: NDArray[Any], colour: str, width: int = 2) -> None:
-        self.draw.line([self._pixel(a), self._pixel(b)], fill=colour, width=width * _FINE)
+        self.draw.line([self._pixel(a), self._pixel(b)], fill=colour, width=width * _OVERSAMPLING)
 
 
 class _Window:
-    """A window of Matplotlib's, which goes on at the speed of the episode."""
+    """A Matplotlib window that plays the episode in real time."""
 
     def __init__(self, seconds: float) -> None:
-        # Only here: it takes long to import, and is needed in this mode alone.
+        # Imported here because the import is slow and only this mode needs it.
         import matplotlib.pyplot as plt
         from matplotlib import get_backend
 
         if get_backend().lower() == "agg":
             raise ConfigurationError(
-                "render_mode is 'human' and there is no screen to open a window on; "
-                "use 'rgb_array' and show or save the pictures"
+                "render_mode is 'human', but there is no screen for a window; use 'rgb_array' and "
+                "show or save the pictures"
             )
         self._plt, self._seconds = plt, seconds
         self._figure = plt.figure("mrsan", figsize=(6, 6))

@@ -159,10 +159,13 @@ class Scenario:
 
     # The people.
     crowd: str = setting(
-        "orca", help="how people move: orca, social_force, still, recorded or a registered model"
+        "orca",
+        help="how people move: orca | social_force | still | recorded, or a model that "
+        "plugins=[module] registers",
     )
     crowd_settings: dict[str, Any] = field(
-        default_factory=dict, metadata={"help": "settings of a plugin's crowd model, by name"}
+        default_factory=dict,
+        metadata={"help": "settings of a registered crowd model: crowd_settings.name=value"},
     )
     recorded_start_clear: float = number(
         2.0, 0.0, 100.0, unit="s", help="time for which no recorded person crosses a robot's start"

@@ -17,18 +17,23 @@ from mrsan.world import Observation, World
 
 
 class TorchRLEnv(EnvBase):
-    """E worlds of N robots; batch size [E], the robots under the nested key `agents`.
+    """E worlds of N robots with batch size [E]; keys of robots are nested under `agents`.
 
-    Keys: `("agents", "observation", *)` with `ego` [E, N, 11], `humans` [E, N, M, 5], `robots`
-    [E, N, N - 1, 5] and the two visibility masks (with team perception also the two of what was
-    told); `("agents", "active_mask")` [E, N, 1], False
-    once a robot is parked; `("agents", "action")` [E, N, A]; `("agents", "reward")` [E, N, 1] and
-    the terms it is the sum of, `("agents", "reward_parts", *)` [E, N, 1] with the names of
-    `mrsan.RewardParts` (observations to TorchRL, so that there is one reward; zero after a reset);
-    `success` [E, 1], all robots have arrived and none has collided; `done`, `terminated` (all
-    arrived, or a collision that ends it) and `truncated` (time limit) [E, 1].
-    `reset(TensorDict({"case": numbers}, [E]))` plays those cases; without it a world goes on to the
-    next episode of its case. Partial resets use `_reset`.
+    - `("agents", "observation", *)`: `ego` [E, N, 11], `humans` [E, N, M, 5], `robots`
+      [E, N, N - 1, 5] and the masks `humans_visible` and `robots_visible`; with team perception
+      also `humans_reported` and `robots_reported`.
+    - `("agents", "active_mask")` [E, N, 1]: False once a robot has parked.
+    - `("agents", "action")` [E, N, A].
+    - `("agents", "reward")` [E, N, 1].
+    - `("agents", "reward_parts", *)` [E, N, 1]: the terms of the reward, named as in
+      `mrsan.RewardParts`; zero after a reset. They belong to the observation spec, because TorchRL
+      would treat them as further rewards.
+    - `success` [E, 1]: all robots have arrived and none has collided.
+    - `terminated` (all robots have arrived, or a collision ended the episode), `truncated` (the
+      time limit was reached) and `done` [E, 1].
+
+    `reset(TensorDict({"case": numbers}, [E]))` begins these cases; without it, each world begins
+    the next episode of its case. Partial resets use `_reset`.
 
     Examples:
         >>> env = TorchRLEnv(Scenario(), worlds=64)
@@ -44,12 +49,12 @@ class TorchRLEnv(EnvBase):
         seed: int | None = None,
         **overrides: Any,
     ) -> None:
-        """Make E worlds.
+        """Create the worlds.
 
         Args:
-            scenario: the task; SAMARL's by default.
-            worlds: E.
-            device: where the tensors of the wrapper live; the simulation runs on the CPU.
+            scenario: the task. None: SAMARL's.
+            worlds: their number E.
+            device: device of the tensors; the simulation runs on the CPU.
             seed: world `e` plays case `seed + e`. None: drawn at random.
             **overrides: fields of the scenario, such as `humans=5`.
         """
@@ -81,7 +86,7 @@ class TorchRLEnv(EnvBase):
         if self.scenario.team_tracks:
             observation.set("humans_reported", flags(n, m))
             observation.set("robots_reported", flags(n, n - 1))
-        self._seen = list(observation.keys())
+        self._observation_keys = list(observation.keys())
         parts = Composite({name: floats(1) for name in RewardParts._fields}, shape=(e, n))
         agents = Composite(
             observation=observation, active_mask=flags(n, 1), reward_parts=parts, shape=(e, n)
@@ -108,12 +113,12 @@ class TorchRLEnv(EnvBase):
         if tensordict is not None:
             if (reset := tensordict.get("_reset", None)) is not None:
                 mask = reset.reshape(-1).cpu().numpy()
-            if (chosen := tensordict.get("case", None)) is not None:
-                cases = chosen.reshape(-1).cpu().numpy()
+            if (numbers := tensordict.get("case", None)) is not None:
+                cases = numbers.reshape(-1).cpu().numpy()
         observation = self.world.reset(cases=cases, worlds=mask)
         state = self.world.state
-        nothing = np.zeros((len(RewardParts._fields), *state.arrived.shape), np.float32)
-        return self._tensors(observation, RewardParts(*nothing), state.terminated, state.truncated)
+        zeros = np.zeros((len(RewardParts._fields), *state.arrived.shape), np.float32)
+        return self._tensors(observation, RewardParts(*zeros), state.terminated, state.truncated)
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
         step = self.world.step(tensordict["agents", "action"].detach().cpu().numpy())
@@ -130,14 +135,16 @@ class TorchRLEnv(EnvBase):
     ) -> TensorDict:
         e, n = self.batch_size[0], self.scenario.robots
         arrived, collision = self.world.state.arrived, self.world.state.collision
-        paid = {name: torch.from_numpy(part[..., None]) for name, part in parts._asdict().items()}
-        seen = {key: torch.from_numpy(getattr(observation, key)) for key in self._seen}
+        terms = {name: torch.from_numpy(part[..., None]) for name, part in parts._asdict().items()}
+        features = {
+            key: torch.from_numpy(getattr(observation, key)) for key in self._observation_keys
+        }
         out = TensorDict(
             {
                 "agents": TensorDict(
                     {
-                        "observation": TensorDict(seen, [e, n]),
-                        "reward_parts": TensorDict(paid, [e, n]),
+                        "observation": TensorDict(features, [e, n]),
+                        "reward_parts": TensorDict(terms, [e, n]),
                         "active_mask": torch.from_numpy(~arrived[..., None]),
                     },
                     [e, n],

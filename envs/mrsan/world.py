@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mrsan.crowds import CROWDS, step_kernel
+from mrsan.crowds import crowd_model, step_kernel
 from mrsan.features import EGO_FEATURES, OTHER_FEATURES
 from mrsan.fields import ConfigurationError
 from mrsan.kernels.sensing import observe
@@ -94,7 +94,8 @@ class World:
                 does not move until it is reset.
 
         Raises:
-            ConfigurationError: the scenario names a recording or a predictor that cannot be used.
+            ConfigurationError: the scenario names a recording, a predictor or a crowd model that
+                cannot be used.
         """
         if not isinstance(scenario, Scenario):
             raise TypeError(f"scenario is {scenario!r}; it must be a Scenario")
@@ -107,7 +108,7 @@ class World:
         history = self._lookahead.predictor.history if self._lookahead else 0
         self.state = _empty_state(worlds, scenario, history)
         self._parameters = kernel_parameters(scenario)
-        crowd = CROWDS[scenario.crowd]
+        crowd = crowd_model(scenario.crowd)
         self._advance, self._crowd_settings = step_kernel(crowd), crowd.kernel_settings(scenario)
         self._recording = scenario.load_recording()
         self._sensor = Sensor.of(self._parameters)

@@ -187,7 +187,7 @@ def _row(
     """
     import_plugins(plugins)
     cases = evaluation.numbers()
-    command = _command(name, scenario, named, evaluation)
+    command = _command(name, scenario, named, evaluation, plugins)
     played = [
         run_cases(build_agent(agent, scenario), scenario, cases, evaluation.batch)
         for agent in variants
@@ -268,9 +268,17 @@ def merged(rows: Sequence[Row], earlier: Sequence[Row]) -> list[Row]:
     return [every[key] for key in order]
 
 
-def _command(name: str, scenario: Scenario, named: Scenario, evaluation: Evaluation) -> str:
+def _command(
+    name: str,
+    scenario: Scenario,
+    named: Scenario,
+    evaluation: Evaluation,
+    plugins: Sequence[str] = (),
+) -> str:
     """The evaluation that gives one row: the column, and whatever is not as by default."""
     words = ["samarl-evaluate", f"agent={name}"]
+    if plugins:
+        words.append(f"plugins=[{','.join(plugins)}]")
     if scenario.name != Scenario.name:
         words.append(f"scenario={scenario.name}")
     column = ("fov_degrees", "humans", "robots")

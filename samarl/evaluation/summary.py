@@ -119,7 +119,11 @@ def changed_fields(given: Any, default: Any) -> Iterator[tuple[str, Any]]:
     """The fields of a dataclass that are not as in `default`: name and value, of enums the name."""
     for field in dataclasses.fields(given):
         value = getattr(given, field.name)
-        if value != getattr(default, field.name):
+        if isinstance(value, dict):
+            for key, item in value.items():
+                if item != getattr(default, field.name).get(key):
+                    yield f"{field.name}.{key}", item
+        elif value != getattr(default, field.name):
             yield field.name, value.name if isinstance(value, Enum) else value
 
 

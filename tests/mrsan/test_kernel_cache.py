@@ -75,5 +75,5 @@ def test_where_nothing_can_be_written_kernels_lie_in_a_private_temporary_folder(
     )  # fmt: skip
     (used,) = {path for path in tmp_path.glob("mrsan-kernels-*") if path.stat().st_mode & 0o77 == 0}
     assert done.stdout.startswith(str(used))
-    assert done.stderr.count("compiled kernels are kept in") == 1
+    assert done.stderr.count("compiled kernels are cached in") == 1
     assert len(done.stderr.splitlines()) == 1

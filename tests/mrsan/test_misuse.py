@@ -39,9 +39,9 @@ def test_actions_are_numbers(actions: Any) -> None:
 
 
 def test_enums_may_be_named() -> None:
-    assert Scenario(crowd="still").crowd == Crowd.still  # type: ignore[arg-type]
+    assert Scenario(crowd="still").crowd == Crowd.still
     with pytest.raises(ConfigurationError, match="it must be one of orca, social_force, still"):
-        Scenario(crowd="stil")  # type: ignore[arg-type]
+        Scenario(crowd="stil")
 
 
 def test_a_mode_of_rendering_that_is_not_there() -> None:

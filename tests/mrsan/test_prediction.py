@@ -191,7 +191,7 @@ def test_what_is_wrong_with_a_file_is_said_in_one_line(tmp_path: Path) -> None:
         (good, {"format": 7}, "has format 7; it must be 1"),
         (good, {"sha256": "0"}, "is damaged"),
         (good, {"history": "many"}, "has history 'many'; it must be a whole number in .1, 200."),
-        (b"nonsense", {}, "is no file of weights"),
+        (b"nonsense", {}, "is not a weights file"),
         (unlike, {}, "has weights .*; they must be"),
         (endless, {}, "has bias with NaN or infinity in it"),
         (save({**weights(), "bias": np.zeros(3 * HIDDEN)}), {}, "has bias of float64; it must be"),

@@ -154,7 +154,7 @@ def test_the_clock_and_the_unit_that_a_file_states_are_used_and_checked(tmp_path
         ("recorded in May\n0 1 2 3\n", "line 1: 'recorded in May' is neither a row of numbers"),
         ("a b c d\n", "line 1: 'a b c d' is not a row of numbers"),
         ("x/m y/cm id frame\n0 1 2 3\n", "x is in m and y in cm; both must be in the same unit"),
-        ("0 1 ? ?\n10 1 ? ?\n", "every position is '?'; some must be known"),
+        ("0 1 ? ?\n10 1 ? ?\n", "every position is '?'"),
         ("12 - the number of splines\n", "splines of UCY"),
         ("[1, 2]\n", "a JSON document"),
         ("<xml>\n", "an XML document"),
@@ -164,7 +164,7 @@ def test_the_clock_and_the_unit_that_a_file_states_are_used_and_checked(tmp_path
         ('1 2 3 4 5 6 0 0 0 "Biker"\n', "of a visible Pedestrian"),
         (
             "0,0,0,0,0\n1,1,1,1,1\n0,.1,.2,.3,.4\n0,.1,.2,.3,.4\n",
-            "divided by the width and the height of a picture",
+            "relative to the width and height of the image",
         ),
         ('0 1 "2 3\n', "has a quotation mark that is not closed"),
         (b"\x1f\x8b\x08", "compressed; unpack it first"),

@@ -45,9 +45,9 @@ IMPLAUSIBLE = {
     "millimetres": (scaled(position=1000), "fixy", r"millimetres.*recording_scale=0\.001"),
     "kilometres": (scaled(position=1e-3), "fixy", "kilometres.*recording_scale=1000"),
     "degrees": (scaled(position=1e-5), "fixy", "degrees of latitude"),
-    "shares of a picture": (scaled(position=0.05), "fixy", "shares of the picture"),
+    "shares of a picture": (scaled(position=0.05), "fixy", "fractions of the image"),
     "pixels": (scaled(position=27), "fixy", "pixels.*recording_scale"),
-    "id before frame": (ROWS, "ifxy", "the other way round. .*'id frame x y'"),
+    "id before frame": (ROWS, "ifxy", "frame and id swapped.*'id frame x y'"),
     "id last": (ROWS, "fxyi", "id of a person is .*; it must be a whole number"),
     "a constant column": (LINE, "fixy", "y is the same in all rows"),
     "nobody walks": (scaled(position=0.0), "fixy", "nobody moves"),
@@ -63,7 +63,7 @@ IMPLAUSIBLE = {
         np.concatenate([ROWS, np.add(of(6), [0, 100, 5000, 0])]), "fixy",
         "floor is 50.* longer side",
     ),
-    "all at one place": (CROWD, "fixy", "800 people are there at once"),
+    "all at one place": (CROWD, "fixy", "800 people .* at most 10 per square metre"),
     "too short": (ROWS[ROWS[:, 0] < 140], "fixy", r"lasts 5\.2 s; it must last at least 6 s"),
     "rows far apart": (ROWS[ROWS[:, 0] % 80 == 0], "fixy", "3.2 s apart.*annotate .* more often"),
 }  # fmt: skip
@@ -89,7 +89,7 @@ def test_frame_and_id_the_other_way_round_are_named_in_a_first_line(tmp_path: Pa
         np.testing.assert_array_equal(load_recording(path, None, 0.25).position, truth.position)
     path = written(tmp_path, ROWS, "fixy")
     path.write_text(f"# framerate: 25\n{path.read_text()}")
-    with pytest.raises(RecordingError, match="the other way round"):
+    with pytest.raises(RecordingError, match="frame and id swapped"):
         load_recording(path, None, 0.25)
 
 

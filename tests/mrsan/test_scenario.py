@@ -82,9 +82,9 @@ def test_switches_are_true_or_false(name: str) -> None:
 def test_names_are_among_the_choices(name: str, choices: Any) -> None:
     with pytest.raises(ConfigurationError) as error:
         Scenario(**{name: "nobody"})
-    assert str(error.value) == (
-        f"scenario.{name} is 'nobody'; it must be one of {', '.join(choices.__members__)}"
-    )
+    message = str(error.value)
+    assert message.startswith(f"scenario.{name} is 'nobody'; it must be one of ")
+    assert ", ".join(choices.__members__) in message
 
 
 @pytest.mark.parametrize(

@@ -217,7 +217,7 @@ def test_shapes_are_refused_in_the_batch_too() -> None:
 
 
 def test_gymnasium_drives_one_robot() -> None:
-    with pytest.raises(ConfigurationError, match=r"scenario.robots is 3; Gymnasium drives 1"):
+    with pytest.raises(ConfigurationError, match=r"scenario.robots is 3; it must be 1"):
         GymnasiumEnv(robots=3)
     with pytest.raises(ConfigurationError, match=r"scenario.robots is 2"):
         GymnasiumVectorEnv(2, scenario=Scenario(robots=2))

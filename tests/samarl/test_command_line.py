@@ -99,7 +99,7 @@ def test_every_text_that_is_a_path_is_taken_as_one() -> None:
         for field in dataclasses.fields(owner)
         if field.type in ("str", "str | None", str)
     }
-    assert texts - PATH_FIELDS == {"name", "about", "against", "device", "wandb"}
+    assert texts - PATH_FIELDS == {"name", "about", "against", "crowd", "device", "wandb"}
 
 
 @pytest.mark.parametrize(

@@ -65,6 +65,12 @@ def test_a_predictor_of_ones_own(tmp_path: Path) -> None:
     assert "| samarl " in said
 
 
+def test_a_crowd_model_of_ones_own(tmp_path: Path) -> None:
+    text = section("A crowd model")
+    (tmp_path / "my_crowd.py").write_text(block(text, "python"))
+    assert "crowd stroll crowd settings.pace 0.8" in run(text, tmp_path)
+
+
 def test_an_encoder_of_ones_own(tmp_path: Path) -> None:
     text = section("An encoder")
     (tmp_path / "my_conf/encoder").mkdir(parents=True)

@@ -1,7 +1,7 @@
-"""Recorded pedestrians, from files of many formats to the clock of the simulator.
+"""Recorded pedestrians, read from files of many formats and resampled to the time step.
 
-`formats` reads files, `plausibility` measures and doubts them, `resample` interpolates. Nobody in a
-recording reacts to a robot. The origin is moved to the middle of the floor.
+`formats` reads files, `plausibility` measures and checks them, and `resample` interpolates.
+Recorded people do not react to robots. The origin is moved to the centre of the floor.
 """
 
 from mrsan.recording.load import SAMPLE, load_recording, read_people

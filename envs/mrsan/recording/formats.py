@@ -1,4 +1,4 @@
-"""The formats of public recordings, recognised by what their files contain."""
+"""The formats of public recordings, recognised by the content of their files."""
 
 from __future__ import annotations
 
@@ -13,56 +13,56 @@ from mrsan.recording.rows import Floats, RecordingError, Rows
 from mrsan.recording.table import Table, is_number, read_table
 from mrsan.recording.text import read_lines
 
-FARTHEST = 1e9  # from zero may frame numbers and positions be
+MAX_VALUE = 1e9  # largest magnitude of frame numbers and positions
 PLAIN = "plain table (frame id x y)"
 _FRAME_RATE = re.compile(r"(?:frame ?rate|fps)\s*[:=]?\s*(\d+\.?\d*)", re.IGNORECASE)
 _SECONDS = {"s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3}
 _METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 _EPOCH = (1e9, 4e9)  # s since 1970 in the years 2001 to 2096
 _EPOCH_UNITS = {"seconds": 1.0, "milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9}
-_LABEL = "pedestrian"  # of people in SDD
-_WALKING = 0.3  # faster than that velocities tell the clock, m/s
-_OTHERS = {  # what files of other kinds begin with, and what to do
+_PERSON_LABEL = "pedestrian"  # in SDD
+_WALKING_SPEED = 0.3  # smallest speed from which the time between frames is estimated, m/s
+_UNSUPPORTED = {  # first character of files of other kinds: their kind, and a remedy
     "[": ("a JSON document", "it must be JSON lines, as in TrajNet++, or a table"),
     "<": ("an XML document", "export its trajectories as a table 'frame id x y'"),
 }
 
 
 def read_rows(path: Path) -> Rows:
-    """Read a file of any format that is known.
+    """Read a file of any supported format.
 
     Raises:
-        RecordingError: it cannot be read, is of no known format, or a line of it is wrong.
+        RecordingError: the file cannot be read, has an unknown format or an invalid line.
     """
     lines = read_lines(path)
-    begin = next((line.strip() for line in lines if line.strip()), "")
-    if "number of splines" in begin:
-        raise RecordingError("it has the splines of UCY (.vsp); it must be a table 'frame id x y'")
-    if begin[:1] in _OTHERS:
-        what, remedy = _OTHERS[begin[:1]]
-        raise RecordingError(f"it is {what}; {remedy}")
-    if begin.startswith("{"):
+    first_line = next((line.strip() for line in lines if line.strip()), "")
+    if "number of splines" in first_line:
+        raise RecordingError("it contains splines of UCY (.vsp); it must be a table 'frame id x y'")
+    if first_line[:1] in _UNSUPPORTED:
+        kind, remedy = _UNSUPPORTED[first_line[:1]]
+        raise RecordingError(f"it is {kind}; {remedy}")
+    if first_line.startswith("{"):
         return _checked(read_json_lines(lines))
     table = read_table(lines)
     rows = _checked(_from_table(table))
     if table.placeholders:
-        note = f"{table.placeholders} rows whose positions are to be predicted ('?') are left out"
+        note = f"{table.placeholders} rows without positions ('?', to be predicted) are omitted"
         rows = replace(rows, notes=(*rows.notes, note))
     return rows
 
 
 def _from_table(table: Table) -> Rows:
-    """Recognise the columns of a table by their names, or by how many there are."""
+    """Recognise the columns of a table by their names or by their number."""
     length, width = table.cells.shape
     if table.columns:
-        return _named(table)
+        return _from_named_columns(table)
     if _frame_rate(table) and width >= 4:
-        return replace(_named_by(table, 1, 0, 2, 3), frame_seconds=_frame_rate(table),
+        return replace(_from_columns(table, 1, 0, 2, 3), frame_seconds=_frame_rate(table),
                        format="PedPy or JuPedSim (id frame x y)")  # fmt: skip
     if length == 4 and width > 4:
         return _transposed(table)
     if width == 4:
-        return _named_by(table, 0, 1, 2, 3)
+        return _from_columns(table, 0, 1, 2, 3)
     if width == 8:
         return _atc(table) if _is_epoch(table.numbers(0, "time"), 1.0) else _obsmat(table)
     if width == 10 and not is_number(table.cells[9][0]):
@@ -73,15 +73,15 @@ def _from_table(table: Table) -> Rows:
     )
 
 
-def _named_by(table: Table, frame: int, person: int, x: int, y: int) -> Rows:
-    """The rows of a table whose columns have these indices."""
+def _from_columns(table: Table, frame: int, person: int, x: int, y: int) -> Rows:
+    """Return the rows of a table from the columns with these indices."""
     position = np.stack([table.numbers(x, "x"), table.numbers(y, "y")], -1)
     frames, persons = table.numbers(frame, "the frame number"), table.persons(person)
     return Rows(PLAIN, frames, persons, position, table.line, where=table.where)
 
 
-def _named(table: Table) -> Rows:
-    """A table whose header or comment names its columns."""
+def _from_named_columns(table: Table) -> Rows:
+    """Read a table whose header or comment names its columns."""
     columns = table.columns
     time = columns.get("time")
     if time is None or (time.unit not in _SECONDS and "frame" in columns):
@@ -92,7 +92,7 @@ def _named(table: Table) -> Rows:
             f"x is in {units['x']} and y in {units['y']}; both must be in the same unit"
         )
     rate = _frame_rate(table) if time == columns.get("frame") else None
-    rows = _named_by(table, time.index, *(columns[role].index for role in ("id", "x", "y")))
+    rows = _from_columns(table, time.index, *(columns[role].index for role in ("id", "x", "y")))
     unit = units["x"] or ""
     return replace(
         rows,
@@ -104,7 +104,7 @@ def _named(table: Table) -> Rows:
 
 
 def _frame_rate(table: Table) -> float | None:
-    """The time from one frame number to the next that a comment states, s."""
+    """Return the time between frame numbers that a comment states, s."""
     for comment in table.comments:
         match = _FRAME_RATE.search(comment)
         if match and float(match[1]) > 0:
@@ -113,56 +113,57 @@ def _frame_rate(table: Table) -> float | None:
 
 
 def _transposed(table: Table) -> Rows:
-    """`true_pos_.csv` and its like: lines of frame numbers, ids, y and x."""
+    """Read files such as `true_pos_.csv`: one line each of frame numbers, ids, y and x."""
     columns = replace(
         table,
         cells=table.cells.T.reset_index(drop=True),
         line=np.arange(1, table.width + 1),
         where="column",
     )
-    rows = _named_by(columns, 0, 1, 3, 2)
+    rows = _from_columns(columns, 0, 1, 3, 2)
     if np.abs(rows.position).max() <= 1.0:
         raise RecordingError(
-            "its positions are divided by the width and the height of a picture, as in "
+            "its positions are relative to the width and height of the image, as in "
             "pixel_pos.csv; they must be in metres, as in true_pos_.csv"
         )
     return replace(rows, format="transposed (lines of frame, id, y and x)")
 
 
 def _obsmat(table: Table) -> Rows:
-    """`obsmat.txt` of ETH: frame, id, x, z, y and the velocity along each."""
+    """Read `obsmat.txt` of ETH: frame, id, x, z, y and the velocity along each."""
     if any(np.ptp(table.numbers(column, name)) for column, name in ((3, "z"), (6, "v_z"))):
         raise RecordingError(
             "its rows have 8 values, but neither those of ETH's obsmat.txt (frame id x z y v_x v_z "
-            "v_y, with a constant z) nor of ATC (which begin with a time in seconds since 1970); a "
-            "first line must name frame, id, x and y"
+            "v_y with a constant z) nor those of ATC (which begin with a time in seconds since "
+            "1970); a first line must name frame, id, x and y"
         )
-    rows = _named_by(table, 0, 1, 2, 4)
+    rows = _from_columns(table, 0, 1, 2, 4)
     velocity = np.hypot(table.numbers(5, "v_x"), table.numbers(7, "v_y"))
-    seconds = _clock_of(rows, velocity)
-    notes = () if seconds is None else (f"its velocities are those of frames {seconds:g} s apart",)
+    seconds = _estimated_frame_seconds(rows, velocity)
+    notes = () if seconds is None else (f"its velocities imply frames {seconds:g} s apart",)
     return replace(
         rows, format="obsmat.txt of ETH (frame id x z y and velocities)", frame_seconds=seconds,
         notes=notes,
     )  # fmt: skip
 
 
-def _clock_of(rows: Rows, velocity: Floats) -> float | None:
-    """The time between frame numbers with which positions change by the velocities, s."""
+def _estimated_frame_seconds(rows: Rows, velocity: Floats) -> float | None:
+    """Return the time between frame numbers at which displacements match the velocities, s."""
     order = np.lexsort((rows.frame, rows.person))
     frames, distance = np.diff(rows.frame[order]), np.diff(rows.position[order], axis=0)
     speed = velocity[order][:-1]
-    walks = (np.diff(rows.person[order]) == 0) & (frames > 0) & (speed > _WALKING)
-    if not walks.any():
+    walking = (np.diff(rows.person[order]) == 0) & (frames > 0) & (speed > _WALKING_SPEED)
+    if not walking.any():
         return None
-    seconds = np.median(np.linalg.norm(distance[walks], axis=1) / speed[walks] / frames[walks])
+    lengths = np.linalg.norm(distance[walking], axis=1)
+    seconds = np.median(lengths / speed[walking] / frames[walking])
     return float(f"{seconds:.3g}") or None
 
 
 def _atc(table: Table) -> Rows:
-    """ATC: time in seconds since 1970, id, x, y and z in mm, velocity, two angles."""
+    """Read ATC: time in seconds since 1970, id, x, y and z in mm, velocity, two angles."""
     return replace(
-        _named_by(table, 0, 1, 2, 3),
+        _from_columns(table, 0, 1, 2, 3),
         format="ATC (seconds, id, x, y and z in mm, velocity, angles)",
         frame_seconds=1.0,
         metres=1e-3,
@@ -170,18 +171,18 @@ def _atc(table: Table) -> Rows:
 
 
 def _stanford_drone(table: Table) -> Rows:
-    """SDD: id, the corners of a box in pixels, frame, lost, occluded, generated, label."""
+    """Read SDD: id, the corners of a box in pixels, frame, lost, occluded, generated, label."""
     boxes = np.stack([table.numbers(k, "a corner of the box") for k in (1, 2, 3, 4)], -1)
-    people = table.cells[9].str.strip("\"'").str.lower().to_numpy() == _LABEL
+    people = table.cells[9].str.strip("\"'").str.lower().to_numpy() == _PERSON_LABEL
     visible = table.numbers(6, "lost") == 0
     used = people & visible
     if not used.any():
-        raise RecordingError("none of its rows is of a visible Pedestrian; some must be")
+        raise RecordingError("it has no row of a visible Pedestrian; it must have some")
     notes = [
-        f"{count} rows {reason} are left out"
+        f"{count} rows {reason} are omitted"
         for count, reason in (
-            ((~people).sum(), "of bikers, cars and others"),
-            ((people & ~visible).sum(), "of people out of the picture"),
+            ((~people).sum(), "of bikers, cars and other agents"),
+            ((people & ~visible).sum(), "of people outside the image"),
         )
         if count
     ]
@@ -197,15 +198,15 @@ def _stanford_drone(table: Table) -> Rows:
 
 
 def _is_epoch(times: Floats, unit: float) -> bool:
-    """Whether times in a unit, s, are since 1970."""
+    """Return whether times in units of `unit` seconds count from 1970."""
     return bool((times * unit > _EPOCH[0]).all() and (times * unit < _EPOCH[1]).all())
 
 
 def _checked(rows: Rows) -> Rows:
-    """Let times since 1970 begin at zero, and refuse numbers that are too large.
+    """Shift times since 1970 to begin at zero, and reject numbers that are too large.
 
     Raises:
-        RecordingError: names the first line with one.
+        RecordingError: names the line with the largest number.
     """
     for name, unit in _EPOCH_UNITS.items():
         if _is_epoch(rows.frame, unit):
@@ -217,11 +218,11 @@ def _checked(rows: Rows) -> Rows:
             )
             break
     for name, values in (("the frame number", rows.frame), ("a position", rows.position)):
-        beyond = np.abs(values).reshape(len(rows.line), -1).max(1)
-        if beyond.max() > FARTHEST:
-            k = beyond.argmax()
+        numbers = values.reshape(len(rows.line), -1)
+        row, column = np.unravel_index(np.abs(numbers).argmax(), numbers.shape)
+        if abs(numbers[row, column]) > MAX_VALUE:
             raise RecordingError(
-                f"{rows.where} {rows.line[k]}: {name} is {beyond[k]:g} away from zero; it must be "
-                f"at most {FARTHEST:g}"
+                f"{rows.where} {rows.line[row]}: {name} is {numbers[row, column]:g}; its magnitude "
+                f"must be at most {MAX_VALUE:g}"
             )
     return rows

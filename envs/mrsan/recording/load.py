@@ -26,30 +26,30 @@ def load_recording(
     scale: float | None = None,
     check: bool = True,
 ) -> Recording:
-    """Read a recording, check that it is plausible and put it on the clock of the simulator.
+    """Read a recording, check that it is plausible and resample it to the simulator's time step.
 
     Args:
-        path: a file of a format that docs/concepts.md lists. None: a synthetic one that ships.
-        frame_seconds: the time from one frame number to the next, s. None: what the file states,
-            or 0.04 as in ETH and UCY.
-        time_step: of the simulator, s. Positions between rows lie on straight lines.
-        scale: metres per unit of its positions. None: what the file states, or 1.
-        check: refuse what is implausible of people who walk.
+        path: a file of a format that docs/concepts.md lists. None: the included synthetic one.
+        frame_seconds: time between frame numbers, s. None: the value that the file states, or 0.04
+            as in ETH and UCY.
+        time_step: of the simulator, s. Positions between rows are interpolated linearly.
+        scale: metres per unit of its positions. None: the value that the file states, or 1.
+        check: reject a recording that is implausible for walking people.
 
     Raises:
-        RecordingError: the file cannot be read, or is implausible; why, and what would be right.
+        RecordingError: the file cannot be read or is implausible; names the reason and a remedy.
     """
     path = SAMPLE if path is None else Path(path)
     try:
-        changed = path.stat().st_mtime_ns
-    except (OSError, ValueError):  # said when it is read; ValueError: a zero byte
-        changed = 0
-    return _load(path, changed, frame_seconds, time_step, scale, check)
+        modified = path.stat().st_mtime_ns
+    except (OSError, ValueError):  # `read_rows` reports the reason; ValueError: a zero byte
+        modified = 0
+    return _load(path, modified, frame_seconds, time_step, scale, check)
 
 
 @lru_cache(maxsize=16)
 def _load(
-    path: Path, changed: int, frame_seconds: float | None, time_step: float, scale: float | None,
+    path: Path, modified: int, frame_seconds: float | None, time_step: float, scale: float | None,
     check: bool,
 ) -> Recording:  # fmt: skip
     people = read_people(path, frame_seconds, scale)
@@ -74,7 +74,7 @@ def read_people(
         scale: see `load_recording`.
 
     Raises:
-        RecordingError: the file cannot be read; why, and what would be right.
+        RecordingError: the file cannot be read; names the reason and a remedy.
     """
     try:
         rows = read_rows(path)

@@ -1,7 +1,7 @@
-"""Whether a recording is of people who walk: in metres, on its clock, with the right columns.
+"""Checks that a recording shows walking people, which detect wrong units, clocks and columns.
 
-The six recordings of ETH and UCY are within every limit: nobody in them exceeds 3.9 m/s, and 95 %
-of their steps are slower than 1.3 to 1.9 m/s.
+The six recordings of ETH and UCY are within all limits: nobody in them exceeds 3.9 m/s, and their
+95th percentiles of speed are 1.3 to 1.9 m/s.
 """
 
 from __future__ import annotations
@@ -13,40 +13,40 @@ import numpy as np
 
 from mrsan.recording.rows import MAX_GAP, Floats, Ints, People
 
-MAX_SPEED = 5.0  # m/s, a run
-MAX_MEDIAN_SPEED = 2.0  # m/s, where walking becomes running
-MAX_SPEED_95 = 3.0  # m/s, which 95 % of all steps must not exceed
-MIN_SPEED_95 = 0.3  # m/s, which 5 % of all steps must exceed
-FLOOR_SIDE = (1.0, 300.0)  # m, the longer one
-MIN_SECONDS = 6.0  # a robot needs as long for the shortest way
-MAX_PER_SQUARE_METRE = 10.0  # people
-SPEED_WINDOW = 0.4  # s over which speeds are measured, so that noise does not count
-_LEAST_PAUSE = 1e-9  # s, between frames that differ by less than floats can tell
-_USUAL_SPEED_95 = 1.6  # m/s, of ETH and UCY
-_USUAL_CLOCKS = (0.001, 1 / 60, 1 / 30, 0.04, 1 / 15, 0.1, 0.4, 1.0)  # s from frame to frame
+MAX_SPEED = 5.0  # largest speed (running), m/s
+MAX_MEDIAN_SPEED = 2.0  # largest median speed (the transition to running), m/s
+MAX_SPEED_95 = 3.0  # largest 95th percentile of speed, m/s
+MIN_SPEED_95 = 0.3  # smallest 95th percentile of speed, m/s
+FLOOR_SIDE = (1.0, 300.0)  # range of the longer side of the floor, m
+MIN_SECONDS = 6.0  # shortest duration: that of a robot's shortest route, s
+MAX_PER_SQUARE_METRE = 10.0  # largest density of people
+SPEED_WINDOW = 0.4  # time over which speeds are measured, which averages out noise, s
+_MIN_PAUSE = 1e-9  # lower bound of times between rows, against rounding to zero, s
+_USUAL_SPEED_95 = 1.6  # 95th percentile of speed in ETH and UCY, m/s
+_USUAL_CLOCKS = (0.001, 1 / 60, 1 / 30, 0.04, 1 / 15, 0.1, 0.4, 1.0)  # between frames, s
 _USUAL_UNITS = {"millimetres": 1e-3, "centimetres": 1e-2, "kilometres": 1e3}  # m
-_DEGREE = 1e5  # m, of latitude, about
-_LARGEST_CROWDED_FLOOR = 150.0  # m; a larger one is rather not in metres
-_JUMPS = 5.0  # times the median speed are too much for a wrong clock or unit
-_CONTRADICTION = 0.02  # relative, between a setting and what a file states
+_DEGREE = 1e5  # approximate length of a degree of latitude, m
+_LARGEST_CROWDED_FLOOR = 150.0  # a larger floor suggests that the unit is not metres, m
+_JUMP_FACTOR = 5.0  # a larger ratio of speed percentiles does not come from a wrong clock or unit
+_CONTRADICTION = 0.02  # smallest relative difference between a setting and the file's statement
 
 
 @dataclass(frozen=True)
 class Summary:
-    """What a recording looks like, in metres and seconds."""
+    """Statistics of a recording, in metres and seconds."""
 
     people: int
     tracks: int
     rows: int
     seconds: float  # from the first frame to the last
     floor: tuple[float, float]  # along x and y, m
-    people_at_once: int  # at most
-    speed_median: float  # m/s, of all steps of all people
-    speed_95: float  # which 95 % do not exceed
-    speed_largest: float
-    pause_median: float  # from one row of a person to its next, s; 0: nobody has two
-    longest_gap: float  # the longest of these
-    fastest: tuple[int, int]  # the rows between which the largest speed is
+    people_at_once: int  # largest number
+    speed_median: float  # of all steps of all people, m/s
+    speed_95: float  # 95th percentile, m/s
+    speed_largest: float  # m/s
+    pause_median: float  # time between successive rows of a person, s; 0: nobody has two rows
+    longest_gap: float  # longest time between successive rows of a person, s
+    fastest: tuple[int, int]  # rows between which the largest speed occurs
 
 
 def summarize(people: People) -> Summary:
@@ -55,7 +55,7 @@ def summarize(people: People) -> Summary:
     steps = [_steps(seconds, track.rows) for track in tracks]
     begin, end = np.concatenate(steps, axis=1)
     distance = np.linalg.norm(position[end] - position[begin], axis=1)
-    speeds = distance / np.maximum(seconds[end] - seconds[begin], _LEAST_PAUSE)
+    speeds = distance / np.maximum(seconds[end] - seconds[begin], _MIN_PAUSE)
     fastest = int(speeds.argmax()) if len(speeds) else None
     pauses, _ = _moves(people)
     sides = np.ptp(position, axis=0).tolist()
@@ -76,9 +76,9 @@ def summarize(people: People) -> Summary:
 
 
 def _steps(seconds: Floats, index: Ints) -> Ints:
-    """Pairs of rows of a track that are `SPEED_WINDOW` or little more apart, [2, S].
+    """Return pairs of rows of a track that are at least `SPEED_WINDOW` apart, [2, S].
 
-    A track that is shorter is one step.
+    A shorter track is a single step.
     """
     times = seconds[index]
     ends = np.searchsorted(times, times + SPEED_WINDOW - 1e-6)
@@ -89,11 +89,11 @@ def _steps(seconds: Floats, index: Ints) -> Ints:
 
 
 def _moves(people: People) -> tuple[Floats, Floats]:
-    """From each row of a person to its next, whatever lies between: how long (s), how far (m)."""
+    """Return the times (s) and distances (m) between all successive rows of each person."""
     order = np.lexsort((people.rows.frame, people.rows.person))
     same = np.diff(people.rows.person[order]) == 0
     distance = np.linalg.norm(np.diff(people.position[order], axis=0), axis=1)
-    pauses = np.maximum(np.diff(people.seconds[order]), _LEAST_PAUSE)
+    pauses = np.maximum(np.diff(people.seconds[order]), _MIN_PAUSE)
     return pauses[same], distance[same]
 
 
@@ -101,19 +101,16 @@ def _people_at_once(people: People) -> int:
     times = np.array([people.seconds[track.rows[[0, -1]]] for track in people.tracks])
     moments = np.concatenate([times[:, 0], times[:, 1]])
     changes = np.repeat([1, -1], len(times))
-    order = np.lexsort((-changes, moments))  # who leaves is there together with who comes then
+    order = np.lexsort((-changes, moments))  # arrivals count before simultaneous departures
     return int(np.cumsum(changes[order]).max())
 
 
 def find_problem(people: People, summary: Summary | None = None) -> str | None:
-    """Say what is implausible of a recording and what would be right.
+    """Return the first problem of a recording with a remedy; None if it is plausible.
 
     Args:
         people: the recording.
-        summary: of it, if it is known.
-
-    Returns:
-        The first problem; None if it is plausible.
+        summary: its statistics. None: they are computed.
     """
     summary = summary or summarize(people)
     problems = (
@@ -139,7 +136,7 @@ def _ids(_: People, s: Summary) -> str | None:
     if s.people < s.rows:
         return None
     return (
-        f"each of its {s.people} people is in one frame alone, so nobody walks; a person must have "
+        f"each of its {s.people} people is in only one frame, so nobody walks; a person must have "
         "the same id in every frame"
     )
 
@@ -149,8 +146,8 @@ def _sparse(people: People, s: Summary) -> str | None:
         return None
     pauses, distance = _moves(people)
     speed_95 = float(np.quantile(distance / pauses, 0.95))
-    walks = MIN_SPEED_95 < speed_95 < MAX_SPEED_95
-    hint = "annotate people more often" if walks else _clock_hint(people, speed_95)
+    walking = MIN_SPEED_95 < speed_95 < MAX_SPEED_95
+    hint = "annotate people more often" if walking else _clock_hint(people, speed_95)
     return (
         f"a person's frames are {_short(s.pause_median)} s apart; they must be at most {MAX_GAP:g} "
         f"s: {hint}"
@@ -158,13 +155,13 @@ def _sparse(people: People, s: Summary) -> str | None:
 
 
 def _too_fast(people: People, s: Summary) -> str | None:
-    jumps = s.speed_95 > _JUMPS * s.speed_median  # of some people, while others walk as usual
+    jumps = s.speed_95 > _JUMP_FACTOR * s.speed_median  # of a few people
     if s.speed_median <= MAX_MEDIAN_SPEED and (s.speed_95 <= MAX_SPEED_95 or jumps):
         return None
     if _swapped(people):
         hint = (
-            "are frame and id the other way round? then name the columns in a first line, such as "
-            "'id frame x y'"
+            "are frame and id swapped? then name the columns in a first line, such as 'id frame x "
+            "y'"
         )
     elif max(s.floor) > _LARGEST_CROWDED_FLOOR:
         hint = _scale_hint(people, s)
@@ -187,7 +184,7 @@ def _floor(_: People, s: Summary) -> str | None:
     if not low <= max(s.floor) <= high:
         return (
             f"the floor is {_sides(s)}; its longer side must lie in [{low:g}, {high:g}] m (is "
-            "somebody far away, or are positions not in metres? scenario.recording_scale)"
+            "a person far away, or are positions not in metres? scenario.recording_scale)"
         )
     if s.people > 1 and min(s.floor) == 0:
         axis = "xy"[s.floor.index(0)]
@@ -202,7 +199,7 @@ def _jump(people: People, s: Summary) -> str | None:
     return (
         f"person {rows.person[a]} moves at {s.speed_largest:.3g} m/s from frame "
         f"{rows.frame[a]:.10g} ({rows.where} {rows.line[a]}) to {rows.frame[b]:.10g} ({rows.where} "
-        f"{rows.line[b]}); it must be at most {MAX_SPEED:g} m/s (are two people one id?)"
+        f"{rows.line[b]}); it must be at most {MAX_SPEED:g} m/s (do two people share an id?)"
     )
 
 
@@ -211,22 +208,22 @@ def _too_short(_: People, s: Summary) -> str | None:
         return None
     return (
         f"it lasts {_short(s.seconds)} s; it must last at least {MIN_SECONDS:g} s, so that robots "
-        "can arrive while people are there"
+        "can arrive while people are present"
     )
 
 
 def _too_dense(_: People, s: Summary) -> str | None:
-    area = math.prod(side + 1.0 for side in s.floor)  # bodies reach beyond their centres
+    area = math.prod(side + 1.0 for side in s.floor)  # bodies extend beyond their centres
     if s.people_at_once <= MAX_PER_SQUARE_METRE * area:
         return None
     return (
-        f"{s.people_at_once} people are there at once on {_sides(s)}; it must be at most "
+        f"{s.people_at_once} people are present at once on {_sides(s)}; it must be at most "
         f"{MAX_PER_SQUARE_METRE:g} per square metre"
     )
 
 
 def _swapped(people: People) -> bool:
-    """Whether paths are far shorter with frames for ids and ids for frames."""
+    """Return whether paths are much shorter when frame numbers and ids are exchanged."""
     rows = people.rows
     medians = []
     for frame, person in ((rows.frame, rows.person), (rows.person, rows.frame)):
@@ -238,7 +235,7 @@ def _swapped(people: People) -> bool:
 
 
 def _clock_hint(people: People, speed_95: float) -> str:
-    """The time between frames with which people would walk as fast as usual."""
+    """Suggest the time between frames at which people would walk at the usual speed."""
     if not speed_95:
         return "nobody moves"
     seconds = people.frame_seconds * speed_95 / _USUAL_SPEED_95
@@ -251,7 +248,7 @@ def _clock_hint(people: People, speed_95: float) -> str:
 
 
 def _scale_hint(people: People, s: Summary) -> str:
-    """The unit of positions with which people would walk as fast as usual."""
+    """Suggest the unit of positions at which people would walk at the usual speed."""
     if not s.speed_95:
         return "nobody moves"
     metres = people.metres * _USUAL_SPEED_95 / s.speed_95
@@ -260,7 +257,7 @@ def _scale_hint(people: People, s: Summary) -> str:
             return f"are positions in {name}? then set scenario.recording_scale={unit:g}"
     if metres > _DEGREE / 3:
         return "are positions in degrees of latitude and longitude? they must be in metres"
-    kind = "pixels" if metres < 1 else "shares of the picture"
+    kind = "pixels" if metres < 1 else "fractions of the image"
     return (
         f"are positions in {kind}? then set scenario.recording_scale to the metres per unit, about "
         f"{metres:.1g}"

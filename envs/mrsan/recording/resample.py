@@ -1,4 +1,4 @@
-"""From the rows of a recording to where everybody is at each step of the simulator."""
+"""The positions of recorded people at each step of the simulator."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ from numpy.typing import NDArray
 
 from mrsan.recording.rows import Floats, People, RecordingError
 
-LEAST_STEP = 1e-6  # apart must the frames of a person be, in steps of the simulator
-MOST_ROWS = 10**7  # steps for which all people are there, together
-MOST_STEPS = 10**9  # that a recording lasts
-COAST = 3.0  # people go on at constant velocity before and after they were seen, at most so long, s
+MIN_FRAME_STEPS = 1e-6  # smallest time between rows of a person, in steps of the simulator
+MAX_ROWS = 10**7  # largest sum of the lengths of all tracks, in steps
+MAX_STEPS = 10**9  # longest duration of a recording, in steps
+COAST = 3.0  # longest continuation of a track at constant velocity, before and after it, s
 
 
 class Recording(NamedTuple):
-    """The tracks of P people, step by step; the positions of one track follow each other."""
+    """P tracks of people, with a position for each step."""
 
-    first: NDArray[np.int32]  # [P] the step at which a track begins, rising
-    last: NDArray[np.int32]  # [P] the last step of a track
-    row: NDArray[np.int32]  # [P] where in `position` a track begins
-    position: NDArray[np.float32]  # [R, 2] m
+    first: NDArray[np.int32]  # [P] first step of each track, ascending
+    last: NDArray[np.int32]  # [P] last step of each track
+    row: NDArray[np.int32]  # [P] index in `position` of the first step of each track
+    position: NDArray[np.float32]  # [R, 2] of each step, track by track, m
     half_size: NDArray[np.float32]  # [2] half the sides of the floor that people walked on, m
-    steps: int  # how long it is
+    steps: int  # duration
 
 
 NOBODY = Recording(
@@ -37,15 +37,15 @@ NOBODY = Recording(
 
 
 def resample(people: People, time_step: float) -> Recording:
-    """Put people on the clock of the simulator, with the origin in the middle of their floor.
+    """Interpolate the positions of people at the steps of the simulator.
 
     Args:
-        people: their rows.
-        time_step: of the simulator, s. Positions between rows lie on straight lines.
+        people: the recording; its origin moves to the centre of the floor.
+        time_step: of the simulator, s. Positions between rows are interpolated linearly.
 
     Raises:
-        RecordingError: two rows of a person are nearly at the same time, all of them together are
-            there for too long, or nobody is there at any step.
+        RecordingError: two rows of a person are nearly simultaneous, the tracks are too long in
+            total, or no person is present at any step.
     """
     low, high = people.position.min(0), people.position.max(0)
     position = people.position - (low + high) / 2
@@ -56,7 +56,7 @@ def resample(people: People, time_step: float) -> Recording:
     coast = round(COAST / time_step)
     paths: list[tuple[int, Floats]] = []
     for rows, *gaps in people.tracks:
-        # At most half of a gap within a person, so that nobody is there twice.
+        # At most half of the gap between tracks of a person, so that nobody is there twice.
         before, after = (min(coast, (gap / time_step - 1) / 2) for gap in gaps)
         path = _at_whole_steps(steps[rows], position[rows], end, before, after)
         if path is not None:
@@ -80,11 +80,11 @@ def resample(people: People, time_step: float) -> Recording:
 
 
 def _check_clock(people: People, steps: Floats) -> None:
-    """Refuse what cannot be interpolated or does not fit into memory."""
+    """Check that the rows can be interpolated and that the result fits into memory."""
     total = 0.0
     for track in people.tracks:
         total += steps[track.rows[-1]] - steps[track.rows[0]] + 1
-        close = np.flatnonzero(np.diff(steps[track.rows]) < LEAST_STEP)
+        close = np.flatnonzero(np.diff(steps[track.rows]) < MIN_FRAME_STEPS)
         if len(close):
             a, b = track.rows[close[0] : close[0] + 2]
             frame = people.rows.frame
@@ -92,10 +92,10 @@ def _check_clock(people: People, steps: Floats) -> None:
                 f"person {people.rows.person[a]} is there twice at nearly the same time, in frames "
                 f"{frame[a]:.15g} and {frame[b]:.15g}; its frames must differ"
             )
-    if total > MOST_ROWS or steps.max() > MOST_STEPS:
+    if total > MAX_ROWS or steps.max() > MAX_STEPS:
         raise RecordingError(
             f"it lasts {people.seconds.max():.3g} s, and its people are there for {total:.3g} "
-            f"steps together; it must be at most {MOST_ROWS:.0e} steps (scenario.frame_seconds "
+            f"steps together; it must be at most {MAX_ROWS:.0e} steps (scenario.frame_seconds "
             f"is {people.frame_seconds:g})"
         )
 
@@ -106,20 +106,20 @@ def _at_whole_steps(
     """Interpolate a track.
 
     Args:
-        steps: [K] when its rows are, rising.
+        steps: [K] times of its rows in steps, ascending.
         position: [K, 2] m.
         end: the last step of the recording.
-        before: steps for which the person has come as it comes.
-        after: steps for which it goes on as it leaves.
+        before: steps for which the track is extended before its first row, at constant velocity.
+        after: steps for which it is extended after its last row.
 
     Returns:
-        The first whole step at which the person is there, and its positions from there on; None if
-        there is no such step.
+        The first whole step at which the person is present and the positions from that step on;
+        None if there is no such step.
     """
     if len(steps) > 1:
         velocity = np.diff(position, axis=0) / np.diff(steps)[:, None]
-        begin, leave = position[:1] - before * velocity[0], position[-1:] + after * velocity[-1]
-        position = np.concatenate([begin, position, leave])
+        entry, exit = position[:1] - before * velocity[0], position[-1:] + after * velocity[-1]
+        position = np.concatenate([entry, position, exit])
         steps = np.concatenate([steps[:1] - before, steps, steps[-1:] + after])
     whole = np.arange(max(np.ceil(steps[0]), 0), min(np.floor(steps[-1]), end) + 1)
     if not len(whole):

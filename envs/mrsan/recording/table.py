@@ -1,4 +1,4 @@
-"""Tables in text files: separators, headers and numbers."""
+"""Tables in text files: their separators, headers and numbers."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ import numpy as np
 
 from mrsan.recording.rows import Floats, Ints, RecordingError
 
-COMMENTS = ("#", "%", "//", ";")  # begin a line that is none of the table
-PLACEHOLDER = "?"  # of TrajNet, for positions that are to be predicted
+COMMENTS = ("#", "%", "//", ";")  # prefixes of lines that do not belong to the table
+PLACEHOLDER = "?"  # in TrajNet, a position that is to be predicted
 _NUMBER = re.compile(r"""\s*["']?[-+]?\.?\d""")
 _SHOWN = 60  # characters of a line in a message
 
-# Names of columns without their units, in lower case and of letters alone.
+# Names of columns without their units, reduced to lower-case letters.
 _NAMES = {
     "frame": "frame frameid framenumber framenr frameno framenum frameindex fr f",
     "time": "time timestamp simtime seconds sec t",
@@ -33,7 +33,7 @@ _WITH_UNIT = re.compile(r"(.+?)\s*[\[(/_ ]\s*(m|cm|mm|px|pixels?|s|sec|seconds|m
 
 @dataclass(frozen=True)
 class Column:
-    """Where a quantity stands in a table, and the unit that its name states."""
+    """The index of a column, and the unit that its name states."""
 
     index: int
     unit: str | None = None
@@ -44,15 +44,15 @@ class Table:
     """The R rows and C columns of a text file."""
 
     cells: Any  # pandas.DataFrame [R, C] of texts
-    line: Ints  # [R] of the file, from 1
+    line: Ints  # [R] line numbers in the file, from 1
     columns: dict[str, Column]  # by role: frame, time, id, x, y; empty without a header
     comments: list[str]  # before the first row
-    placeholders: int  # rows that are left out because their positions are to be predicted
+    placeholders: int  # number of rows omitted because their positions are to be predicted
     where: str = "line"  # what `line` counts
 
     @property
     def width(self) -> int:
-        """C."""
+        """Return the number of columns C."""
         return int(self.cells.shape[1])
 
     def numbers(self, column: int, name: str) -> Floats:
@@ -60,19 +60,19 @@ class Table:
 
         Args:
             column: its index.
-            name: what it holds, for the error.
+            name: of its quantity, for the error.
 
         Raises:
-            RecordingError: a cell is something else.
+            RecordingError: a cell is not a finite number.
         """
         cells = self.cells[column].to_numpy(np.object_)
         try:
             values = cells.astype(np.float64)
-            wrong = np.flatnonzero(~np.isfinite(values))
+            invalid = np.flatnonzero(~np.isfinite(values))
         except ValueError:
-            wrong = np.array([row for row, cell in enumerate(cells) if not is_number(cell)])
-        if len(wrong):
-            row = wrong[0]
+            invalid = np.array([row for row, cell in enumerate(cells) if not is_number(cell)])
+        if len(invalid):
+            row = invalid[0]
             raise RecordingError(
                 f"{self.where} {self.line[row]}: {name} is {cells[row][:_SHOWN]!r}; it must be a "
                 "finite number"
@@ -80,27 +80,28 @@ class Table:
         return values
 
     def persons(self, column: int) -> Ints:
-        """Read a column of whole numbers that tell persons apart, [R].
+        """Read a column of ids of people, which are whole numbers, [R].
 
         Raises:
-            RecordingError: a cell is something else.
+            RecordingError: a cell is not a whole number.
         """
         cells = self.cells[column].to_numpy(np.object_)
         try:
             return np.array([int(cell) for cell in cells], np.int64)
-        except (ValueError, OverflowError):  # 1.0, or no whole number at all
+        except (ValueError, OverflowError):  # "1.0", or not a whole number
             values = self.numbers(column, "the id")
-        wrong = np.flatnonzero((values % 1 != 0) | (np.abs(values) > 2**53))
-        if len(wrong):
+        invalid = np.flatnonzero((values % 1 != 0) | (np.abs(values) > 2**53))
+        if len(invalid):
+            row = invalid[0]
             raise RecordingError(
-                f"{self.where} {self.line[wrong[0]]}: the id of a person is {cells[wrong[0]]}; it "
-                "must be a whole number below 2^53 (is another column the id?)"
+                f"{self.where} {self.line[row]}: the id of a person is {cells[row]}; it must be a "
+                "whole number below 2^53 (is another column the id?)"
             )
         return values.astype(np.int64)
 
 
 def is_number(text: str) -> bool:
-    """Whether a text is a finite number."""
+    """Return whether a text is a finite number."""
     try:
         return bool(np.isfinite(float(text)))
     except ValueError:
@@ -110,15 +111,15 @@ def is_number(text: str) -> bool:
 def read_table(lines: Sequence[str]) -> Table:
     """Read the lines of a table, with or without a header.
 
-    White space, commas or semicolons separate its cells; with white space and semicolons decimals
-    may have commas.
+    Cells are separated by white space, commas or semicolons; unless commas separate cells, they may
+    be decimal marks.
 
     Raises:
-        RecordingError: a line has another number of cells than the others, or is no row.
+        RecordingError: a line has a different number of cells than the others or is not a row.
     """
     begin = next((k for k, line in enumerate(lines) if _NUMBER.match(line)), None)
     if begin is None:
-        _refuse_without_rows(lines)
+        _raise_without_rows(lines)
     separator = _separator(lines[begin])
     comments = tuple(mark for mark in COMMENTS if mark != separator)
     numbered = [
@@ -131,14 +132,14 @@ def read_table(lines: Sequence[str]) -> Table:
         if PLACEHOLDER not in line or PLACEHOLDER not in _split(line, separator)
     ]  # fmt: skip
     if not rows:
-        raise RecordingError(f"every position is {PLACEHOLDER!r}; some must be known")
+        raise RecordingError(f"every position is {PLACEHOLDER!r}; it must have some positions")
     cells = _cells(rows, separator)
     columns, notes = _header(lines[:begin], separator, cells.shape[1], comments)
     line = np.array([number for number, _ in rows])
     return Table(cells, line, columns, notes, len(numbered) - len(rows))
 
 
-def _refuse_without_rows(lines: Sequence[str]) -> NoReturn:
+def _raise_without_rows(lines: Sequence[str]) -> NoReturn:
     for number, line in enumerate(lines, 1):
         if line.strip() and not line.lstrip().startswith(COMMENTS):
             raise RecordingError(
@@ -151,11 +152,11 @@ def _refuse_without_rows(lines: Sequence[str]) -> NoReturn:
 
 
 def _separator(line: str) -> str | None:
-    """What separates the cells of a row; None: white space."""
+    """Return the separator of the cells of a row; None for white space."""
     if ";" in line:
         return ";"
     cells = [cell.strip() for cell in line.split(",")]
-    # Decimal commas between columns of white space are none: "0 6 6,80 12,44".
+    # Decimal commas in columns separated by white space do not separate: "0 6 6,80 12,44".
     spaced = any(character.isspace() for cell in cells[:2] for character in cell)
     return "," if len(cells) >= 3 and not spaced else None
 
@@ -165,7 +166,7 @@ def _split(line: str, separator: str | None) -> list[str]:
 
 
 def _cells(rows: Sequence[tuple[int, str]], separator: str | None) -> Any:
-    """The cells of some lines as texts, decimals with points."""
+    """Return the cells of numbered lines as a DataFrame of texts, with decimal points."""
     try:
         import pandas as pd
     except ModuleNotFoundError:
@@ -179,10 +180,10 @@ def _cells(rows: Sequence[tuple[int, str]], separator: str | None) -> Any:
             io.StringIO(text), sep=separator or r"\s+", skipinitialspace=True, **options
         )
     except pd.errors.ParserError as error:
-        _refuse_ragged(rows, separator)
+        _reject_ragged(rows, separator)
         raise RecordingError(f"it must be a table ({str(error).strip()})") from None
     if (cells == "").to_numpy().any():
-        _refuse_ragged(rows, separator)
+        _reject_ragged(rows, separator)
     if len(cells) != len(rows):
         raise RecordingError("quotation marks enclose whole lines; they must enclose cells")
     if separator != "," and "," in text:
@@ -190,8 +191,8 @@ def _cells(rows: Sequence[tuple[int, str]], separator: str | None) -> Any:
     return cells
 
 
-def _refuse_ragged(rows: Sequence[tuple[int, str]], separator: str | None) -> None:
-    """Name the first line that has another number of cells than most, or an open quotation."""
+def _reject_ragged(rows: Sequence[tuple[int, str]], separator: str | None) -> None:
+    """Raise an error for the first line with an unusual number of cells or an open quotation."""
     widths = [len(_split(line, separator)) for _, line in rows]
     usual = Counter(widths).most_common(1)[0][0]
     for (number, line), width in zip(rows, widths, strict=True):
@@ -202,15 +203,15 @@ def _refuse_ragged(rows: Sequence[tuple[int, str]], separator: str | None) -> No
             )
         if width != usual:
             raise RecordingError(
-                f"line {number}: {line[:_SHOWN]!r} has {width} values; it must have {usual}, as "
-                "other lines have"
+                f"line {number}: {line[:_SHOWN]!r} has {width} values; it must have {usual} like "
+                "the other lines"
             )
 
 
 def _header(
     lines: Sequence[str], separator: str | None, width: int, comments: tuple[str, ...]
 ) -> tuple[dict[str, Column], list[str]]:
-    """The columns that the lines before the first row name, and the comments there."""
+    """Return the columns named before the first row, and the comments before it."""
     columns: dict[str, Column] = {}
     notes = []
     for number, line in enumerate(lines, 1):
@@ -220,16 +221,16 @@ def _header(
             text = text.lstrip("".join(comments)).strip()
             notes.append(text)
         for names in (_split(text, separator), _split_at_spaces(text)):
-            if len(names) == width - 1:  # the first column is an index without a name
+            if len(names) == width - 1:  # the first column is an unnamed index
                 names.insert(0, "")
             roles = _roles(names)
             if len(names) == width and not _missing(roles):
-                _refuse_ambiguous(number, names)
+                _reject_ambiguous(number, names)
                 columns = roles
                 break
         else:
             if text and not comment:
-                _refuse_header(number, text, _roles(_split(text, separator)), width)
+                _raise_invalid_header(number, text, _roles(_split(text, separator)), width)
     return columns, notes
 
 
@@ -238,7 +239,7 @@ def _split_at_spaces(text: str) -> list[str]:
 
 
 def _roles(names: Sequence[str]) -> dict[str, Column]:
-    """The columns whose names are known, by their roles."""
+    """Return the columns with recognised names, by their roles."""
     roles: dict[str, Column] = {}
     for index, name in enumerate(names):
         role, unit = _parsed(name)
@@ -248,33 +249,33 @@ def _roles(names: Sequence[str]) -> dict[str, Column]:
 
 
 def _parsed(name: str) -> tuple[str | None, str | None]:
-    """The role and the unit of a column."""
+    """Return the role and the unit of a column from its name; None where unknown."""
     text = name.lower()
     match = _WITH_UNIT.fullmatch(text)
     stem, unit = match.groups() if match else (text, None)
     return _ROLES.get(re.sub("[^a-z]", "", stem)), unit
 
 
-def _refuse_ambiguous(number: int, names: Sequence[str]) -> None:
+def _reject_ambiguous(number: int, names: Sequence[str]) -> None:
     for role in _NAMES:
         same = [name for name in names if _parsed(name)[0] == role]
         if len(same) > 1:
             raise RecordingError(
                 f"line {number}: the columns {' and '.join(map(repr, same))} may both be {role}; "
-                "only one of them must be named so"
+                f"only one name must mean {role}"
             )
 
 
 def _missing(roles: dict[str, Column]) -> list[str]:
-    """What a header must name and does not."""
-    when = [] if {"frame", "time"} & roles.keys() else ["frame"]
-    return when + [role for role in ("id", "x", "y") if role not in roles]
+    """Return the required roles that a header does not name."""
+    clock = [] if {"frame", "time"} & roles.keys() else ["frame"]
+    return clock + [role for role in ("id", "x", "y") if role not in roles]
 
 
-def _refuse_header(number: int, text: str, roles: dict[str, Column], width: int) -> NoReturn:
+def _raise_invalid_header(number: int, text: str, roles: dict[str, Column], width: int) -> NoReturn:
     missing = _missing(roles)
     if not missing:
-        reason = f"does not name {width} columns, as many as rows have values"
+        reason = f"does not name {width} columns, the number of values in each row"
     elif len(missing) < 3:
         reason = f"has no column named {' or '.join(missing)}"
     else:

@@ -1,4 +1,4 @@
-"""From the bytes of a file to its lines."""
+"""The lines of a text file in one of several encodings."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from pathlib import Path
 from mrsan.recording.rows import RecordingError
 
 MAX_BYTES = 200 * 10**6  # of a file; reading takes twenty times as much memory
-_RIGHT = "it must be a text file of recorded people"
-_SIGNATURES = {  # of files that are not text: what they are, and what to do
+_REQUIREMENT = "it must be a text file of recorded people"
+_SIGNATURES = {  # first bytes of files that are not text: their kind, and a remedy
     b"\x1f\x8b": ("compressed", "unpack it first"),
     b"PK\x03\x04": ("a ZIP archive or an Excel workbook", "unpack it, or save the sheet as CSV"),
     b"\xd0\xcf\x11\xe0": ("an Excel workbook", "save the sheet as CSV"),
@@ -28,25 +28,25 @@ def read_lines(path: Path) -> list[str]:
     """Read the lines of a text file in UTF-8, UTF-16 with a byte-order mark, or Latin-1.
 
     Raises:
-        RecordingError: it cannot be read, is too large, or is not text.
+        RecordingError: the file cannot be read, is too large, or is not text.
     """
     if "\0" in str(path):
-        raise RecordingError(f"its path has a zero byte; {_RIGHT}")
+        raise RecordingError(f"its path has a zero byte; {_REQUIREMENT}")
     try:
         size = path.stat().st_size
         if not path.is_file():  # a folder or a pipe
-            raise RecordingError(f"it is not a file; {_RIGHT}")
+            raise RecordingError(f"it is not a file; {_REQUIREMENT}")
         if size > MAX_BYTES:
             raise RecordingError(
-                f"it has {size / 1e6:.0f} MB; it must have at most {MAX_BYTES / 1e6:.0f} MB (use "
-                "some minutes of it)"
+                f"it has {size / 1e6:.0f} MB; it must have at most {MAX_BYTES / 1e6:.0f} MB "
+                "(cut out a few minutes)"
             )
         content = path.read_bytes()
     except OSError as error:
-        raise RecordingError(f"it cannot be read ({error.strerror}); {_RIGHT}") from None
-    for signature, (what, remedy) in _SIGNATURES.items():
+        raise RecordingError(f"it cannot be read ({error.strerror}); {_REQUIREMENT}") from None
+    for signature, (kind, remedy) in _SIGNATURES.items():
         if content.startswith(signature):
-            raise RecordingError(f"it is {what}; {remedy}")
+            raise RecordingError(f"it is {kind}; {remedy}")
     return _decode(content).splitlines()
 
 
