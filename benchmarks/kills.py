@@ -75,7 +75,7 @@ class Training:
         told = [int(number) for number in re.findall(r"^step (\d+),", said, re.MULTILINE)]
         if steps < max([self.saved, *(number - SAVE_EVERY for number in told)]):
             raise LostError(f"step {steps} is saved; it was {self.saved}, and {told} were reached")
-        begun = re.findall(r"going on at step (\d+)", said)
+        begun = re.findall(r"resuming at step (\d+)", said)
         if begun and int(begun[0]) != self.saved:
             raise LostError(f"it went on at step {begun[0]}; {self.saved} was saved")
         self.saved = steps

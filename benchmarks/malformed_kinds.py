@@ -126,7 +126,8 @@ class Good:
             for path in (self.policy, self.predictor, self.learner.path, self.state)
         }
         self.cards = {
-            path: json.loads(path.with_suffix(".json").read_text()) | {"made": {"command": "mine"}}
+            path: json.loads(path.with_suffix(".json").read_text())
+            | {"provenance": {"command": "mine"}}
             for path in (self.policy, self.predictor)
         }
         self.agent = (find_folder("conf") / "agent/orca.yaml").read_text()
@@ -339,7 +340,7 @@ def call(name: str, words: list[str]) -> None:
 
     work = [
         "samarl.commands.evaluate.run_cases", "samarl.training.trainer.Trainer.run",
-        "samarl.prediction.windows.watch", "samarl.commands.render.record_episode",
+        "samarl.prediction.windows.simulate_windows", "samarl.commands.render.record_episode",
         "samarl.commands.report.record_episode", "samarl.report.build.build_site",
         "samarl.commands.bench.Parallel", "samarl.export.export_agent",
     ]  # fmt: skip

@@ -23,7 +23,7 @@ from samarl.algorithms.action_limits import excess
 from samarl.algorithms.advantages import macro_advantages, step_advantages, streams
 from samarl.algorithms.algorithm import Algorithm
 from samarl.algorithms.critics import PopArtHead, SetEncoder
-from samarl.distributed import average_gradients, exchanged, joined
+from samarl.distributed import all_gather_cat, all_gather_object, average_gradients
 from samarl.observations.frames import Frames
 from samarl.policies.policy import LOCAL, MACRO, TOLD, Policy, Taken
 from samarl.rollout import Rollout, level_key
@@ -167,7 +167,7 @@ class PPO(Algorithm):
                         raise FloatingPointError(f"the gradient of the {name} is not finite")
                     statistics[f"losses/{name}_gradient_norm"].append(float(norm))
                 self.optimiser.step()
-            divergence = [value for values in exchanged(divergence) for value in values]
+            divergence = [value for values in all_gather_object(divergence) for value in values]
             mean_kl = sum(divergence) / max(len(divergence), 1)
             if self.config.target_kl is not None and mean_kl > self.config.target_kl:
                 break
@@ -191,9 +191,13 @@ class PPO(Algorithm):
                 told = rollout.steps["agents", "target"]
                 value = head.denormalise(head(_told(name, feature, told)))
                 found.append((*self._advantages(name, rollout, value), value[:, :-1]))
-            chosen = joined(torch.cat([advantage[where] for advantage, _, where, _, _ in found]))
-            targets = joined(torch.cat([target[valued] for _, target, _, valued, _ in found]))
-            values = joined(torch.cat([value[valued] for _, _, _, valued, value in found]))
+            chosen = all_gather_cat(
+                torch.cat([advantage[where] for advantage, _, where, _, _ in found])
+            )
+            targets = all_gather_cat(
+                torch.cat([target[valued] for _, target, _, valued, _ in found])
+            )
+            values = all_gather_cat(torch.cat([value[valued] for _, _, _, valued, value in found]))
             mean, std = chosen.new_zeros(()), chosen.new_ones(())
             if len(chosen) > 1:  # in a short rollout the macro level may decide nothing
                 mean, std = chosen.mean(), chosen.std().clamp_min(1e-4)
@@ -237,7 +241,9 @@ class PPO(Algorithm):
         acts = [data[LOCAL].where for data in prepared]
         if self.config.kept_share >= 1.0:
             return acts
-        every = joined(torch.cat([size[where] for size, where in zip(sizes, acts, strict=True)]))
+        every = all_gather_cat(
+            torch.cat([size[where] for size, where in zip(sizes, acts, strict=True)])
+        )
         least = every.kthvalue(max(int((1.0 - self.config.kept_share) * len(every)), 1)).values
         # Not `>=`: what is not a number must be kept, and stop the run.
         return [where & ~(size < least) for size, where in zip(sizes, acts, strict=True)]

@@ -1,4 +1,4 @@
-"""ORCA for robots: everybody is expected to do half of the avoiding."""
+"""ORCA for robots: each agent is expected to take half of the responsibility for avoidance."""
 
 from __future__ import annotations
 
@@ -13,31 +13,33 @@ from mrsan import Observation, Scenario
 from mrsan.kernels import kernel
 from mrsan.kernels.orca import orca_room, orca_velocity
 from mrsan.scenario import required
-from samarl.planning.tracking import gather, preferred_velocity, track_velocity
+from samarl.planning.velocity_control import gather_rows, preferred_velocity, track_velocity
 
 
 @dataclass
-class Avoidance:
-    """Numbers of optimal reciprocal collision avoidance (van den Berg et al., 2011)."""
+class OrcaParameters:
+    """Parameters of optimal reciprocal collision avoidance (van den Berg et al., 2011)."""
 
-    neighbor_distance: float = required(0.1, 1000.0)  # only agents nearer than this count, m
-    max_neighbors: int = required(1, 80)  # only so many of the nearest count
-    time_horizon: float = required(0.01, 100.0)  # the velocity must be safe for so long, s
+    neighbor_distance: float = required(0.1, 1000.0)  # agents further away are ignored, m
+    max_neighbors: int = required(1, 80)  # the nearest agents that are considered
+    time_horizon: float = required(0.01, 100.0)  # for which the velocity must be safe, s
     safety_space: float = required(0.0, 5.0)  # added to every radius, m
 
 
-def avoid(numbers: Avoidance, observation: Observation, scenario: Scenario) -> NDArray[np.float32]:
-    """The action [E, N, A] nearest to every robot's ORCA velocity, within its limits."""
+def orca_actions(
+    parameters: OrcaParameters, observation: Observation, scenario: Scenario
+) -> NDArray[np.float32]:
+    """Return the actions [E, N, A] that track every robot's ORCA velocity within its limits."""
     worlds, robots = observation.ego.shape[:2]
     action = np.empty((worlds, robots, scenario.action_size), np.float32)
     _orca(
         worlds,
         *observation.known,
         scenario.parameters(),
-        np.float32(numbers.neighbor_distance),
-        numbers.max_neighbors,
-        np.float32(numbers.time_horizon),
-        np.float32(numbers.safety_space),
+        np.float32(parameters.neighbor_distance),
+        parameters.max_neighbors,
+        np.float32(parameters.time_horizon),
+        np.float32(parameters.safety_space),
         action,
     )
     return action
@@ -63,7 +65,7 @@ def _orca(
         rows, scratch = orca_room(1 + humans.shape[2] + robots.shape[2])
         for e in range(chunk * total // chunks, (chunk + 1) * total // chunks):
             for i in range(ego.shape[1]):
-                count = gather(
+                count = gather_rows(
                     ego[e, i],
                     humans[e, i],
                     humans_visible[e, i],
@@ -73,13 +75,13 @@ def _orca(
                     safety_space,
                     rows,
                 )
-                wanted_x, wanted_y = preferred_velocity(ego[e, i], p)
+                preferred_x, preferred_y = preferred_velocity(ego[e, i], p)
                 vx, vy = orca_velocity(
                     rows,
                     count,
                     0,
-                    wanted_x,
-                    wanted_y,
+                    preferred_x,
+                    preferred_y,
                     p.robot_speed,
                     neighbor_distance,
                     max_neighbors,

@@ -21,8 +21,8 @@ from samarl.encoders import Encoder
 from samarl.observations.features import frames_of
 from samarl.observations.frames import Frames
 from samarl.observations.tracker import Tracks
-from samarl.planning.lookahead import Commands, command_set, look_ahead
-from samarl.planning.orca import Avoidance, avoid
+from samarl.planning.one_step import Commands, command_set, predict_outcomes
+from samarl.planning.orca import OrcaParameters, orca_actions
 from samarl.policies.policy import (
     LOCAL,
     POLICIES,
@@ -42,7 +42,7 @@ VALUE_SCALE = 10.0  # what is 1 to the networks; SAMARL's rewards add up to some
 
 
 @dataclass
-class LookaheadConfig(Avoidance, Commands, PolicyConfig):
+class LookaheadConfig(OrcaParameters, Commands, PolicyConfig):
     """Numbers of the lookahead, and of ORCA, which drives while it is imitated."""
 
     discount: float = required(0.0, 0.9999)  # per step
@@ -108,7 +108,9 @@ class LookaheadPolicy(Policy):
         tracks, frames = self._perceive(observation, state, is_init, scenario)
         action = torch.zeros(e, n, self.action_size)
         if explore and self.imitating:
-            action[where] = torch.from_numpy(avoid(self.config, observation, scenario))[where]
+            action[where] = torch.from_numpy(orca_actions(self.config, observation, scenario))[
+                where
+            ]
         else:
             action[where] = self._best(tracks, active, scenario, self.epsilon if explore else 0.0)
         level = Level(action, torch.zeros(e, n), where)
@@ -124,7 +126,7 @@ class LookaheadPolicy(Policy):
         """The best command of each of the R active robots, or any with probability `epsilon`."""
         commands = command_set(self.config, scenario.kinematics)
         target = self._route(tracks.ego, scenario)
-        outcomes = look_ahead(tracks, active, target, commands, scenario)
+        outcomes = predict_outcomes(tracks, active, target, commands, scenario)
         imagined = frames_of(outcomes.tracks, scenario, self.config.known_origin).to(self.device)
         rows = torch.from_numpy(np.flatnonzero(active)).to(self.device).repeat(len(commands))
         piece = AT_ONCE if self.device.type == "cpu" else max(len(rows), 1)

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from mrsan import Crowd, Reward, Scenario, Split
-from samarl.commands.bench import _command, _row, main
+from samarl.commands.bench import _command, _row, _Task, main
 from samarl.configuration import load_agent
 from samarl.evaluation.regression import compare
 from samarl.evaluation.runner import Evaluation
@@ -66,32 +66,32 @@ def committed() -> list[Row]:
     return rows
 
 
-def test_a_policy_with_damaged_weights_shows(tmp_path: Path) -> None:
-    """With the share of the cases that is played with policies in every check."""
+def test_a_policy_with_damaged_weights_differs(tmp_path: Path) -> None:
+    """On the number of cases that continuous integration uses for policies."""
     policy, card = load_policy(find_policy("samarl_flat"))
     with torch.no_grad():
         for parameter in policy.networks[0].encoder.humans.parameters():
-            parameter.zero_()  # it sees nobody
+            parameter.zero_()  # it ignores people
     save_policy(tmp_path / "damaged.safetensors", policy, card.policy, {})
     agent, cases = load_agent("samarl_flat"), Evaluation(cases=25)
     whole = compare(
-        _row("samarl_flat", [agent], Scenario(), Scenario(), cases, "", []), committed()
+        _row(_Task("samarl_flat", [agent], Scenario(), cases), Scenario(), "", []), committed()
     )
     assert whole.startswith(("same ", "close "))
     agent["checkpoint"] = str(tmp_path / "damaged.safetensors")
     damaged = compare(
-        _row("samarl_flat", [agent], Scenario(), Scenario(), cases, "", []), committed()
+        _row(_Task("samarl_flat", [agent], Scenario(), cases), Scenario(), "", []), committed()
     )
     assert damaged.startswith("DIFFERS ")
 
 
-def test_a_row_of_a_policy_says_how_it_comes_about_from_nothing() -> None:
+def test_a_row_of_a_policy_has_its_training_commands() -> None:
     agents = [
         load_agent("samarl_flat"),
         load_agent("samarl_flat") | {"checkpoint": "samarl_flat_seed0"},
     ]
     scenario = Scenario(humans=0, robots=1)
-    row = _row("samarl_flat", agents, scenario, scenario, Evaluation(cases=1), "", [])
+    row = _row(_Task("samarl_flat", agents, scenario, Evaluation(cases=1)), scenario, "", [])
     train = "samarl-train trainer.threads=1 trainer.seed=2 policy=flat run_dir=outputs/samarl_flat"
     assert row["from_training"] == (
         f"{train} && {row['command']} checkpoint=outputs/samarl_flat/last.safetensors"
@@ -99,16 +99,17 @@ def test_a_row_of_a_policy_says_how_it_comes_about_from_nothing() -> None:
     other = train.replace("seed=2", "seed=0") + "_seed0"
     assert row["training_commands"] == [train, other]
     straight = _row(
-        "straight", [load_agent("straight")], scenario, scenario, Evaluation(cases=1), "", []
-    )
+        _Task("straight", [load_agent("straight")], scenario, Evaluation(cases=1)),
+        scenario, "", [],
+    )  # fmt: skip
     assert "from_training" not in straight
 
 
-def test_a_planner_that_is_five_points_worse_shows() -> None:
+def test_a_planner_that_is_five_points_worse_differs() -> None:
     agent = load_agent("perimeter")
-    played = Scenario(), Scenario(), Evaluation(), "", []
-    good = _row("perimeter", [agent], *played)
+    good = _row(_Task("perimeter", [agent], Scenario(), Evaluation()), Scenario(), "", [])
     assert compare(good, committed()).startswith(("same ", "close "))
-    worse = _row("perimeter", [{**agent, "radius": 7.0}], *played)
+    task = _Task("perimeter", [{**agent, "radius": 7.0}], Scenario(), Evaluation())
+    worse = _row(task, Scenario(), "", [])
     assert 4.0 < good["success_rate"] - worse["success_rate"] < 6.0
     assert compare(worse, committed()).startswith("DIFFERS ")

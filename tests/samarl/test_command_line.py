@@ -85,8 +85,8 @@ def test_a_sweep_takes_paths_between_commas() -> None:
     assert value_of(word) == "a,b"
 
 
-def test_every_text_that_is_a_path_is_taken_as_one() -> None:
-    """A new field of text must be put among those that are paths, or here."""
+def test_every_path_field_is_known() -> None:
+    """A new string field must be added to PATH_FIELDS or to the exceptions here."""
     owners = [Config, Bench, Export, Predictor, Render, Report, Train, Scenario, Reward, Learned,
               ModelPredictive, Shield, TrainerConfig]  # fmt: skip
     texts = {
@@ -101,15 +101,15 @@ def test_every_text_that_is_a_path_is_taken_as_one() -> None:
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--agent=orca"], "'--agent=orca' is no option"),
+        (["--agent=orca"], "'--agent=orca' is not an option"),
         (["--config-dir"], "--config-dir has no value"),
-        (["orca"], "'orca' is no setting"),
-        (["=3"], "'=3' is no setting"),
-        (["agent=orca,straight"], "agent is 'orca,straight'; it takes one value"),
-        (["agents=[orca"], "agents is '[orca'; a list is written [a,b]"),
+        (["orca"], "'orca' is not a setting"),
+        (["=3"], "'=3' is not a setting"),
+        (["agent=orca,straight"], "agent is 'orca,straight'; it must be a single value"),
+        (["agents=[orca"], "agents is '[orca'; it must be a list [a,b]"),
     ],
 )
-def test_what_is_no_setting_is_refused(words: list[str], message: str) -> None:
+def test_invalid_words_are_refused(words: list[str], message: str) -> None:
     with pytest.raises(ConfigurationError) as error:
         CommandLine.parse(words).quoted()
     assert str(error.value).startswith(message)
@@ -127,7 +127,7 @@ def test_options_may_stand_anywhere() -> None:
     ]  # fmt: skip
 
 
-def test_a_recording_is_played_wherever_it_lies(
+def test_recordings_in_folders_with_special_characters_are_played(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.chdir(tmp_path)

@@ -78,7 +78,7 @@ def test_an_encoder_of_ones_own(tmp_path: Path) -> None:
     )  # fmt: skip
     assert done.returncode == 2  # nothing of mine is imported unless I say so
     assert (
-        "encoder.name is 'deep_sets'; it must be among gru, pairwise, social_attention"
+        "encoder.name is 'deep_sets'; it must be one of gru, pairwise, social_attention"
         in done.stderr
     )
 
@@ -89,7 +89,7 @@ def test_an_algorithm_in_samarl_train(tmp_path: Path) -> None:
     (tmp_path / "my_conf/algorithm/sharing.yaml").write_text(block(text, "yaml"))
     (tmp_path / "my_mappo.py").write_text(block(text, "python"))
     assert "| samarl " in run(text, tmp_path)
-    made = json.loads((tmp_path / "outputs/sharing/last.json").read_text())["made"]
+    made = json.loads((tmp_path / "outputs/sharing/last.json").read_text())["provenance"]
     assert made["configuration"]["algorithm"]["name"] == "sharing"
 
 

@@ -18,7 +18,7 @@ from hydra.core.global_hydra import GlobalHydra
 
 from mrsan import Reward, Scenario
 from samarl.commands import evaluate
-from samarl.configuration import refuse_bombs
+from samarl.configuration import reject_alias_bombs
 from samarl.evaluation.runner import Evaluation
 from samarl.files import find_folder
 
@@ -379,5 +379,5 @@ def test_a_file_whose_aliases_would_fill_the_memory_is_refused_before_it_is_read
 
 def test_aliases_as_people_use_them_are_read(tmp_path: Path) -> None:
     (tmp_path / "few.yaml").write_text("a: &a {x: 1}\nb: [*a, *a]\nc: {<<: *a}\n")
-    refuse_bombs(tmp_path)
-    refuse_bombs(find_folder("conf"))
+    reject_alias_bombs(tmp_path)
+    reject_alias_bombs(find_folder("conf"))

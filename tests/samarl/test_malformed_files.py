@@ -46,7 +46,7 @@ def test_a_policy_that_gives_no_numbers_or_claims_gigabytes_is_refused(tmp_path:
         ({"hidden": 10**9}, "policy.hidden is 1000000000; it must be a whole number in"),
         ({"hidden": 10**400}, "policy.hidden is 1000"),
         ({"round_radius": 10**400}, "policy has a number that is too large for a float"),
-        ({"encoder": "${nowhere}"}, "encoder is '.*'; it must be names with their values"),
+        ({"encoder": "${nowhere}"}, "encoder is '.*'; it must map names to values"),
     ):
         spoiled = {**card, "config": {**card["config"], **sizes}}
         path.with_suffix(".json").write_text(json.dumps(spoiled))

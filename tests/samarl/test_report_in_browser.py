@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser, ConsoleMessage, Page, sync_playwright
 
-from tests.reporting import recorded
+from tests.reporting import straight_trajectory
 
 FLAGS = [
     "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
@@ -149,14 +149,14 @@ def test_a_replay_plays_pauses_scrubs_and_ends(page: Page, site: Path) -> None:
 
 
 def test_the_chosen_robot_sees_what_was_recorded(page: Page, site: Path) -> None:
-    recording = recorded()
+    trajectory = straight_trajectory()
     show(page, site, "column=90°+view,+10+humans,+3+robots&case=test+case+0&left=straight&right=")
     assert len(steps(page)) == 1
-    for t in range(len(recording.robot_position)):
+    for t in range(len(trajectory.robot_position)):
         for robot in range(3):
             page.keyboard.press(str(robot))
-            humans = recording.humans_seen[t, robot].sum()
-            others = recording.robots_seen[t, robot].sum()
+            humans = trajectory.humans_visible[t, robot].sum()
+            others = trajectory.robots_visible[t, robot].sum()
             said = page.inner_text(".sight >> nth=0")
             assert said == f"Robot {robot} sees {humans} of 10 humans, {others} of 2 robots."
         page.keyboard.press("ArrowRight")

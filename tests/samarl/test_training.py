@@ -75,12 +75,12 @@ def test_a_killed_run_goes_on_bit_for_bit(tmp_path: Path) -> None:
     ):
         said, errors = process.communicate(timeout=240)
         assert process.returncode == 0, errors
-        assert "going on at step" in said
+        assert "resuming at step" in said
         for which in ("last", "best"):
             name = f"run/{which}.safetensors"
             assert (whole / name).read_bytes() == (folder / name).read_bytes()
             cards = [(made / name).with_suffix(".json") for made in (whole, folder)]
-            commands = [json.loads(card.read_text())["made"]["command"] for card in cards]
+            commands = [json.loads(card.read_text())["provenance"]["command"] for card in cards]
             assert commands[0] == commands[1]
         assert [path.name for path in folder.iterdir()] == ["run"]
     header = (cut / "run/progress.csv").read_text().splitlines()[0].split(",")
@@ -100,7 +100,7 @@ def test_a_killed_run_goes_on_bit_for_bit(tmp_path: Path) -> None:
     process = start_with(whole, "resume=run", "trainer.steps=1152")  # a finished run may go on
     said, errors = process.communicate(timeout=240)
     assert process.returncode == 0, errors
-    assert "going on at step 1024 of 1152" in said
+    assert "resuming at step 1024 of 1152" in said
 
     process = start(cut, "algorithm.epochs=3")  # another run may not go on in this folder
     _, errors = process.communicate(timeout=240)
@@ -144,7 +144,7 @@ def test_a_stopped_run_saves_and_says_so_in_one_line(how: signal.Signals, tmp_pa
     process.send_signal(how)
     _, errors = process.communicate(timeout=60)
     assert process.returncode == 130
-    assert errors == "interrupted; go on with: samarl-train resume=run\n"
+    assert errors == "interrupted; resume with: samarl-train resume=run\n"
     assert (tmp_path / "run/state.safetensors").exists()
     assert (tmp_path / "run/last.safetensors").exists()
 
@@ -224,8 +224,8 @@ def test_a_saved_policy_drives_as_the_one_that_was_saved(tmp_path: Path) -> None
     found, card = load_policy(path)
     original = policy().state_dict()
     assert all(torch.equal(value, original[key]) for key, value in found.state_dict().items())
-    assert card.made == {"command": "test"}
-    scenario, cases = Scenario(humans=2), Evaluation(cases=5).numbers()
+    assert card.provenance == {"command": "test"}
+    scenario, cases = Scenario(humans=2), Evaluation(cases=5).case_numbers()
     first = run_cases(build_agent(learned(path), scenario), scenario, cases, 5)
     again = run_cases(build_agent(learned(path), scenario), scenario, cases, 2)
     assert first.outcome.tolist() == again.outcome.tolist()
@@ -275,9 +275,9 @@ def test_a_foreign_or_damaged_checkpoint_is_refused_in_words(tmp_path: Path) -> 
             build_agent(learned(path), Scenario())
 
     card.write_text(good.replace("hierarchical", "os.system"))
-    refused("policy.name is 'os.system'; it must be among flat, hierarchical")
+    refused("policy.name is 'os.system'; it must be one of flat, hierarchical")
     card.write_text(good.replace("spatio_temporal", "os.system"))
-    refused("encoder.name is 'os.system'; it must be among")
+    refused("encoder.name is 'os.system'; it must be one of")
     card.write_text(good[: len(good) // 2])
     refused("is not the card of a policy")
     card.write_text("[]")
@@ -327,7 +327,7 @@ def test_a_curriculum_with_a_mistake_is_refused(
 def test_without_its_waypoints_it_drives_otherwise(plan: str, tmp_path: Path) -> None:
     path = tmp_path / "policy.safetensors"
     save_policy(path, policy(gain=100.0), "hierarchical", {})
-    scenario, cases = Scenario(humans=2), Evaluation(cases=3).numbers()
+    scenario, cases = Scenario(humans=2), Evaluation(cases=3).case_numbers()
     with_waypoints = run_cases(build_agent(learned(path), scenario), scenario, cases, 3)
     agent = build_agent({**learned(path), "waypoints": plan}, scenario)
     without = run_cases(agent, scenario, cases, 3)

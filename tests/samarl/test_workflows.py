@@ -68,7 +68,7 @@ def test_a_sweep_gathers_a_table_and_goes_on_where_it_stopped(tmp_path: Path) ->
     assert folder.name.startswith("fov_degrees-robots-")
     cells = sorted(folder.glob("**/row.json"))
     assert len(cells) == 4
-    assert "finished before" not in first.stdout
+    assert "already finished" not in first.stdout
     rows = json.loads((folder / "table.json").read_text())
     columns = [(row["fov_degrees"], row["robots"]) for row in rows]
     assert columns == [(90.0, 2), (90.0, 3), (360.0, 2), (360.0, 3)]
@@ -76,18 +76,18 @@ def test_a_sweep_gathers_a_table_and_goes_on_where_it_stopped(tmp_path: Path) ->
     assert len(table.splitlines()) == 2 + 4
 
     again = run("evaluate", *sweep, cwd=tmp_path)
-    assert again.stdout.count("finished before") == 4
+    assert again.stdout.count("already finished") == 4
     assert (folder / "table.md").read_text() == table
 
     cells[2].unlink()
     last = run("evaluate", *sweep, cwd=tmp_path)
-    assert last.stdout.count("finished before") == 3
+    assert last.stdout.count("already finished") == 3
     assert cells[2].exists()
     assert json.loads((folder / "table.json").read_text()) == rows
 
     # Other cases are another question: nothing that was finished answers it.
     other = run("evaluate", *sweep[:-1], "evaluation.cases=5", cwd=tmp_path)
-    assert "finished before" not in other.stdout
+    assert "already finished" not in other.stdout
     assert len(list((tmp_path / "outputs/sweep").iterdir())) == 2  # a table of its own
     assert (folder / "table.md").read_text() == table
 
@@ -105,7 +105,7 @@ def test_a_sweep_of_a_clusters_launcher_goes_on_on_one_machine(tmp_path: Path) -
     assert columns == [(90.0, 2), (90.0, 3), (360.0, 2), (360.0, 3)]
 
     again = run("evaluate", *sweep, cwd=tmp_path)
-    assert again.stdout.count("finished before") == 4
+    assert again.stdout.count("already finished") == 4
     assert (folder / "table.md").read_text() == table
 
 
@@ -322,7 +322,7 @@ def test_what_cannot_be_written_is_refused_before_anything_is_played(tmp_path: P
     (tmp_path / "taken").write_text("a file")
     for command, output in (("render", "taken/case.png"), ("bench", "taken"), ("report", "taken")):
         done = run(command, f"output={output}", cwd=tmp_path, code=2)
-        assert "where nothing can be written" in done.stderr
+        assert "which cannot be written" in done.stderr
         assert done.stderr.startswith("error: output is 'taken")
         assert len(done.stderr.splitlines()) == 1
 
