@@ -273,8 +273,10 @@ def _earlier_rows(config: DictConfig, path: Path, tasks: Sequence[_Task]) -> lis
         lost_seeds = "training_seeds" in row and not config.seeds
         if new_cases < row["episodes"] or lost_seeds:
             raise ConfigurationError(
-                f"merge is true, but the row of {row['method']} in {path} has {row['episodes']} "
-                "cases" + (" and several seeds (seeds=true)" if "training_seeds" in row else "")
+                f"merge is true; the row of {row['method']} must have at least the "
+                f"{row['episodes']} cases"
+                + (" and all training seeds (seeds=true)" if "training_seeds" in row else "")
+                + f" of {path}"
             )
     return earlier
 

@@ -37,7 +37,7 @@ def played(monkeypatch: pytest.MonkeyPatch, *words: str) -> None:
     main()
 
 
-def test_rows_are_merged_where_they_say_no_less(
+def test_rows_with_fewer_cases_are_not_merged(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -56,7 +56,8 @@ def test_rows_are_merged_where_they_say_no_less(
     before = path.read_bytes()
     with pytest.raises(SystemExit):
         played(monkeypatch, "agents=[straight]", "merge=true", columns, "evaluation.cases=2")
-    assert "says more of straight: 3 cases" in capsys.readouterr().err
+    error = capsys.readouterr().err
+    assert "the row of straight must have at least the 3 cases" in error
     assert path.read_bytes() == before
 
 

@@ -62,7 +62,7 @@ def test_windows_of_a_recording_lie_within_the_recorded_tracks(tmp_path: Path) -
     np.testing.assert_allclose(windows.future[0] - windows.past[0, -1], [
         [0.25, 0], [0.25, 0.25], [0.25, 0.5], [0.25, 0.75]], atol=1e-5)  # fmt: skip
     with pytest.raises(
-        ConfigurationError, match=r"recordings: nobody in .* is there for 109 steps"
+        ConfigurationError, match=r"recordings: .* has no track of at least 109 steps"
     ):
         recorded_windows(path, 0.25, 0.25, replace(SMALL, steps=104, duration=200))
 

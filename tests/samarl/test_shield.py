@@ -66,7 +66,7 @@ def test_actions_of_arrived_robots_are_not_replaced() -> None:
     ("shield", "message"),
     [
         ({"horizon": 0.0}, r"agent.shield.horizon is 0.0; .* in \(0, 100\]"),
-        ({"step": 4}, r"agent.shield.step: Key 'step' not in 'Shield'"),
+        ({"step": 4}, r"agent.shield.step is not known"),
         ("yes", r"agent.shield is 'yes'; it must be true, false or"),
     ],
 )
