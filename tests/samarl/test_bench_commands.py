@@ -1,4 +1,4 @@
-"""The rows of a table: their commands, and that they show when something gets worse."""
+"""Rows of a table: their commands and their sensitivity to regressions."""
 
 import sys
 from dataclasses import replace
@@ -17,7 +17,7 @@ from samarl.files import find_folder
 from samarl.policies.checkpoint import find_policy, load_policy, save_policy
 
 
-def test_the_command_names_all_that_is_not_as_by_default() -> None:
+def test_the_command_names_all_changed_fields() -> None:
     column = Scenario(fov_degrees=90.0, humans=4, robots=2)
     plain = "samarl-evaluate agent=orca scenario.fov_degrees=90 scenario.humans=4 scenario.robots=2"
     assert _command("orca", column, Scenario(), Evaluation()) == plain

@@ -1,4 +1,4 @@
-"""What a shell hands to a command is read as it is: paths above all."""
+"""Parsing of command lines, of paths above all."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def value_of(word: str) -> Any:
 
 @pytest.mark.parametrize("field", ["scenario.recording", "agent.checkpoint", "+hydra.run.dir"])
 @pytest.mark.parametrize("text", ODD)
-def test_a_path_is_what_stands_after_the_sign(field: str, text: str) -> None:
+def test_a_path_is_everything_after_the_equals_sign(field: str, text: str) -> None:
     (word,) = CommandLine.parse([f"{field}={text}"]).quoted().words()
     assert value_of(word) == text
     sweep = CommandLine.parse(["-m", f"{field}={text}" if "," not in text else f'{field}="{text}"'])
@@ -68,12 +68,12 @@ def test_any_text_is_a_path(text: str) -> None:
         ("hydra.run.dir=${now:%Y} (1)", "${now:%Y} (1)"),
     ],
 )
-def test_quotes_null_and_references_mean_what_they_do_elsewhere(word: str, value: Any) -> None:
+def test_quotes_null_and_interpolations_keep_their_meaning(word: str, value: Any) -> None:
     (quoted,) = CommandLine.parse([word]).quoted().words()
     assert value_of(quoted) == value
 
 
-def test_a_sweep_takes_paths_between_commas() -> None:
+def test_a_sweep_accepts_paths_separated_by_commas() -> None:
     words = ["checkpoint=a (1).x, it's,'b,c'", "-m", "agent=orca,straight"]
     command = CommandLine.parse(words).quoted()
     cells = [[value_of(word) for word in cell] for cell in command.cells(None)]  # type: ignore[arg-type]

@@ -67,7 +67,7 @@ def test_windows_of_a_recording_lie_within_the_recorded_tracks(tmp_path: Path) -
         recorded_windows(path, 0.25, 0.25, replace(SMALL, steps=104, duration=200))
 
 
-def test_the_network_that_learns_is_the_one_that_runs() -> None:
+def test_trained_and_simulated_network_agree() -> None:
     torch.manual_seed(0)
     network = Network(6)
     torch.nn.init.normal_(network.w_output)
@@ -83,7 +83,7 @@ def test_the_network_that_learns_is_the_one_that_runs() -> None:
     np.testing.assert_allclose(found, expected, atol=1e-5)
 
 
-def test_it_learns_and_goes_on_where_it_was_interrupted(tmp_path: Path) -> None:
+def test_training_reduces_the_error_and_resumes(tmp_path: Path) -> None:
     crowds = {"orca": Scenario(human_speed_max=1.5), "force": Scenario(crowd=Crowd.social_force)}
     whole = Learner(SMALL, crowds, tmp_path / "whole.safetensors")
     before = [weight.clone() for weight in whole.network.parameters()]
@@ -106,7 +106,7 @@ def test_it_learns_and_goes_on_where_it_was_interrupted(tmp_path: Path) -> None:
     assert displacement(again.predictor(), windows, 4)[-1] < plain[-1]
 
 
-def test_what_was_learned_is_saved_as_the_simulator_reads_it(tmp_path: Path) -> None:
+def test_saved_predictors_are_read_by_the_simulator(tmp_path: Path) -> None:
     torch.manual_seed(0)
     network = Network(6)
     torch.nn.init.normal_(network.w_output)
@@ -151,7 +151,7 @@ def driven(config: dict[str, Any], scenario: Scenario = SCENARIO) -> list[np.nda
 
 
 @pytest.mark.parametrize("who", ["shield", "model_predictive"])
-def test_constant_velocity_is_what_one_does_by_default(
+def test_the_default_predictor_is_constant_velocity(
     who: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """To the bit: as by default, through the interface of predictors, with weights of zero."""
@@ -166,7 +166,7 @@ def test_constant_velocity_is_what_one_does_by_default(
     assert any((a != b).any() for a, b in zip(otherwise, expected, strict=True))
 
 
-def test_a_predictor_that_does_not_fit_is_named() -> None:
+def test_invalid_predictors_are_refused() -> None:
     for scenario, name, message in (
         (SCENARIO, "crystal_ball", "'crystal_ball'; it must be"),
         (replace(SCENARIO, time_step=0.1), "recurrent", "predicts in steps of 0.25 s"),

@@ -317,7 +317,7 @@ def test_a_policy_is_shown_with_its_own_agent() -> None:
         assert shown == {**config, "checkpoint": config.get("checkpoint", "")}
 
 
-def test_an_agent_without_its_checkpoint_is_left_out(tmp_path: Path) -> None:
+def test_an_agent_without_its_checkpoint_is_skipped(tmp_path: Path) -> None:
     (tmp_path / "results").mkdir()
     (tmp_path / "conf/agent").mkdir(parents=True)
     (tmp_path / "conf/agent/mine.yaml").write_text("defaults:\n  - samarl\ncheckpoint: nowhere\n")
@@ -339,7 +339,7 @@ def test_an_agent_without_its_checkpoint_is_left_out(tmp_path: Path) -> None:
         ("agents=[nobody]", "agents: there is no agent 'nobody'; "),
     ],
 )
-def test_a_mistake_is_one_line(tmp_path: Path, argument: str, message: str) -> None:
+def test_user_errors_are_one_line(tmp_path: Path, argument: str, message: str) -> None:
     for name in ("full", "broken", "partial"):
         (tmp_path / name).mkdir()
     (tmp_path / "full/mine.txt").write_text("mine")

@@ -1,4 +1,4 @@
-"""The pages of the report in a real browser: they open, fit, play and obey the keyboard."""
+"""The report in a browser: layout, playback and keyboard control."""
 
 import shutil
 import time
@@ -148,7 +148,7 @@ def test_a_replay_plays_pauses_scrubs_and_ends(page: Page, site: Path) -> None:
     assert steps(page) == [f"{last}.000"] * 2
 
 
-def test_the_chosen_robot_sees_what_was_recorded(page: Page, site: Path) -> None:
+def test_the_viewer_shows_what_the_selected_robot_sees(page: Page, site: Path) -> None:
     trajectory = straight_trajectory()
     show(page, site, "column=90°+view,+10+humans,+3+robots&case=test+case+0&left=straight&right=")
     assert len(steps(page)) == 1

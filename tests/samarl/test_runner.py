@@ -1,4 +1,4 @@
-"""Every case once, in order, whatever the batch."""
+"""Every case is run once, in order, for any batch size."""
 
 from dataclasses import dataclass
 
@@ -28,7 +28,7 @@ def test_the_records_do_not_depend_on_the_batch(alone, batch: int) -> None:
         np.testing.assert_array_equal(getattr(together, name), getattr(alone, name), err_msg=name)
 
 
-def test_every_case_is_played_once_in_the_order_given(alone) -> None:
+def test_every_case_is_run_once_in_order(alone) -> None:
     assert alone.case.tolist() == CASES.tolist()
     assert not alone.episode.any()
     assert len(np.unique(alone.straight_line[:, 0])) == len(CASES)
@@ -72,7 +72,7 @@ def test_memories_are_reset_with_their_episodes() -> None:
     assert agent.begun == 12
 
 
-def test_a_recording_is_the_case_that_was_evaluated(alone) -> None:
+def test_a_trajectory_is_that_of_the_evaluated_case(alone) -> None:
     case = int(CASES[3])
     trajectory = record_episode(Straight(SCENARIO), SCENARIO, case)
     steps = round(float(alone.duration[3]) / SCENARIO.time_step)
