@@ -356,10 +356,7 @@ def test_a_checkpoint_of_another_kind_of_policy_is_refused(
     for setting in ("checkpoint=samarl_flat", "agent.checkpoint=samarl_flat"):
         assert run(["agent=cadrl", setting], monkeypatch) == 2
         said = capsys.readouterr().err
-        assert (
-            "checkpoint is 'samarl_flat', a flat policy; it must be a lookahead policy for agent=cadrl"
-            in said
-        )
+        assert "checkpoint is 'samarl_flat', a flat policy; it must be a lookahead policy" in said
         assert "agent=samarl_flat" in said
 
 
