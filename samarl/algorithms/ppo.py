@@ -24,7 +24,7 @@ from samarl.algorithms.action_limits import excess
 from samarl.algorithms.advantages import macro_advantages, step_advantages, streams
 from samarl.algorithms.algorithm import Algorithm
 from samarl.algorithms.critics import PopArtHead, SetEncoder
-from samarl.distributed import average_gradients, exchanged, joined
+from samarl.distributed import all_gather_cat, all_gather_object, average_gradients
 from samarl.observations.frames import Frames
 from samarl.policies.hierarchical import WAYPOINT_FEATURES
 from samarl.policies.policy import LOCAL, MACRO, Policy
@@ -200,7 +200,7 @@ class PPO(Algorithm):
                         raise FloatingPointError(f"the gradient of the {name} is not finite")
                     statistics[f"losses/{name}_gradient_norm"].append(float(norm))
                 self.optimiser.step()
-            divergence = [value for values in exchanged(divergence) for value in values]
+            divergence = [value for values in all_gather_object(divergence) for value in values]
             mean_kl = sum(divergence) / max(len(divergence), 1)
             if self.config.target_kl is not None and mean_kl > self.config.target_kl:
                 break
@@ -224,9 +224,13 @@ class PPO(Algorithm):
                 waypoints = rollout.steps["agents"].get("waypoint_features")
                 value = head.denormalise(head(_critic_input(name, feature, waypoints)))
                 found.append((*self._advantages(name, rollout, value), value[:, :-1]))
-            chosen = joined(torch.cat([advantage[where] for advantage, _, where, _, _ in found]))
-            targets = joined(torch.cat([target[valued] for _, target, _, valued, _ in found]))
-            values = joined(torch.cat([value[valued] for _, _, _, valued, value in found]))
+            chosen = all_gather_cat(
+                torch.cat([advantage[where] for advantage, _, where, _, _ in found])
+            )
+            targets = all_gather_cat(
+                torch.cat([target[valued] for _, target, _, valued, _ in found])
+            )
+            values = all_gather_cat(torch.cat([value[valued] for _, _, _, valued, value in found]))
             mean, std = chosen.new_zeros(()), chosen.new_ones(())
             if len(chosen) > 1:  # in a short rollout the macro level may decide never
                 mean, std = chosen.mean(), chosen.std().clamp_min(1e-4)
@@ -270,7 +274,9 @@ class PPO(Algorithm):
         acts = [data[LOCAL].where for data in prepared]
         if self.config.advantage_filter_fraction >= 1.0:
             return acts
-        every = joined(torch.cat([size[where] for size, where in zip(sizes, acts, strict=True)]))
+        every = all_gather_cat(
+            torch.cat([size[where] for size, where in zip(sizes, acts, strict=True)])
+        )
         dropped = int((1.0 - self.config.advantage_filter_fraction) * len(every))
         least = every.kthvalue(max(dropped, 1)).values
         # Not `>=`: NaN must be kept, so that it stops the run.

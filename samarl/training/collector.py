@@ -16,7 +16,7 @@ from mrsan.features import VELOCITY
 from mrsan.metrics import episodes_of
 from samarl.observations.features import state_of
 from samarl.observations.frames import Frames
-from samarl.planning.shield import Shield, shielded
+from samarl.planning.shield import Shield, apply_shield
 from samarl.policies.policy import LOCAL, Decision, Policy, PolicyState, empty_features
 from samarl.policies.stochastic import StochasticPolicy
 from samarl.rollout import Rollout, level_key
@@ -183,7 +183,7 @@ class RolloutCollector:
             found["agents", "waypoint_features"] = decision.step.waypoint_features
         if self.teacher is not None:
             wanted = decision.step.mean.clamp(-1.0, 1.0)
-            safe = shielded(decision.tracks, wanted.numpy(), self.stage.scenario, self.teacher)
+            safe = apply_shield(decision.tracks, wanted.numpy(), self.stage.scenario, self.teacher)
             found["agents", "safe_action"] = torch.from_numpy(safe)
             unsafe = (found["agents", "safe_action"] - wanted).abs().amax(-1) > UNSAFE
             found["agents", "unsafe"] = unsafe & active
