@@ -23,7 +23,7 @@ from mrsan import ConfigurationError, Scenario, World
 from mrsan.threads import use_threads
 from samarl.agents import Agent, build_agent
 from samarl.configuration import available_agents, load_agent, load_scenario
-from samarl.evaluation.table import as_text
+from samarl.evaluation.table import markdown_table
 from samarl.export import export_agent
 from samarl.files import machine, write_json
 from samarl.runtime import Driver
@@ -58,7 +58,7 @@ def main() -> None:
         f"{BATCH} robots ms [smallest, largest]",
     )  # fmt: skip
     lines = [[row["agent"], *(_cell(row[key]) for key in _MEASURED)] for row in rows]
-    print(as_text(header, lines))
+    print(markdown_table(header, lines))
     result = {
         "agents": rows,
         **provenance("latency"),

@@ -130,7 +130,8 @@ class ValidInputs:
             for path in (self.policy, self.predictor, self.learner.path, self.state)
         }
         self.metadata = {
-            path: json.loads(path.with_suffix(".json").read_text()) | {"made": {"command": "test"}}
+            path: json.loads(path.with_suffix(".json").read_text())
+            | {"provenance": {"command": "test"}}
             for path in (self.policy, self.predictor)
         }
         self.agent = (find_folder("conf") / "agent/orca.yaml").read_text()
@@ -347,7 +348,7 @@ def call(name: str, words: list[str]) -> None:
 
     work = [
         "samarl.commands.evaluate.run_cases", "samarl.training.trainer.Trainer.run",
-        "samarl.prediction.windows.watch", "samarl.commands.render.record_episode",
+        "samarl.prediction.windows.simulate_windows", "samarl.commands.render.record_episode",
         "samarl.commands.report.record_episode", "samarl.report.build.build_site",
         "samarl.commands.bench.Parallel", "samarl.export.export_agent",
     ]  # fmt: skip

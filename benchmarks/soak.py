@@ -30,7 +30,7 @@ from benchmarks.workload import (
 )
 from mrsan import ConfigurationError, Step, World
 from mrsan.state import State
-from samarl.files import check_writable, code_version, unfinished, write_json
+from samarl.files import atomic_write, check_writable, code_version, write_json
 
 LARGEST_GROWTH = 20.0  # of the memory of one process, MB
 SAVE_SECONDS = 60.0
@@ -96,7 +96,7 @@ class Soak:
         progress = {name: getattr(self, name) for name in names}
         progress["steps"] = self.stepper.steps
         state = self.stepper.world.state._asdict()
-        with unfinished(self.path) as part:
+        with atomic_write(self.path) as part:
             part.write_bytes(save(state, {"progress": json.dumps(progress)}))
         self._saved = time.perf_counter()
 

@@ -30,7 +30,7 @@ from benchmarks.workload import (
     provenance,
 )
 from mrsan.pettingzoo_env import PettingZooEnv
-from samarl.evaluation.table import as_text
+from samarl.evaluation.table import markdown_table
 from samarl.files import write_json
 
 WORLDS, HUMANS, ROBOTS = 512, 10, 3
@@ -165,7 +165,9 @@ def _table(key: str, points: Sequence[Point], text: str, of_all_worlds: bool) ->
         previous = cost
     costs = [p["ns_per_world_step"] * (p["worlds"] if of_all_worlds else 1) for p in points]
     exponent = growth_exponent([p[key] for p in points], costs)
-    return f"{as_text(header, lines)}\n{text}^{exponent:.2f} (fitted to the last three points)"
+    return (
+        f"{markdown_table(header, lines)}\n{text}^{exponent:.2f} (fitted to the last three points)"
+    )
 
 
 def _range(point: Point) -> str:

@@ -24,10 +24,10 @@ from tqdm import trange
 from benchmarks.workload import add_output, interruptible, positive_whole_number, provenance
 from samarl.commands.train import Train, build_trainer
 from samarl.configuration import register_schemas
-from samarl.distributed import asked_to_stop
-from samarl.evaluation.table import as_text
+from samarl.distributed import stop_requested
+from samarl.evaluation.table import markdown_table
 from samarl.files import find_folder, machine, write_json
-from samarl.launch import processes, rank
+from samarl.launch import rank, world_size
 from samarl.training.trainer import Trainer
 
 # The functions that make up each part of a round: end of the file's path, name.
@@ -67,7 +67,7 @@ def main() -> None:
             if 1 <= number <= rounds:  # round 0 compiles and warms up
                 seconds.append(time.perf_counter() - start)
             steps = trainer.steps_done - steps_before
-            if asked_to_stop():
+            if stop_requested():
                 raise KeyboardInterrupt
         profiler.disable()
     if rank() > 0:
@@ -78,18 +78,18 @@ def main() -> None:
         "smallest": round(min(rates), 1),
         "largest": round(max(rates), 1),
         "share_percent": shares(pstats.Stats(profiler)),
-        "processes": processes(),
+        "processes": world_size(),
         "threads": trainer.config.threads,
         **provenance("training"),
     }
     write_json(arguments.output, result)
     rate, low, high = (f"{value:,.0f}" for value in list(result.values())[:3])
     print(
-        f"{rate} [{low}, {high}] world-steps per second, {processes()} processes with "
+        f"{rate} [{low}, {high}] world-steps per second, {world_size()} processes with "
         f"{result['threads']} threads each, {machine()}"
     )
     lines = [[part, f"{share:.1f}"] for part, share in result["share_percent"].items()]
-    print(as_text(("part of a round", "share %"), lines))
+    print(markdown_table(("part of a round", "share %"), lines))
     print(f"\nwritten to {arguments.output}")
 
 

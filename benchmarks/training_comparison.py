@@ -22,7 +22,7 @@ from tqdm import trange
 from benchmarks.training import default_trainer
 from benchmarks.workload import add_output, interruptible, positive_whole_number, provenance
 from mrsan.threads import use_threads
-from samarl.evaluation.table import as_text
+from samarl.evaluation.table import markdown_table
 from samarl.files import machine, write_json
 from samarl.training.trainer import Trainer
 
@@ -61,7 +61,7 @@ def main() -> None:
         [clock, variant, *(f"{result[clock][key][variant]:.2f}" for key in SECONDS)]
         for clock, variant in itertools.product(CLOCKS, VARIANTS)
     ]
-    print(as_text(header, lines))
+    print(markdown_table(header, lines))
     for clock in CLOCKS:
         low, high = result[clock]["quartiles"]
         print(

@@ -14,8 +14,8 @@ from mrsan import Crowd, Scenario, Split
 from samarl.agents import build_agent
 from samarl.configuration import load_agent
 from samarl.evaluation.metrics import METRICS
-from samarl.evaluation.recording import record_episode
 from samarl.evaluation.runner import Evaluation, run_cases
+from samarl.evaluation.trajectory import record_episode
 from samarl.report.trajectories import save_trajectories
 
 STATION = Scenario(
@@ -39,7 +39,7 @@ def main() -> None:
     parser.add_argument("--agents", nargs="+", default=["orca", "model_predictive", "samarl"])
     parser.add_argument("--output", type=Path, default=Path("outputs/station.png"))
     arguments = parser.parse_args()
-    cases = Evaluation(cases=arguments.cases).numbers()
+    cases = Evaluation(cases=arguments.cases).case_numbers()
     success = {}
     for name in arguments.agents:
         agent = build_agent(load_agent(name), STATION)

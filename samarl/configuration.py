@@ -1,4 +1,4 @@
-"""The one Hydra tree `conf/`: its schemas, and what lies in it."""
+"""The Hydra configuration tree `conf/`: its schemas and its files."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from samarl.messages import choice_hint, describe
 
 T = TypeVar("T")
 
-LARGEST = 100_000  # so many values a YAML file may have; ours have some hundreds
+MAX_VALUES = 100_000  # in a YAML file with its aliases expanded; typical files have some hundred
 
 
 @dataclass
@@ -40,12 +40,12 @@ class Config:
 
 
 def first(*values: Any) -> Any:
-    """The first value that is not null, for `${first:...}` in `conf/`."""
+    """Return the first value that is not null, for `${first:...}` in `conf/`."""
     return next(value for value in values if value is not None)
 
 
 def register_schemas() -> None:
-    """Let Hydra check types and names against the dataclasses."""
+    """Register the dataclasses against which Hydra checks names and types."""
     store = ConfigStore.instance()
     store.store(name="config_schema", node=Config)
     scenario = OmegaConf.structured(Scenario)
@@ -55,79 +55,83 @@ def register_schemas() -> None:
 
 
 def scenario_in(config: DictConfig) -> Scenario:
-    """The checked scenario of a composed configuration.
+    """Return the checked scenario of a composed configuration.
 
     Raises:
-        ConfigurationError: names what is wrong with it.
+        ConfigurationError: the scenario is not valid.
     """
     return _object_in(config, "scenario", Scenario, "samarl")
 
 
 def evaluation_in(config: DictConfig) -> Evaluation:
-    """The checked choice of cases in a composed configuration.
+    """Return the checked evaluation settings of a composed configuration.
 
     Raises:
-        ConfigurationError: names what is wrong with it.
+        ConfigurationError: the settings are not valid.
     """
     return _object_in(config, "evaluation", Evaluation, "default")
 
 
 def _object_in(config: DictConfig, group: str, kind: type[T], shipped: str) -> T:
     values = config[group]
-    found = None if values is None else OmegaConf.to_object(values)
-    if not isinstance(found, kind):
+    instance = None if values is None else OmegaConf.to_object(values)
+    if not isinstance(instance, kind):
         raise ConfigurationError(
-            f"{group} is {values!r:.60}; a file of it must begin with another one: "
-            f"defaults: [{shipped}]"
+            f"{group} is {values!r:.60}; files in {group}/ must start with the defaults list "
+            f"`defaults: [{shipped}]`"
         )
-    return found
+    return instance
 
 
-def refuse_bombs(folder: Path) -> None:
-    """Refuse YAML files whose aliases stand for more values than a configuration can have.
+def reject_alias_bombs(folder: Path) -> None:
+    """Reject YAML files whose aliases expand to more than `MAX_VALUES` values.
 
-    Hydra would write every alias out: a few lines can ask for all memory there is.
+    Hydra expands every alias, so a few lines could exhaust the memory.
 
     Raises:
-        ConfigurationError: names the file.
+        ConfigurationError: a file has too many values.
     """
     for path in sorted(folder.rglob("*.yaml")):
         try:
             text = path.read_text(encoding="utf-8")
             tree = yaml.compose(text, yaml.SafeLoader) if "&" in text else None
-            if tree and _values_in(tree, {}) > LARGEST:
+            if tree and _count_values(tree, {}) > MAX_VALUES:
                 raise ConfigurationError(
-                    f"{path} has more than {LARGEST} values when its aliases are written out; it "
-                    "must have fewer"
+                    f"{path} has more than {MAX_VALUES} values with its aliases expanded; it must "
+                    "have fewer"
                 )
         except (OSError, UnicodeError, yaml.YAMLError, RecursionError):
-            pass  # said when it is read, if it ever is
+            pass  # reported when the file is used
 
 
-def _values_in(node: yaml.Node, known: dict[int, int]) -> int:
-    """How many, counting an alias as often as it is used; `known` has those of other nodes."""
-    if id(node) not in known:
-        known[id(node)] = LARGEST  # it holds itself, if it is met again before this is done
+def _count_values(node: yaml.Node, counts: dict[int, int]) -> int:
+    """Return the number of values below a node, aliases expanded; `counts` caches other nodes."""
+    if id(node) not in counts:
+        counts[id(node)] = MAX_VALUES  # counted if the node contains itself
         entries = node.value if isinstance(node, yaml.CollectionNode) else []
         if isinstance(node, yaml.MappingNode):
             entries = [part for pair in entries for part in pair]
-        known[id(node)] = 1 + sum(_values_in(entry, known) for entry in entries)
-    return known[id(node)]
+        counts[id(node)] = 1 + sum(_count_values(entry, counts) for entry in entries)
+    return counts[id(node)]
 
 
 def import_plugins(modules: Sequence[str]) -> None:
-    """Import a user's modules, which make their classes known."""
+    """Import a user's modules, which register their classes.
+
+    Raises:
+        ConfigurationError: a module cannot be imported.
+    """
     for name in modules:
         try:
             importlib.import_module(name)
         except Exception as error:
             raise ConfigurationError(
-                f"plugins has {name!r}; it must be a module that can be imported ({error})"
+                f"plugins has {name!r}; it must be an importable module ({error})"
             ) from error
 
 
 def available_agents() -> list[str]:
-    """The names of all agents in `conf/agent/`, and in that of `--config-dir`."""
+    """Return the names of all agents in `conf/agent/` and in `agent/` of `--config-dir`."""
     with _hydra() as loader:
         return sorted(loader.get_group_options("agent"))
 
@@ -136,8 +140,8 @@ def load_agent(name: str, field: str = "agent") -> dict[str, Any]:
     """Return the configuration of an agent of `conf/agent/`.
 
     Args:
-        name: of its file.
-        field: the setting that holds the name, for the error.
+        name: name of its file.
+        field: name of the setting that holds `name`, for error messages.
 
     Raises:
         ConfigurationError: there is no such agent.
@@ -154,10 +158,10 @@ def load_agent(name: str, field: str = "agent") -> dict[str, Any]:
 
 @contextlib.contextmanager
 def _hydra() -> Iterator[ConfigLoader]:
-    """The configuration of the command that runs, or outside of one that in `conf/`."""
-    known = GlobalHydra.instance()
-    if known.is_initialized():
-        yield known.config_loader()
+    """Yield the configuration loader of the running command, or one for `conf/` outside of it."""
+    hydra = GlobalHydra.instance()
+    if hydra.is_initialized():
+        yield hydra.config_loader()
         return
     register_schemas()
     with initialize_config_dir(str(find_folder("conf").resolve()), version_base="1.3"):
@@ -166,11 +170,11 @@ def _hydra() -> Iterator[ConfigLoader]:
 
 @cache
 def load_scenario(name: str, field: str = "scenario") -> Scenario:
-    """Return the scenario of a file of `conf/scenario/`, or of that of `--config-dir`.
+    """Return the scenario of a file in `conf/scenario/` or in `scenario/` of `--config-dir`.
 
     Args:
-        name: of the file.
-        field: the setting that holds the name, for the error.
+        name: name of the file.
+        field: name of the setting that holds `name`, for error messages.
 
     Raises:
         ConfigurationError: there is no such scenario.
@@ -187,13 +191,19 @@ def load_scenario(name: str, field: str = "scenario") -> Scenario:
 
 
 def scenario_of(column: Any, field: str = "columns") -> Scenario:
-    """The scenario of one entry of `field`: its fields, and for the rest those of a named one.
+    """Return the scenario of one entry of `field`.
 
-    That is `scenario`, SAMARL's unless it is said.
+    Args:
+        column: changed fields, and `scenario`, the name of the scenario they change (default:
+            SAMARL's).
+        field: name of the setting, for error messages.
+
+    Raises:
+        ConfigurationError: a field is unknown or invalid.
     """
     if not isinstance(column, Mapping | DictConfig):
         raise ConfigurationError(
-            f"{field} has {column!r:.60}; it must be fields of a scenario with their values"
+            f"{field} has {column!r:.60}; it must map fields of a scenario to values"
         )
     fields = dict(column)
     named = load_scenario(str(fields.pop("scenario", Scenario.name)), field)
@@ -203,7 +213,7 @@ def scenario_of(column: Any, field: str = "columns") -> Scenario:
         raise ConfigurationError(describe(error, f"{field}: ")) from error
     except OverflowError:
         raise ConfigurationError(
-            f"{field} has a number that is too large for a float: {fields!r:.60}"
+            f"{field} contains a number too large for a float: {fields!r:.60}"
         ) from None
     assert isinstance(scenario, Scenario)
     return scenario

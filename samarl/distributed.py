@@ -1,8 +1,8 @@
-"""What the processes of one training tell each other.
+"""Collective operations of the processes of one training.
 
-Each collects from its share of the worlds. All of them take the same steps of the optimiser with
-the mean of their gradients, so their weights stay the same. A process that is alone gets back what
-it gave, bit for bit.
+Each process collects experience from its share of the worlds. All processes take the same optimiser
+steps with the mean of their gradients, so their weights stay equal. With a single process every
+operation returns its input unchanged.
 """
 
 from __future__ import annotations
@@ -24,137 +24,145 @@ from torch import Tensor
 from torch.nn import Parameter
 
 from mrsan import ConfigurationError
-from samarl.launch import processes, rank
+from samarl.launch import rank, world_size
 
 T = TypeVar("T")
 
 BACKENDS = {"cpu": "gloo", "cuda": "cpu:gloo,cuda:nccl"}  # by the device of the networks
-PATIENCE = timedelta(minutes=30)  # with a process that says nothing: the first validates alone
-_STOPS = (signal.SIGINT, signal.SIGTERM)
-_asked_to_stop = False
+TIMEOUT = timedelta(minutes=30)  # long, since rank 0 validates alone
+_STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+_stop_requested = False
 
 
 class LostProcessError(ConfigurationError):
     """Another process of the training has ended."""
 
 
-def begin(device: str) -> None:
-    """Join the other processes, if there are any, unless it is done.
+def init_process_group(device: str) -> None:
+    """Connect to the other processes, if there are any and it has not been done yet.
 
-    From then on Ctrl-C and SIGTERM are noted and not obeyed, see `asked_to_stop`.
+    From then on SIGINT and SIGTERM only set a flag, see `stop_requested`.
 
     Args:
         device: torch device of the networks.
 
     Raises:
         ConfigurationError: processes on this device cannot exchange gradients.
-        LostProcessError: the others do not come.
+        LostProcessError: the other processes do not connect.
     """
-    if processes() == 1 or dist.is_initialized():
+    if world_size() == 1 or dist.is_initialized():
         return
     kind = device.partition(":")[0]
     if kind not in BACKENDS:
         raise ConfigurationError(
             f"trainer.device is {device!r}; with several processes it must be cpu or cuda"
         )
-    with _together():
-        dist.init_process_group(BACKENDS[kind], timeout=PATIENCE)
+    with _detect_lost_process():
+        dist.init_process_group(BACKENDS[kind], timeout=TIMEOUT)
     atexit.register(dist.destroy_process_group)
-    for number in _STOPS:
-        signal.signal(number, _note)
+    for number in _STOP_SIGNALS:
+        signal.signal(number, _request_stop)
 
 
 def average_gradients(parameters: Iterable[Parameter]) -> None:
-    """Replace all gradients by their means over the processes; who has none counts as zero."""
-    if processes() == 1:
+    """Replace all gradients by their means over the processes; a missing gradient counts as 0."""
+    if world_size() == 1:
         return
-    every = list(parameters)
-    given = torch.tensor([float(p.grad is not None) for p in every], device=every[0].device)
-    gradients = [torch.zeros_like(p) if p.grad is None else p.grad for p in every]
-    mean = torch.cat([given, *(gradient.flatten() for gradient in gradients)]) / processes()
-    with _together():
+    params = list(parameters)
+    has_grad = torch.tensor([float(p.grad is not None) for p in params], device=params[0].device)
+    gradients = [torch.zeros_like(p) if p.grad is None else p.grad for p in params]
+    mean = torch.cat([has_grad, *(gradient.flatten() for gradient in gradients)]) / world_size()
+    with _detect_lost_process():
         dist.all_reduce(mean)
-    given, *means = mean.split([len(every), *(p.numel() for p in every)])
-    for parameter, anywhere, gradient in zip(every, given.tolist(), means, strict=True):
-        parameter.grad = gradient.view_as(parameter) if anywhere else None
+    has_grad, *means = mean.split([len(params), *(p.numel() for p in params)])
+    for parameter, any_grad, gradient in zip(params, has_grad.tolist(), means, strict=True):
+        parameter.grad = gradient.view_as(parameter) if any_grad else None
 
 
-def exchanged(value: T) -> list[T]:
-    """What each process gives, in the order of their numbers."""
-    if processes() == 1:
+def all_gather_object(value: T) -> list[T]:
+    """Return the values of all processes, in the order of their ranks."""
+    if world_size() == 1:
         return [value]
-    found: list[Any] = [None] * processes()
-    with _together():
-        dist.all_gather_object(found, value)
-    return found
+    values: list[Any] = [None] * world_size()
+    with _detect_lost_process():
+        dist.all_gather_object(values, value)
+    return values
 
 
-def joined(values: Tensor) -> Tensor:
-    """The values [R] of all processes, one after another; each may have another R."""
-    if processes() == 1:
+def all_gather_cat(values: Tensor) -> Tensor:
+    """Concatenate the values [R] of all processes in the order of their ranks; R may differ."""
+    if world_size() == 1:
         return values
-    return torch.cat(exchanged(values.cpu())).to(values.device)
+    return torch.cat(all_gather_object(values.cpu())).to(values.device)
 
 
-def given_to_first(tensors: dict[str, Tensor]) -> list[dict[str, Tensor]]:
-    """The named tensors that each process gives, for the first of them; the others get nothing."""
-    if processes() == 1:
+def gather_to_rank0(tensors: dict[str, Tensor]) -> list[dict[str, Tensor]]:
+    """Return the named tensors of all processes on rank 0, and an empty list on the others."""
+    if world_size() == 1:
         return [tensors]
     content = save({key: value.contiguous().cpu() for key, value in tensors.items()})
-    found: list[Any] = [None] * processes() if rank() == 0 else []
-    with _together():
-        dist.gather_object(content, found or None)
-    return [load(of_process) for of_process in found]
+    contents: list[Any] = [None] * world_size() if rank() == 0 else []
+    with _detect_lost_process():
+        dist.gather_object(content, contents or None)
+    return [load(content) for content in contents]
 
 
-def copy_from_first(tensors: Iterable[Tensor]) -> None:
-    """Overwrite tensors with those of the first process."""
-    if processes() > 1:
-        with _together():
+def broadcast_from_rank0(tensors: Iterable[Tensor]) -> None:
+    """Overwrite tensors with those of rank 0."""
+    if world_size() > 1:
+        with _detect_lost_process():
             for tensor in tensors:
                 dist.broadcast(tensor, 0)
 
 
-def asked_to_stop() -> bool:
-    """Whether any process was, by Ctrl-C or SIGTERM; so all of them stop after the same round."""
-    return any(exchanged(_asked_to_stop))
+def stop_requested() -> bool:
+    """Return whether any process received SIGINT or SIGTERM.
+
+    All processes get the same answer, so they stop after the same round.
+    """
+    return any(all_gather_object(_stop_requested))
 
 
 @contextlib.contextmanager
-def stopping_between_rounds() -> Iterator[None]:
-    """In here Ctrl-C and SIGTERM are noted, see `asked_to_stop`; of one process a second is obeyed.
+def defer_stop_signals() -> Iterator[None]:
+    """Let SIGINT and SIGTERM only set a flag, see `stop_requested`.
 
-    What is saved in the middle of a round could not be gone on with bit for bit.
+    A run saved in the middle of a round could not be resumed bit for bit. With a single process a
+    second signal interrupts immediately.
     """
-    global _asked_to_stop
-    if processes() > 1 or threading.current_thread() is not threading.main_thread():
+    global _stop_requested
+    if world_size() > 1 or threading.current_thread() is not threading.main_thread():
         yield
         return
-    _asked_to_stop = False
-    before = {number: signal.signal(number, _note) for number in _STOPS}
+    _stop_requested = False
+    previous = {number: signal.signal(number, _request_stop) for number in _STOP_SIGNALS}
     try:
         yield
     finally:
-        for number, handler in before.items():
+        for number, handler in previous.items():
             signal.signal(number, handler)
 
 
-def _note(number: int, frame: Any) -> None:
-    global _asked_to_stop
-    if processes() == 1:
-        if _asked_to_stop:
+def _request_stop(number: int, frame: Any) -> None:
+    global _stop_requested
+    if world_size() == 1:
+        if _stop_requested:
             raise KeyboardInterrupt
         if sys.stderr.isatty():
-            print("\nstops after this round (once more: now, without saving)", file=sys.stderr)
-    _asked_to_stop = True
+            print("\nstopping after this round (again: stop now without saving)", file=sys.stderr)
+    _stop_requested = True
 
 
 @contextlib.contextmanager
-def _together() -> Iterator[None]:
-    """What fails in here fails because another process is gone."""
+def _detect_lost_process() -> Iterator[None]:
+    """Report failures of collective operations, which mean that another process has ended.
+
+    Raises:
+        LostProcessError: a collective operation failed.
+    """
     try:
         yield
     except RuntimeError as error:
-        said = re.sub(r"^\[.*?\] ", "", str(error).splitlines()[0])  # without the place in torch
-        reason = said.partition(". ")[0]
+        message = re.sub(r"^\[.*?\] ", "", str(error).splitlines()[0])  # without source location
+        reason = message.partition(". ")[0]
         raise LostProcessError(f"another process of the training has ended ({reason})") from None

@@ -17,12 +17,12 @@ from mrsan import EGO_FEATURES, ConfigurationError, Scenario
 from samarl.agents import Agent
 from samarl.agents.learned import Learned
 from samarl.agents.shielded import Shielded
-from samarl.files import unfinished
+from samarl.files import atomic_write
 from samarl.observations.features import frames_of
 from samarl.observations.tracker import TRACK_FEATURES, Tracks
-from samarl.planning.foresight import STRAIGHT
-from samarl.planning.lookahead import command_set
+from samarl.planning.one_step import command_set
 from samarl.planning.shield import Shield
+from samarl.planning.track_predictor import CONSTANT_VELOCITY
 from samarl.policies.hierarchical import Waypoints
 from samarl.policies.lookahead import LookaheadPolicy
 from samarl.policies.policy import Policy, PolicyState
@@ -92,12 +92,13 @@ def export_agent(path: Path, agent: Agent, name: str) -> None:
         raise ConfigurationError(
             f"agent.waypoints is {agent.waypoints.name}; it must be learned to be exported"
         )
-    if shield is not None and shield.predictor != STRAIGHT:
+    if shield is not None and shield.predictor != CONSTANT_VELOCITY:
         raise ConfigurationError(
-            f"agent.shield.predictor is {shield.predictor}; it must be {STRAIGHT} to be exported"
+            f"agent.shield.predictor is {shield.predictor}; it must be {CONSTANT_VELOCITY} "
+            "to be exported"
         )
     policy, scenario = agent.policy, agent.scenario
-    if agent.is_foreign:
+    if agent.kinematics_mismatch:
         raise ConfigurationError(
             f"scenario.kinematics is {scenario.kinematics.name}; it must be that of the robots "
             f"{name} was trained on to be exported"
@@ -222,7 +223,7 @@ def _write(path: Path, content: bytes, description: Description) -> None:
     model = onnx.load_model_from_string(content)
     onnx.helper.set_model_props(model, {KEY: description.to_json()})
     onnx.checker.check_model(model)
-    with unfinished(path) as part, part.open("wb") as file:
+    with atomic_write(path) as part, part.open("wb") as file:
         file.write(model.SerializeToString())
         file.flush()
         os.fsync(file.fileno())

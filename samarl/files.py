@@ -1,4 +1,4 @@
-"""Files that are either whole or not there, and where they come from."""
+"""Atomic writing of files, and the provenance of results."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from mrsan import ConfigurationError
 
 
 @contextlib.contextmanager
-def unfinished(path: Path) -> Iterator[Path]:
-    """Where to write a file that becomes `path` at the end, whole, or is removed on an error.
+def atomic_write(path: Path) -> Iterator[Path]:
+    """Yield a temporary path that replaces `path` on success and is removed on an error.
 
     Raises:
-        ConfigurationError: it cannot be written, for example because the disk is full.
+        ConfigurationError: the file cannot be written, for example because the disk is full.
     """
     part = path.with_name(path.name + ".part")
     try:
@@ -37,47 +37,47 @@ def unfinished(path: Path) -> Iterator[Path]:
 
 
 def check_writable(path: Path, field: str) -> None:
-    """Find out before long work whether a file can be written where it shall lie.
+    """Check before long work that a file can be written.
 
     Args:
-        path: of the file.
-        field: that names it, for the error.
+        path: path of the file.
+        field: name of the setting that holds the path, for error messages.
 
     Raises:
-        ConfigurationError: it cannot.
+        ConfigurationError: the file cannot be written.
     """
     folder = next(parent for parent in path.absolute().parents if parent.exists())
     try:
-        with tempfile.TemporaryFile(dir=folder):  # the folders below it can be made
+        with tempfile.TemporaryFile(dir=folder):  # subfolders can be created then
             pass
         if path.is_dir():
             raise IsADirectoryError("it is a folder")
     except OSError as error:
         raise ConfigurationError(
-            f"{field} is {str(path)!r}, where nothing can be written ({error.strerror or error})"
+            f"{field} is {str(path)!r}, which cannot be written ({error.strerror or error})"
         ) from error
 
 
-def write_atomically(path: Path, text: str) -> None:
-    """Write a text file so that a reader never sees half of it."""
-    with unfinished(path) as part:
+def write_text(path: Path, text: str) -> None:
+    """Write a text file atomically."""
+    with atomic_write(path) as part:
         part.write_text(text, encoding="utf-8")
 
 
 def write_json(path: Path, content: Any) -> None:
-    """Write JSON, one element of a top-level list per line."""
+    """Write JSON atomically, with one line per element of a top-level list."""
     if isinstance(content, list):
         text = "[\n" + ",\n".join(json.dumps(item) for item in content) + "\n]\n"
     else:
         text = json.dumps(content, indent=1) + "\n"
-    write_atomically(path, text)
+    write_text(path, text)
 
 
 def read_json(path: Path) -> Any:
-    """What a JSON file holds.
+    """Return the content of a JSON file.
 
     Raises:
-        ConfigurationError: it cannot be read, or is something else.
+        ConfigurationError: the file cannot be read or is not JSON.
     """
     try:
         return json.loads(path.read_text(encoding="utf-8"))
@@ -86,13 +86,13 @@ def read_json(path: Path) -> Any:
 
 
 def find_folder(name: str) -> Path:
-    """The project's `conf` or `results`: in the installed package or beside the source."""
+    """Return the folder `conf` or `results`, in the installed package or next to the source."""
     installed = Path(samarl.__file__).parent / name
     return installed if installed.is_dir() else Path(samarl.__file__).parents[1] / name
 
 
 def code_version() -> str:
-    """The commit of the code that runs, with `-dirty` and a digest if it was changed since.
+    """Return the commit of the running code, with `-dirty` and a digest of uncommitted changes.
 
     Without git it is the version of the package.
     """
@@ -114,7 +114,7 @@ def code_version() -> str:
 
 
 def machine() -> str:
-    """The machine in words: processor, cores, Python."""
+    """Return processor, number of cores and Python version of this machine."""
     name = platform.processor() or platform.machine()
     if Path("/proc/cpuinfo").exists():
         for line in Path("/proc/cpuinfo").read_text().splitlines():

@@ -1,7 +1,7 @@
-"""How many processes train together and which is this one, as their launcher says it.
+"""Number and rank of the processes of one training.
 
-`torchrun`, or a cluster's launcher in its stead, starts a command several times and tells each copy
-in the environment: `RANK`, `WORLD_SIZE`, `LOCAL_RANK`, and where the first one is to be found.
+`torchrun`, or the launcher of a cluster, starts a command several times and sets the environment
+variables `RANK`, `WORLD_SIZE`, `LOCAL_RANK`, `MASTER_ADDR` and `MASTER_PORT` of each process.
 """
 
 from __future__ import annotations
@@ -15,46 +15,48 @@ from mrsan import ConfigurationError
 T = TypeVar("T")
 
 
-def processes() -> int:
-    """How many there are."""
+def world_size() -> int:
+    """Return the number of processes."""
     return int(os.environ.get("WORLD_SIZE", 1)) if "RANK" in os.environ else 1
 
 
 def rank() -> int:
-    """The number of this one, from 0; the first validates, logs and writes."""
+    """Return the rank of this process, from 0; rank 0 validates, logs and writes files."""
     return int(os.environ.get("RANK", 0))
 
 
 def launcher() -> list[str]:
-    """What stands before a command that runs in as many processes."""
-    several = ["torchrun", "--nproc-per-node", str(processes()), "--no-python"]
-    return several if processes() > 1 else []
+    """Return the words before a command that start it in as many processes."""
+    if world_size() == 1:
+        return []
+    return ["torchrun", "--nproc-per-node", str(world_size()), "--no-python"]
 
 
 def local_device(device: str) -> str:
-    """The torch device of this process: of several GPUs of a machine each takes its own."""
-    several = device == "cuda" and processes() > 1
-    return f"cuda:{os.environ.get('LOCAL_RANK', 0)}" if several else device
+    """Return the torch device of this process; each process of a machine uses its own GPU."""
+    if device == "cuda" and world_size() > 1:
+        return f"cuda:{os.environ.get('LOCAL_RANK', 0)}"
+    return device
 
 
-def share(values: T, name: str, *fields: str) -> T:
-    """The same dataclass with what falls to this process of the numbers that count all of them.
+def per_process(config: T, name: str, *fields: str) -> T:
+    """Return a copy of a dataclass with fields divided by the number of processes.
 
     Args:
-        values: a dataclass instance.
-        name: of the group it stands in, for the error.
-        *fields: of its whole numbers, which are divided.
+        config: a dataclass instance whose fields count all processes.
+        name: path of the configuration, for error messages.
+        *fields: integer fields to divide.
 
     Raises:
-        ConfigurationError: one is no multiple of the number of processes.
+        ConfigurationError: a field is not a multiple of the number of processes.
     """
     parts: dict[str, Any] = {}
     for field in fields:
-        whole = getattr(values, field)
-        if whole % processes():
+        total = getattr(config, field)
+        if total % world_size():
             raise ConfigurationError(
-                f"{name}.{field} is {whole}; it must be a multiple of {processes()}, the number "
+                f"{name}.{field} is {total}; it must be a multiple of {world_size()}, the number "
                 "of processes"
             )
-        parts[field] = whole // processes()
-    return replace(values, **parts)  # type: ignore[type-var]
+        parts[field] = total // world_size()
+    return replace(config, **parts)  # type: ignore[type-var]

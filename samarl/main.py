@@ -1,4 +1,4 @@
-"""The commands as programs: stopped while they still load, they end in one line as well."""
+"""Entry points of the commands; an interrupt during imports is reported in one line."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Error messages for settings: the field, its value, and what would be right."""
+"""Error messages for settings, which name the field, its value and what it must be."""
 
 from __future__ import annotations
 
@@ -21,26 +21,26 @@ from omegaconf.errors import (
 from mrsan import ConfigurationError
 from mrsan.fields import check_numbers
 
-_FEW = 12  # names that an error lists
+_MAX_LISTED = 12  # names in an error message
 _SYNONYMS = {
     "delta_t": "time_step", "dt": "time_step", "duration": "time_limit", "gamma": "discount",
     "n_humans": "humans", "n_robots": "robots", "num_humans": "humans", "num_robots": "robots",
     "pedestrians": "humans", "people": "humans", "agents": "robots", "max_steps": "time_limit",
 }  # fmt: skip
-# What OmegaConf says of a value of the wrong type, and what the value must be.
+# Patterns in OmegaConf's messages about wrong types, and what the value must be.
 _REQUIREMENTS = (
     (r"converted to Integer", "a whole number"),
     (r"converted to Float", "a number"),
     (r"valid bool", "true or false"),
-    (r"to string", "a text"),
-    (r"is not Optional", "something else than null"),
+    (r"to string", "a string"),
+    (r"is not Optional", "other than null"),
     (r"not a ListConfig|merge ListConfig", "a list such as [a,b]"),
-    (r"not a subclass|to Dict\[|merge DictConfig", "names with their values, as in {name: value}"),
+    (r"not a subclass|to Dict\[|merge DictConfig", "a mapping such as {name: value}"),
 )
 
 
 def closest_names(name: str, names: Iterable[str], count: int = 3) -> list[str]:
-    """Return the names that `name` most probably stands for, the likeliest first."""
+    """Return the names most similar to `name`, best first."""
     ordered = sorted(set(names), key=lambda other: (len(other), other))
     close = difflib.get_close_matches(name, ordered, count, 0.8)
     synonym = [other for other in ordered if other == _SYNONYMS.get(name)]
@@ -53,37 +53,37 @@ def closest_names(name: str, names: Iterable[str], count: int = 3) -> list[str]:
 
 
 def choice_hint(name: str, names: Iterable[str], rest: str = "see --help") -> str:
-    """Say which of `names` is right instead of `name`: the closest three, or all of a few.
+    """Return a hint which of `names` is meant by an unknown name.
 
     Args:
         name: the unknown name.
-        names: the known ones.
-        rest: what to say if none is close and there are too many to list.
+        names: the valid names.
+        rest: the hint if none is similar and there are too many to list.
     """
-    known = sorted(names)
-    if close := closest_names(name, known):
+    options = sorted(names)
+    if close := closest_names(name, options):
         return f"did you mean {' or '.join(', '.join(close).rsplit(', ', 1))}?"
-    return f"it must be one of {', '.join(known)}" if 0 < len(known) <= _FEW else rest
+    return f"it must be one of {', '.join(options)}" if 0 < len(options) <= _MAX_LISTED else rest
 
 
-def unknown_field(path: str, key: str, known: Iterable[str]) -> str:
-    """Say that there is no field `key` at `path`, and which one is probably meant."""
-    names = [name for name in known if not name.startswith("_")]
+def unknown_field(path: str, key: str, fields: Iterable[str]) -> str:
+    """Return the message for an unknown field `key` at `path`, with the one probably meant."""
+    names = [name for name in fields if not name.startswith("_")]
     if close := closest_names(key, names, 1):
         return f"{path}{key} is not known; did you mean {path.rpartition(': ')[2]}{close[0]}?"
     return f"{path}{key} is not known; {choice_hint(key, names, 'see --help for all fields')}"
 
 
 def describe(error: OmegaConfBaseException, path: str = "", value: Any = None) -> str:
-    """Say what is wrong with a setting that OmegaConf refuses.
+    """Describe an error of OmegaConf.
 
     Args:
-        error: raised by OmegaConf.
-        path: prefix of the fields of the configuration, such as `agent.`.
-        value: the setting's value, for errors that do not have it.
+        error: the error.
+        path: prefix of the fields, such as `agent.`.
+        value: value of the setting, for errors that do not contain it.
 
     Returns:
-        One line that names the field, its value and what would be right.
+        One line that names the field, its value and what it must be.
     """
     name = f"{path}{error.full_key or ''}".removesuffix(".")
     if isinstance(error, ConfigKeyError | ConfigAttributeError):
@@ -104,20 +104,20 @@ def _unknown_field(error: OmegaConfBaseException, name: str) -> str:
     where = name.removesuffix(key)
     if not isinstance(parent, DictConfig):
         return unknown_field(where, key, [])
-    known = [str(other) for other in parent if other != "hydra"]
-    if not where and not closest_names(key, known):  # a field of a group, perhaps
+    fields = [str(other) for other in parent if other != "hydra"]
+    if not where and not closest_names(key, fields):  # it may be a field of a group
         paths: dict[str, str] = {}
-        for group in known:
+        for group in fields:
             node = parent._get_node(group)
             if isinstance(node, DictConfig) and not node._is_none() and not node._is_missing():
                 paths |= {str(other): f"{group}.{other!s}" for other in node}
         if close := closest_names(key, paths, 1):
             return f"{key} is not known; did you mean {paths[close[0]]}?"
-    return unknown_field(where, key, known)
+    return unknown_field(where, key, fields)
 
 
 def _range_of(error: OmegaConfBaseException, value: Any) -> str | None:
-    """Return what `check_numbers` demands of the field, if it refuses the value."""
+    """Return the range that `check_numbers` requires, if it refuses the value."""
     owner, key = error.object_type, str(error.key)
     if not (isinstance(owner, type) and dataclasses.is_dataclass(owner)):
         return None
@@ -134,7 +134,7 @@ def _range_of(error: OmegaConfBaseException, value: Any) -> str | None:
 
 
 def _requirement(reason: str) -> str:
-    """Return the requirement that OmegaConf's `reason` speaks of, or the reason itself."""
+    """Return the requirement behind OmegaConf's reason, or the reason itself."""
     if choices := re.search(r"expected one of \[(.*)\]", reason):
         return f"it must be one of {choices[1]}"
     for pattern, requirement in _REQUIREMENTS:

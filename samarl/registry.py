@@ -1,4 +1,4 @@
-"""Names under which classes are known to YAML files and to checkpoints."""
+"""Registries that map the names in YAML files and checkpoints to classes."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ C = TypeVar("C", bound=type)
 
 @dataclass(frozen=True)
 class Entry(Generic[T]):
-    """A class and the dataclass of its numbers."""
+    """A registered class and the dataclass of its configuration."""
 
-    made: type[T]
+    cls: type[T]
     config: type
 
 
 def needed(*, help: str = "") -> Any:
-    """Declare a dataclass field without a default that is not a number.
+    """Return a required dataclass field that is not a number.
 
     Args:
         help: what it means, for `--help`.
@@ -36,26 +36,26 @@ def needed(*, help: str = "") -> Any:
 
 def _check_named(values: Any, path: str) -> None:
     if not isinstance(values, Mapping | DictConfig):
-        raise ConfigurationError(f"{path} is {values!r:.60}; it must be names with their values")
+        raise ConfigurationError(f"{path} is {values!r:.60}; it must map names to values")
 
 
 def checked_fields(schema: Any, values: Any, path: str) -> dict[str, Any]:
-    """Return the fields of a dataclass from `values`, which must fit their names and types.
+    """Return the fields of a dataclass from `values`, checked for names and types.
 
     Args:
         schema: the dataclass.
-        values: names with their values.
+        values: a mapping of names to values.
         path: prefix of the fields in errors, such as `agent`.
 
     Raises:
-        ConfigurationError: names the field that is unknown, missing or wrong.
+        ConfigurationError: a field is unknown, missing or of a wrong type.
     """
     _check_named(values, path)
     try:
         merged = OmegaConf.merge(OmegaConf.structured(schema), values)
         fields = OmegaConf.to_container(merged, throw_on_missing=True)
     except OverflowError:
-        raise ConfigurationError(f"{path} has a number that is too large for a float") from None
+        raise ConfigurationError(f"{path} contains a number too large for a float") from None
     except OmegaConfBaseException as error:
         raise ConfigurationError(describe(error, f"{path}.")) from error
     assert isinstance(fields, dict)
@@ -63,23 +63,23 @@ def checked_fields(schema: Any, values: Any, path: str) -> dict[str, Any]:
 
 
 class Registry(Generic[T]):
-    """The classes of one kind, each by a name and with the dataclass of its numbers.
+    """Classes of one kind by name, each with the dataclass of its configuration.
 
-    A YAML file of this kind holds `name` and the fields of that dataclass. Only names that some
-    imported module registered are ever resolved.
+    A YAML file of this kind holds `name` and the fields of that dataclass. Only registered names
+    are resolved, so a file can never name arbitrary code.
     """
 
     def __init__(self, kind: str) -> None:
-        """Begin empty; `kind` is how errors call it."""
+        """Create an empty registry; `kind` is its name in error messages."""
         self.kind = kind
         self._entries: dict[str, Entry[T]] = {}
 
     def register(self, name: str, config: type) -> Callable[[C], C]:
-        """Make a class known by `name`, with the dataclass of its numbers."""
+        """Return a decorator that registers a class and its configuration under `name`."""
 
-        def add(made: C) -> C:
-            self._entries[name] = Entry(made, config)
-            return made
+        def add(cls: C) -> C:
+            self._entries[name] = Entry(cls, config)
+            return cls
 
         return add
 
@@ -89,16 +89,16 @@ class Registry(Generic[T]):
     def __getitem__(self, name: str) -> Entry[T]:
         if name not in self._entries:
             raise ConfigurationError(
-                f"{self.kind}.name is {name!r}; it must be among {', '.join(self._entries)} "
-                "(one's own becomes known by plugins=[its_module])"
+                f"{self.kind}.name is {name!r}; it must be one of {', '.join(self._entries)} "
+                "(plugins=[MODULE] imports a module that registers others)"
             )
         return self._entries[name]
 
     def config(self, values: Mapping[str, Any]) -> Any:
-        """The checked dataclass that `values` (with `name`) describes.
+        """Return the checked configuration dataclass described by `values`, which include `name`.
 
         Raises:
-            ConfigurationError: names the field that is unknown, missing or wrong.
+            ConfigurationError: a field is unknown, missing or of a wrong type.
         """
         _check_named(values, self.kind)
         fields = {str(key): value for key, value in values.items() if key != "name"}

@@ -102,7 +102,7 @@ def policy(
 
 def algorithm(of: Policy, name: str = "mappo", **changes: Any) -> PPO:
     """What trains it."""
-    made = ALGORITHMS[name].made(of, ALGORITHMS.config({"name": name, **PPO_NUMBERS, **changes}))
+    made = ALGORITHMS[name].cls(of, ALGORITHMS.config({"name": name, **PPO_NUMBERS, **changes}))
     assert isinstance(made, PPO)
     return made
 

@@ -1,4 +1,4 @@
-"""What the tests of the report build it with and compare it to."""
+"""Helpers for the tests of the report."""
 
 import subprocess
 import sys
@@ -6,7 +6,7 @@ from pathlib import Path
 
 from mrsan import Scenario
 from samarl.agents import build_agent
-from samarl.evaluation.recording import Recording, record_episode
+from samarl.evaluation.trajectory import Trajectory, record_episode
 
 STRAIGHT = {"_target_": "samarl.agents.planners.straight.Straight"}
 
@@ -22,6 +22,6 @@ def report(*arguments: str, cwd: Path, code: int = 0) -> subprocess.CompletedPro
     return done
 
 
-def recorded() -> Recording:
+def straight_trajectory() -> Trajectory:
     scenario = Scenario(fov_degrees=90.0)
     return record_episode(build_agent(STRAIGHT, scenario), scenario, 2**41)

@@ -7,7 +7,7 @@ import numpy as np
 from mrsan import Observation, Scenario
 from mrsan.features import GOAL, HEADING_COS, PREFERRED_SPEED, RADIUS, VELOCITY_X
 from samarl.observations.tracker import Tracker, Tracks
-from samarl.planning.lookahead import Commands
+from samarl.planning.one_step import Commands
 
 COMMANDS = Commands(turns=5, speeds=5, directions=16)
 

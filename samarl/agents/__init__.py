@@ -1,4 +1,4 @@
-"""Everything that drives robots, behind one interface."""
+"""Agents: planners and trained policies behind one interface."""
 
 from samarl.agents.agent import Agent
 from samarl.agents.build import build_agent

@@ -1,4 +1,4 @@
-"""The interface of everything that drives robots."""
+"""Base class of all agents."""
 
 from __future__ import annotations
 
@@ -18,22 +18,29 @@ from samarl.policies.explanation import Explanation
 
 @dataclass
 class Agent(ABC):
-    """Drives all robots of E worlds, each from its own observations alone.
+    """Controller of all robots of E worlds; each robot acts on its own observations only.
 
-    Subclasses are dataclasses: their fields are the knobs of their YAML file in `conf/agent/`.
+    Subclasses are dataclasses. Their fields are the settings of their YAML file in `conf/agent/`.
     """
 
     scenario: Scenario
 
     def __post_init__(self) -> None:
-        """Check every number of the subclass."""
+        """Check every number of the subclass.
+
+        Raises:
+            ConfigurationError: a number is out of range.
+        """
         check_numbers(self, "agent")
 
-    def reset(self, worlds: NDArray[np.bool_]) -> None:  # noqa: B027 (planners remember nothing)
-        """Forget what was remembered of the worlds [E] in which an episode begins."""
+    def reset(self, worlds: NDArray[np.bool_]) -> None:  # noqa: B027 (stateless agents need none)
+        """Clear the memory of the worlds [E] in which an episode begins."""
 
     def version(self) -> str:
-        """A digest of what decides its actions besides its fields: the files of its class."""
+        """Return a digest of the source files of the class and its bases.
+
+        It changes with whatever determines the actions besides the fields.
+        """
         files = {inspect.getsourcefile(base) for base in type(self).__mro__[:-2]}
         digest = hashlib.sha256()
         for file in sorted(filter(None, files)):
@@ -41,13 +48,13 @@ class Agent(ABC):
         return digest.hexdigest()[:16]
 
     def scope_warning(self) -> str | None:
-        """What a user should know before it is played in this scenario, in one line."""
+        """Return one line about how this scenario differs from the training scenarios, or None."""
         return None
 
     @abstractmethod
     def act(self, observation: Observation) -> NDArray[np.float32]:
-        """The action of every robot, [E, N, A] in [-1, 1]."""
+        """Return the action of every robot, [E, N, A] in [-1, 1]."""
 
     def explain(self) -> Explanation | None:
-        """What led to the last action, for pictures; most agents have nothing to say."""
+        """Return what led to the last action, for visualisation, or None."""
         return None

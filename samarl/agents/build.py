@@ -1,4 +1,4 @@
-"""From a file of `conf/agent/` to the agent that it describes."""
+"""Construction of agents from the files of `conf/agent/`."""
 
 from __future__ import annotations
 
@@ -18,18 +18,20 @@ from samarl.registry import checked_fields
 
 
 def build_agent(config: Mapping[str, Any], scenario: Scenario) -> Agent:
-    """Make the agent that a file of `conf/agent/` describes.
+    """Build the agent described by a file of `conf/agent/`.
 
     Args:
-        config: `_target_`, the import path of a subclass of `Agent`; its fields; and `shield`:
-            true to check its actions, or the numbers of `Shield` that are not its defaults.
-        scenario: the task; agents may know their robots' limits and the clock.
+        config: `_target_`, the import path of a subclass of `Agent`; the fields of this class; and
+            `shield`: true to apply the safety shield, or the fields of `Shield` to change.
+        scenario: the task. Agents may use the limits of their robots and the time step.
 
     Raises:
         ConfigurationError: the class cannot be found or one of its fields is wrong.
     """
     if not isinstance(config, Mapping | DictConfig):
-        raise ConfigurationError(f"agent is {config!r}; it must have `_target_` and its numbers")
+        raise ConfigurationError(
+            f"agent is {config!r}; it must be a mapping with `_target_` and other fields"
+        )
     values = dict(config)
     shield = _shield(values.pop("shield", False))
     target = values.pop("_target_", None)
@@ -39,27 +41,27 @@ def build_agent(config: Mapping[str, Any], scenario: Scenario) -> Agent:
     if inspect.isabstract(agent_class):
         raise ConfigurationError(f"agent._target_ is {target!r}; it must define `act`")
     hints = get_type_hints(agent_class)
-    knobs = [f for f in dataclasses.fields(agent_class) if f.init and f.name != "scenario"]
+    settings = [f for f in dataclasses.fields(agent_class) if f.init and f.name != "scenario"]
     schema = dataclasses.make_dataclass(
-        agent_class.__name__, [(f.name, hints[f.name], _schema_field(f)) for f in knobs]
+        agent_class.__name__, [(f.name, hints[f.name], _schema_field(f)) for f in settings]
     )
     agent: Agent = agent_class(scenario=scenario, **checked_fields(schema, values, "agent"))
     return agent if shield is None else Shielded(scenario, agent, shield)
 
 
 def _shield(config: Any) -> Shield | None:
-    """The shield that `agent.shield` asks for, if any."""
+    """Return the shield configured by `agent.shield`, if any."""
     if isinstance(config, Mapping | DictConfig):
         return Shield(**checked_fields(Shield, config, "agent.shield"))
     if not isinstance(config, bool):
         raise ConfigurationError(
-            f"agent.shield is {config!r}; it must be true, false or the numbers of Shield"
+            f"agent.shield is {config!r}; it must be true, false or fields of Shield"
         )
     return Shield() if config else None
 
 
 def _schema_field(field: dataclasses.Field) -> Any:
-    """Return the same field for the schema; without a default it must be in the YAML file."""
+    """Return the field for the schema; fields without a default are required in the YAML file."""
     if field.default_factory is not dataclasses.MISSING:
         return dataclasses.field(default_factory=field.default_factory, metadata=field.metadata)
     default = MISSING if field.default is dataclasses.MISSING else field.default
@@ -67,7 +69,13 @@ def _schema_field(field: dataclasses.Field) -> Any:
 
 
 def find_class(target: Any) -> Any:
-    """What an import path leads to (Hydra's own `get_class` logs its errors on stderr as well)."""
+    """Return the object at an import path.
+
+    Hydra's own `get_class` would also log its errors to stderr.
+
+    Raises:
+        ConfigurationError: nothing can be imported from `target`.
+    """
     module, _, name = str(target).rpartition(".")
     try:
         return getattr(importlib.import_module(module), name)

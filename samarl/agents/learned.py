@@ -1,4 +1,4 @@
-"""A trained policy as an agent."""
+"""Trained policies as agents."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from mrsan import ConfigurationError, Kinematics, Observation, Scenario
 from mrsan.fields import setting
 from mrsan.parameters import kernel_parameters
 from samarl.agents.agent import Agent
-from samarl.planning.tracking import as_driven
+from samarl.planning.velocity_control import retarget_actions
 from samarl.policies.checkpoint import find_policy, load_policy
 from samarl.policies.explanation import Explanation
 from samarl.policies.hierarchical import HierarchicalPolicy, Waypoints
 from samarl.policies.policy import Decision, Policy
 from samarl.registry import needed
 
-# Fields of a scenario outside of whose trained values a policy may fail, with label and unit.
+# Scenario fields outside whose training range a policy may fail, with label and unit.
 _SCOPE = {
     "fov_degrees": ("view", "degrees"),
     "time_step": ("time step", "s"),
@@ -30,10 +30,10 @@ _SCOPE = {
 }
 
 
-class Deployed:
-    """A policy driving the robots of E worlds, without exploration noise.
+class DeployedPolicy:
+    """A policy that drives the robots of E worlds without exploration noise.
 
-    Every robot's action depends on its own observations alone.
+    Every robot acts on its own observations only.
     """
 
     def __init__(
@@ -42,7 +42,8 @@ class Deployed:
         """Deploy `policy` in worlds of `scenario`.
 
         Raises:
-            ConfigurationError: it cannot drive these robots, or has no waypoints to change.
+            ConfigurationError: the policy cannot drive these robots, or has no macro level
+                and `waypoints` is not `learned`.
         """
         policy.check(scenario)
         if isinstance(policy, HierarchicalPolicy):
@@ -54,31 +55,31 @@ class Deployed:
             )
         self.policy, self.scenario = policy, scenario
         self._worlds = -1
-        self._begin(0)
+        self._initialize(0)
 
-    def _begin(self, worlds: int) -> None:
+    def _initialize(self, worlds: int) -> None:
         self._worlds = worlds
         self._state = self.policy.initial_state(worlds, self.scenario)
         self._is_init = np.ones(worlds, np.bool_)
         self._decision: Decision | None = None
 
     def reset(self, worlds: NDArray[np.bool_]) -> None:
-        """Forget the worlds [E] in which an episode begins."""
+        """Clear the memory of the worlds [E] in which an episode begins."""
         if len(worlds) != self._worlds:
-            self._begin(len(worlds))
+            self._initialize(len(worlds))
         self._is_init |= worlds
 
     def act(self, observation: Observation) -> NDArray[np.float32]:
-        """The mean action, [E, N, A]."""
+        """Return the mean action, [E, N, A]."""
         if len(observation.ego) != self._worlds:
-            self._begin(len(observation.ego))
+            self._initialize(len(observation.ego))
         decision = self.policy.act(observation, self._state, self._is_init, self.scenario)
         self._decision = decision
         self._is_init = np.zeros(self._worlds, np.bool_)
         return decision.action
 
     def explain(self) -> Explanation | None:
-        """See `Policy.explain`."""
+        """Return the explanation of the last action; see `Policy.explain`."""
         if self._decision is None:
             return None
         return self.policy.explain(self._decision)
@@ -86,59 +87,63 @@ class Deployed:
 
 @dataclass
 class Learned(Agent):
-    """A policy from a checkpoint."""
+    """A policy loaded from a checkpoint."""
 
-    checkpoint: str = needed(help="checkpoint file, or the name of one that ships")
+    checkpoint: str = needed(help="checkpoint file or the name of a shipped policy")
     waypoints: Waypoints = setting(Waypoints.learned, help="source of the waypoints")
     track_velocity: bool = setting(
-        False, help="track the velocities of robots of the kind it was trained on"
+        False, help="let robots of other kinematics track its velocities"
     )
 
     def __post_init__(self) -> None:
         """Load the checkpoint.
 
         Raises:
-            ConfigurationError: it cannot be loaded, or was trained for another kind of robot.
+            ConfigurationError: the checkpoint cannot be loaded, or its kinematics differ and
+                `track_velocity` is false.
         """
         super().__post_init__()
         self.policy, self.card = load_policy(find_policy(self.checkpoint))
-        made, here = self.card.made.get("configuration"), self.scenario.kinematics
-        known = {str(name).rpartition(".")[2] for name in _values(made, "kinematics")}
-        self._own = self.scenario
-        if known and here.name not in known:
+        kinematics = self.scenario.kinematics.name
+        trained = {
+            str(name).rpartition(".")[2]
+            for name in _values(self.card.provenance.get("configuration"), "kinematics")
+        }
+        self._policy_scenario = self.scenario
+        if trained and kinematics not in trained:
             if not self.track_velocity:
                 raise ConfigurationError(
-                    f"scenario.kinematics is {here.name}; {self.checkpoint} drives "
-                    f"{' or '.join(sorted(known))} robots (with agent.track_velocity=true others "
-                    "track its velocities)"
+                    f"scenario.kinematics is {kinematics}; it must be "
+                    f"{' or '.join(sorted(trained))}, which {self.checkpoint} was trained with, or "
+                    "agent.track_velocity must be true, so that the robots track its velocities"
                 )
-            self._own = replace(self.scenario, kinematics=Kinematics[min(known)])
-        self._deployed = Deployed(self.policy, self._own, self.waypoints)
+            self._policy_scenario = replace(self.scenario, kinematics=Kinematics[min(trained)])
+        self._deployed = DeployedPolicy(self.policy, self._policy_scenario, self.waypoints)
 
     @property
-    def is_foreign(self) -> bool:
-        """It drives robots of another kind than it was trained on."""
-        return self._own is not self.scenario
+    def kinematics_mismatch(self) -> bool:
+        """Whether the robots have other kinematics than those the policy was trained with."""
+        return self._policy_scenario is not self.scenario
 
     def version(self) -> str:
-        """A digest of the code and of the weights."""
+        """Return a digest of the code and of the weights."""
         return f"{super().version()}.{self.card.sha256[:16]}"
 
     def scope_warning(self) -> str | None:
-        """Name the numbers of the scenario that lie outside of what the policy was trained for.
+        """Return one line about how the scenario differs from those of the training, or None.
 
-        Or say that it was trained among the recorded people that it meets here, who are recognised
-        by the name of their file.
+        It names numbers outside their training range, or a recording that the policy was trained
+        on; recordings are recognised by their file name.
         """
-        here, configuration = self.scenario, self.card.made.get("configuration")
-        recording = Path(here.recording or "").name
+        configuration = self.card.provenance.get("configuration")
+        recording = Path(self.scenario.recording or "").name
         training_files = {Path(str(file)).name for file in _values(configuration, "recording")}
         if recording and recording in training_files:
             return f"{self.checkpoint} was trained among the people of {recording}"
         trained, actual = [], []
         for name, (label, unit) in _SCOPE.items():
             numbers = [v for v in _values(configuration, name) if isinstance(v, int | float)]
-            value = getattr(here, name)
+            value = getattr(self.scenario, name)
             if numbers and not min(numbers) <= value <= max(numbers):
                 limits = " to ".join(f"{v:g}" for v in sorted({min(numbers), max(numbers)}))
                 trained.append(f"a {label} of {limits} {unit}")
@@ -151,24 +156,24 @@ class Learned(Agent):
         )
 
     def reset(self, worlds: NDArray[np.bool_]) -> None:
-        """Forget the worlds [E] in which an episode begins."""
+        """Clear the memory of the worlds [E] in which an episode begins."""
         self._deployed.reset(worlds)
 
     def act(self, observation: Observation) -> NDArray[np.float32]:
-        """The mean action, [E, N, A]."""
+        """Return the mean action, [E, N, A]."""
         action = self._deployed.act(observation)
-        if not self.is_foreign:
+        if not self.kinematics_mismatch:
             return action
-        own, here = kernel_parameters(self._own), kernel_parameters(self.scenario)
-        return as_driven(observation.ego, action, own, here)
+        source, target = kernel_parameters(self._policy_scenario), kernel_parameters(self.scenario)
+        return retarget_actions(observation.ego, action, source, target)
 
     def explain(self) -> Explanation | None:
-        """Its waypoints and its attention."""
+        """Return its waypoints and its attention."""
         return self._deployed.explain()
 
 
 def _values(tree: Any, key: str) -> Iterator[Any]:
-    """All values under `key` in a nested structure of a card."""
+    """Yield all values under `key` in a nested structure of a card."""
     if isinstance(tree, dict):
         for name, value in tree.items():
             if name == key:

@@ -1,4 +1,4 @@
-"""The safety shield over an agent."""
+"""An agent with a safety shield."""
 
 from __future__ import annotations
 
@@ -9,48 +9,56 @@ from numpy.typing import NDArray
 
 from mrsan import Observation
 from samarl.agents.agent import Agent
-from samarl.planning.foresight import Lookout
-from samarl.planning.shield import Shield, shielded
+from samarl.planning.shield import Shield, apply_shield
+from samarl.planning.track_predictor import TrackPredictor
 from samarl.policies.explanation import Explanation
 
 
 @dataclass
 class Shielded(Agent):
-    """Any agent, with a shield that checks its actions."""
+    """Wrapper that applies the safety shield to the actions of an agent."""
 
     agent: Agent
     shield: Shield
 
     def __post_init__(self) -> None:
-        """Remember nothing yet."""
+        """Start without tracks.
+
+        Raises:
+            ConfigurationError: `shield.predictor` does not exist.
+        """
         super().__post_init__()
-        numbers, field = self.shield, "agent.shield.predictor"
-        self._lookout = Lookout(
-            self.scenario, numbers.track_time, numbers.predictor, numbers.horizon, field
+        shield = self.shield
+        self._track_predictor = TrackPredictor(
+            self.scenario,
+            shield.track_time,
+            shield.predictor,
+            shield.horizon,
+            "agent.shield.predictor",
         )
         self._replaced = np.zeros((0, self.scenario.robots), np.bool_)
 
     def reset(self, worlds: NDArray[np.bool_]) -> None:
-        """Forget what was remembered of the worlds [E] in which an episode begins."""
+        """Clear the memory of the worlds [E] in which an episode begins."""
         self.agent.reset(worlds)
-        self._lookout.reset(worlds)
+        self._track_predictor.reset(worlds)
 
     def version(self) -> str:
-        """A digest of the code of both."""
+        """Return a digest of the code of the shield and of the agent."""
         return f"{super().version()}.{self.agent.version()}"
 
     def scope_warning(self) -> str | None:
-        """That of the agent."""
+        """Return the warning of the wrapped agent."""
         return self.agent.scope_warning()
 
     def act(self, observation: Observation) -> NDArray[np.float32]:
-        """What the agent does, [E, N, A], as far as the shield lets it pass."""
+        """Return the agent's actions [E, N, A], with unsafe ones replaced by the shield."""
         action = self.agent.act(observation)
-        known, aside = self._lookout.update(observation)
-        checked = shielded(known, action, self.scenario, self.shield, aside)
+        tracks, predicted_offset = self._track_predictor.update(observation)
+        checked = apply_shield(tracks, action, self.scenario, self.shield, predicted_offset)
         self._replaced = (checked != action).any(-1)
         return checked
 
     def explain(self) -> Explanation | None:
-        """What the agent had in mind, and where the shield stepped in."""
+        """Return the agent's explanation, with a mask of the replaced actions."""
         return (self.agent.explain() or Explanation())._replace(shielded=self._replaced)

@@ -24,7 +24,7 @@ from samarl.algorithms.action_limits import excess
 from samarl.algorithms.advantages import macro_advantages, step_advantages, streams
 from samarl.algorithms.algorithm import Algorithm
 from samarl.algorithms.critics import PopArtHead, SetEncoder
-from samarl.distributed import average_gradients, exchanged, joined
+from samarl.distributed import all_gather_cat, all_gather_object, average_gradients
 from samarl.observations.frames import Frames
 from samarl.policies.hierarchical import WAYPOINT_FEATURES
 from samarl.policies.policy import LOCAL, MACRO, Policy
@@ -208,9 +208,15 @@ class PPO(Algorithm):
         for level, head in self.heads.items():
             pairs = zip(rollouts, features, strict=True)
             levels = [self._level_batch(level, rollout, feature) for rollout, feature in pairs]
-            advantage = joined(torch.cat([data["advantage"][data["decides"]] for data in levels]))
-            target = joined(torch.cat([data["value_target"][data["valued"]] for data in levels]))
-            value = joined(torch.cat([data["state_value"][data["valued"]] for data in levels]))
+            advantage = all_gather_cat(
+                torch.cat([data["advantage"][data["decides"]] for data in levels])
+            )
+            target = all_gather_cat(
+                torch.cat([data["value_target"][data["valued"]] for data in levels])
+            )
+            value = all_gather_cat(
+                torch.cat([data["state_value"][data["valued"]] for data in levels])
+            )
             mean, std = advantage.new_zeros(()), advantage.new_ones(())
             if len(advantage) > 1:  # in a short rollout the macro level may not decide at all
                 mean, std = advantage.mean(), advantage.std().clamp_min(1e-4)
@@ -278,7 +284,7 @@ class PPO(Algorithm):
                 ]
                 sizes.append(torch.stack(of_levels).amax(0))
             pairs = zip(sizes, acts, strict=True)
-            every = joined(torch.cat([size[where] for size, where in pairs]))
+            every = all_gather_cat(torch.cat([size[where] for size, where in pairs]))
             dropped = int((1.0 - self.config.advantage_filter_fraction) * len(every))
             least = every.kthvalue(max(dropped, 1)).values
             # Not `>=`: NaN must be selected, so that it stops the run.
@@ -320,7 +326,7 @@ class PPO(Algorithm):
                     if loss.requires_grad:  # otherwise no sample counts
                         (loss / len(rollouts)).backward()
                 self._descend(statistics)
-            divergence = [value for values in exchanged(divergence) for value in values]
+            divergence = [value for values in all_gather_object(divergence) for value in values]
             mean_kl = sum(divergence) / max(len(divergence), 1)
             if self.config.target_kl is not None and mean_kl > self.config.target_kl:
                 break

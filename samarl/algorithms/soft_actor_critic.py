@@ -26,8 +26,8 @@ from samarl.algorithms.action_values import (
 )
 from samarl.algorithms.advantages import streams
 from samarl.algorithms.algorithm import ALGORITHMS, Algorithm
-from samarl.distributed import average_gradients, exchanged
-from samarl.launch import share
+from samarl.distributed import all_gather_object, average_gradients
+from samarl.launch import per_process
 from samarl.observations.frames import Frames
 from samarl.policies.policy import Policy
 from samarl.policies.squashed import SquashedPolicy
@@ -89,7 +89,9 @@ class SoftActorCritic(Algorithm):
             ConfigurationError: the policy's actions cannot be drawn with a gradient, `replay` is
                 too small to begin, or the attention cannot be split into heads.
         """
-        super().__init__(policy, share(config, "algorithm", "replay", "learning_starts", "batch"))
+        super().__init__(
+            policy, per_process(config, "algorithm", "replay", "learning_starts", "batch")
+        )
         self.reward_shaping.team_bonus = self.reward_shaping.shared = config.team_reward
         if not isinstance(policy, SquashedPolicy):
             raise ConfigurationError(
@@ -171,7 +173,7 @@ class SoftActorCritic(Algorithm):
         statistics["losses/mean_target"].append(target[batch["valued"]].mean())
         self.updates += 1
         due = self.updates % self.config.policy_delay == 0
-        if due and all(exchanged(bool(batch["acts"].any()))):
+        if due and all(all_gather_object(bool(batch["acts"].any()))):
             loss, log_prob = self.actor_loss(batch, current.detach())
             self._descend("actor", loss, self.actor_parameters, statistics)
             statistics["losses/actor"].append(loss.detach())

@@ -20,8 +20,8 @@ from mrsan import ConfigurationError
 from mrsan.fields import required
 from samarl.algorithms.advantages import streams
 from samarl.algorithms.algorithm import ALGORITHMS, Algorithm
-from samarl.distributed import average_gradients, exchanged
-from samarl.launch import share
+from samarl.distributed import all_gather_object, average_gradients
+from samarl.launch import per_process
 from samarl.observations.frames import Frames
 from samarl.policies.lookahead import LookaheadPolicy
 from samarl.policies.policy import Policy
@@ -72,7 +72,9 @@ class ValueLearning(Algorithm):
         Raises:
             ConfigurationError: the policy has no values, or `replay` is too small to begin.
         """
-        super().__init__(policy, share(config, "algorithm", "replay", "learning_starts", "batch"))
+        super().__init__(
+            policy, per_process(config, "algorithm", "replay", "learning_starts", "batch")
+        )
         self.reward_shaping.team_bonus = False
         if not isinstance(policy, LookaheadPolicy):
             raise ConfigurationError(
@@ -110,7 +112,7 @@ class ValueLearning(Algorithm):
         c = self.config
         self._store([samples_of(rollout) for rollout in rollouts])
         statistics = {"charts/epsilon": 0.0 if self.policy.imitating else self.policy.epsilon}
-        if not all(exchanged(len(self.replay) >= c.learning_starts)):
+        if not all(all_gather_object(len(self.replay) >= c.learning_starts)):
             return statistics
         total = torch.zeros(4, device=self.policy.device)
         for _ in range(c.updates):

@@ -1,1 +1,1 @@
-"""The entry points, each short; nothing imports them."""
+"""Implementations of the commands."""

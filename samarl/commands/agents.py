@@ -1,4 +1,4 @@
-"""The agent that a command line chooses."""
+"""The agent selected on the command line."""
 
 from __future__ import annotations
 
@@ -11,22 +11,23 @@ from mrsan import ConfigurationError
 from samarl.agents import Agent, build_agent
 from samarl.configuration import load_agent, scenario_in
 
-_AGENTS = {  # one of each kind of policy
+_AGENTS = {  # one agent per kind of policy
     "flat": "samarl_flat", "hierarchical": "samarl", "lookahead": "cadrl", "squashed": "msa3cpred",
 }  # fmt: skip
 
 
-def chosen_agent(config: DictConfig) -> DictConfig:
-    """Return the configuration of the agent, with the checkpoint that the command line names.
+def selected_agent(config: DictConfig) -> DictConfig:
+    """Return the configuration of the agent with the checkpoint named on the command line.
 
     Raises:
-        ConfigurationError: the agent has no checkpoint, or its policy is of another kind.
+        ConfigurationError: the agent uses no checkpoint, or the checkpoint holds another kind of
+            policy.
     """
     agent: DictConfig = config.agent
     if config.checkpoint is not None:
         if "checkpoint" not in agent:
             raise ConfigurationError(
-                f"checkpoint is {config.checkpoint!r}; it must be null for an agent without one "
+                f"checkpoint is {config.checkpoint!r}; it must be null for agents without a policy "
                 "(agent=samarl has one)"
             )
         agent.checkpoint = config.checkpoint
@@ -37,40 +38,46 @@ def chosen_agent(config: DictConfig) -> DictConfig:
 
 
 def _check_policy_kind(name: str, checkpoint: str) -> None:
-    """Refuse a checkpoint that holds another kind of policy than the agent's own.
+    """Refuse a checkpoint with another kind of policy than the agent's own.
 
-    Its rows and pictures would carry the name of a method that did not drive.
+    Its results would otherwise carry the name of another method.
 
     Args:
-        name: of the agent.
-        checkpoint: a file, or the name of a shipped policy.
+        name: name of the agent.
+        checkpoint: a file or the name of a shipped policy.
+
+    Raises:
+        ConfigurationError: the kinds differ.
     """
-    from samarl.policies.checkpoint import find_policy, read_card  # torch, which planners spare
+    from samarl.policies.checkpoint import (  # imports torch, which planners do not need
+        find_policy,
+        read_card,
+    )
 
     own = str(load_agent(name).get("checkpoint"))
     if own in (checkpoint, "???"):
         return
     kind, own_kind = (read_card(find_policy(policy)).policy for policy in (checkpoint, own))
     if kind != own_kind:
-        other = _AGENTS.get(kind, "NAME with a file conf/agent/NAME.yaml of your own")
+        other = _AGENTS.get(kind, "NAME, defined by your own conf/agent/NAME.yaml")
         raise ConfigurationError(
-            f"checkpoint is {checkpoint!r}, a {kind} policy; agent={name} drives {own_kind} "
-            f"policies (choose agent={other})"
+            f"checkpoint is {checkpoint!r}, a {kind} policy; it must be a {own_kind} policy for "
+            f"agent={name}, or use agent={other}"
         )
 
 
 def check_agent(config: DictConfig) -> None:
-    """Check the scenario and the agent of a command without playing.
+    """Check the scenario and the agent of a command without running it.
 
     Raises:
-        ConfigurationError: names what is wrong.
+        ConfigurationError: one of them is not valid.
     """
     scenario = scenario_in(config)
     scenario.load_recording()
-    build_agent(chosen_agent(config), scenario)
+    build_agent(selected_agent(config), scenario)
 
 
 def print_scope_warning(agent: Agent) -> None:
-    """Say what a user should know of an agent in its scenario, if there is anything."""
+    """Print the scope warning of an agent, if there is one."""
     if warning := agent.scope_warning():
         print(f"note: {warning}", file=sys.stderr)

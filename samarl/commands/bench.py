@@ -1,14 +1,13 @@
-"""`samarl-bench`: a table, every agent in every column, against the committed results."""
+"""`samarl-bench`: evaluate agents in the columns of a table and compare with committed results."""
 
 from __future__ import annotations
 
-import dataclasses
 import os
 import shlex
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from joblib import Parallel, delayed, parallel_config
 from omegaconf import MISSING, DictConfig, OmegaConf
@@ -35,8 +34,8 @@ from samarl.evaluation.summary import (
     Row,
     changed_fields,
     column_of,
-    place_of,
     read_rows,
+    scenario_column,
     summarise,
 )
 from samarl.evaluation.table import (
@@ -48,13 +47,14 @@ from samarl.files import (
     code_version,
     find_folder,
     read_json,
-    write_atomically,
     write_json,
+    write_text,
 )
 
 STATUS = """\
-(same: the committed row again; close: within its 95 % intervals, as processors round differently;
- DIFFERS: outside of them; other: it is of other settings or cases; new: there is none)"""
+(same: equal to the committed row; close: within its 95 % intervals, since processors round
+ differently; DIFFERS: outside of them; other: the committed row has other settings or cases;
+ new: there is no committed row)"""
 
 
 @dataclass
@@ -86,66 +86,105 @@ def main() -> None:
 
 
 def bench(config: DictConfig) -> None:
-    """Play, print and write the table; say how each row compares with the committed one."""
-    evaluation = evaluation_in(config)
+    """Evaluate all rows of the table, print them, compare them with the committed ones, write."""
     _check_numbers(config)
-    fewer = evaluation.cases if config.learned_cases is None else config.learned_cases
-    learned = dataclasses.replace(evaluation, cases=min(fewer, evaluation.cases))
-    everybody = [name for name in available_agents() if name not in config.leave_out]
-    names = everybody if config.agents is None else list(config.agents)
-    columns = [OmegaConf.to_container(column) for column in config.columns]
-    columns += _recorded_columns(config)
-    scenarios = [scenario_of(column) for column in columns]
-    if not names or not scenarios:
-        raise ConfigurationError("agents and columns are empty; name at least one of each")
-    if len({_place(scenario) for scenario in scenarios}) < len(scenarios):
-        raise ConfigurationError(f"columns has two with the same {', '.join(Column._fields)}")
-    output = Path(config.output)
-    check_writable(output / f"{config.name}.json", "output")
-    commit = code_version()
-    plugins = list(config.plugins)
-    agents = [(name, load_agent(name, "agents")) for name in names]
-    tasks, coming = [], []
-    left_out: dict[str, str] = {}
-    for scenario in scenarios:
-        for name, agent in agents:
-            # What is wrong is said before anything is played; policies are not for every column.
-            if warning := build_agent(agent, scenario).scope_warning():
-                left_out.setdefault(name, warning)
-                continue
-            others = other_seeds(str(agent.get("checkpoint"))) if config.seeds else []
-            variants = [agent, *({**agent, "checkpoint": other} for other in others)]
-            cases = learned if "checkpoint" in agent else evaluation
-            coming.append((name, scenario, cases.cases))
-            named = load_scenario(scenario.name)
-            tasks.append(delayed(_row)(name, variants, scenario, named, cases, commit, plugins))
+    scenarios = _scenarios(config)
+    path = Path(config.output) / f"{config.name}.json"
+    check_writable(path, "output")
+    tasks, scope_warnings = _tasks(config, scenarios)
     if not tasks:
-        raise ConfigurationError(f"columns has nothing to play: {'; '.join(left_out.values())}")
-    earlier = _kept(config, output / f"{config.name}.json", coming)
-    os.environ.setdefault("PYTHONWARNINGS", "ignore:resource_tracker")  # when it is interrupted
-    with parallel_config("loky", n_jobs=config.jobs, inner_max_num_threads=1):
-        played = Parallel(return_as="generator")(tasks)
-        try:
-            bar = tqdm(played, config.name, len(tasks), unit="row", disable=None)
-            rows = list(bar)
-        except ActionError as error:
-            raise error from None  # without the traceback of the other process
-    committed = find_folder("results") / f"{config.name}.json"
-    known = (read_rows(committed) if committed.exists() else None) or []
+        warnings = "; ".join(scope_warnings.values())
+        raise ConfigurationError(f"columns has no column that an agent can play: {warnings}")
+    earlier = _earlier_rows(config, path, tasks)
+    rows = _run(tasks, config)
+    committed_path = find_folder("results") / path.name
+    committed = (read_rows(committed_path) if committed_path.exists() else None) or []
     print(grids_as_markdown(rows), "\n")
     print(rows_as_markdown(rows), "\n")
     for row in rows:
-        print(compare(row, known))
+        print(compare(row, committed))
     print(STATUS)
-    if left_out:
-        print("not played everywhere:")
-        for name, why in left_out.items():
-            print(f"  {name}: {why}")
+    if scope_warnings:
+        print("not evaluated in every column:")
+        for name, warning in scope_warnings.items():
+            print(f"  {name}: {warning}")
     rows = merged(rows, earlier)
-    write_json(output / f"{config.name}.json", rows)
+    write_json(path, rows)
     text = page(config.name, config.about, rows, config.improvement_of, config.headline)
-    write_atomically(output / f"{config.name}.md", text)
-    print(f"\nwritten to {output}/{config.name}.json and {config.name}.md")
+    write_text(path.with_suffix(".md"), text)
+    print(f"\nwritten to {path} and {path.with_suffix('.md').name}")
+
+
+def _scenarios(config: DictConfig) -> list[Scenario]:
+    """Return the scenarios of all columns.
+
+    Raises:
+        ConfigurationError: there are none, or two are the same column.
+    """
+    columns = [OmegaConf.to_container(column) for column in config.columns]
+    scenarios = [scenario_of(column) for column in [*columns, *_recorded_columns(config)]]
+    if not scenarios:
+        raise ConfigurationError("columns is empty; it must name at least one")
+    if len({_column(scenario) for scenario in scenarios}) < len(scenarios):
+        raise ConfigurationError(f"columns has two with the same {', '.join(Column._fields)}")
+    return scenarios
+
+
+class _Task(NamedTuple):
+    """The evaluation of one row."""
+
+    method: str
+    variants: list[dict[str, Any]]  # configurations of the agent, one per training seed
+    scenario: Scenario
+    evaluation: Evaluation
+
+
+def _tasks(config: DictConfig, scenarios: Sequence[Scenario]) -> tuple[list[_Task], dict[str, str]]:
+    """Return the rows to evaluate, and why some agents are not evaluated in every column.
+
+    All agents are built here, so that mistakes are reported before anything is evaluated.
+
+    Raises:
+        ConfigurationError: there are no agents, or one of them is not valid.
+    """
+    evaluation = evaluation_in(config)
+    cases = evaluation.cases if config.learned_cases is None else config.learned_cases
+    learned_evaluation = replace(evaluation, cases=min(cases, evaluation.cases))
+    names = config.agents
+    if names is None:
+        names = [name for name in available_agents() if name not in config.leave_out]
+    if not names:
+        raise ConfigurationError("agents is empty; it must name at least one")
+    agents = {str(name): load_agent(name, "agents") for name in names}
+    tasks: list[_Task] = []
+    scope_warnings: dict[str, str] = {}
+    for scenario in scenarios:
+        for name, agent in agents.items():
+            if warning := build_agent(agent, scenario).scope_warning():
+                scope_warnings.setdefault(name, warning)
+                continue
+            seeds = other_seeds(str(agent.get("checkpoint"))) if config.seeds else []
+            variants = [agent, *({**agent, "checkpoint": seed} for seed in seeds)]
+            learned = "checkpoint" in agent
+            tasks.append(
+                _Task(name, variants, scenario, learned_evaluation if learned else evaluation)
+            )
+    return tasks, scope_warnings
+
+
+def _run(tasks: Sequence[_Task], config: DictConfig) -> list[Row]:
+    """Evaluate all tasks in parallel processes."""
+    commit, plugins = code_version(), list(config.plugins)
+    jobs = [
+        delayed(_row)(task, load_scenario(task.scenario.name), commit, plugins) for task in tasks
+    ]
+    os.environ.setdefault("PYTHONWARNINGS", "ignore:resource_tracker")  # printed on interrupts
+    with parallel_config("loky", n_jobs=config.jobs, inner_max_num_threads=1):
+        rows = Parallel(return_as="generator")(jobs)
+        try:
+            return list(tqdm(rows, config.name, len(jobs), unit="row", disable=None))
+        except ActionError as error:
+            raise error from None  # without the traceback of the other process
 
 
 def _check_numbers(config: DictConfig) -> None:
@@ -160,7 +199,7 @@ def _check_numbers(config: DictConfig) -> None:
 
 
 def _recorded_columns(config: DictConfig) -> list[dict[str, Any]]:
-    """Return a column for every recording in a folder."""
+    """Return a column for each recording in the folder `recordings`."""
     return [
         {
             **config.recorded,
@@ -172,28 +211,19 @@ def _recorded_columns(config: DictConfig) -> list[dict[str, Any]]:
     ]
 
 
-def _row(
-    name: str,
-    variants: list[dict[str, Any]],
-    scenario: Scenario,
-    named: Scenario,
-    evaluation: Evaluation,
-    commit: str,
-    plugins: list[str],
-) -> Row:
-    """Play one agent in one column, in a process of its own.
+def _row(task: _Task, named: Scenario, commit: str, plugins: list[str]) -> Row:
+    """Evaluate one agent in one column.
 
-    The row is that of the first variant; the others are the same with other training seeds.
+    The row is that of the first variant; the others differ in their training seed.
     """
     import_plugins(plugins)
-    cases = evaluation.numbers()
-    command = _command(name, scenario, named, evaluation, plugins)
-    played = [
-        run_cases(build_agent(agent, scenario), scenario, cases, evaluation.batch)
-        for agent in variants
-    ]
-    seed = int(cases[0])
-    rows = [summarise(of, scenario, name, command, commit, seed, named) for of in played]
+    method, variants, scenario, evaluation = task
+    cases = evaluation.case_numbers()
+    command = _command(method, scenario, named, evaluation, plugins)
+    rows = []
+    for agent in variants:
+        episodes = run_cases(build_agent(agent, scenario), scenario, cases, evaluation.batch)
+        rows.append(summarise(episodes, scenario, method, command, commit, int(cases[0]), named))
     if "checkpoint" not in variants[0]:
         return rows[0]
     row = rows[0] | _from_training([str(agent["checkpoint"]) for agent in variants], command)
@@ -201,71 +231,75 @@ def _row(
 
 
 def _from_training(checkpoints: Sequence[str], command: str) -> Row:
-    """How a row of a policy comes about from nothing.
+    """Return how a row of a policy is reproduced from scratch.
 
     Args:
-        checkpoints: the policy of the row, and those of its other training seeds.
-        command: what gives the row of the first.
+        checkpoints: the policy of the row, then those of its other training seeds.
+        command: the command that evaluates the first one.
 
     Returns:
-        One command that trains and evaluates, the commit at which it was trained, and what trained
-        each of the seeds. Nothing of a policy that took several commands: its card has them.
+        A command that trains and evaluates, the commit of the training, and the training command
+        of each seed; nothing for policies that continue another training, whose card has the
+        commands.
     """
-    from samarl.policies.checkpoint import find_policy  # torch, which --help does not need
+    from samarl.policies.checkpoint import find_policy  # imports torch, which --help does not need
 
-    trained = []
+    trainings = []
     for name in checkpoints:
         path = find_policy(name)
-        made = read_json(path.with_suffix(".json"))["made"]
-        if "command" not in made or "initial" in made:
+        provenance = read_json(path.with_suffix(".json"))["provenance"]
+        if "command" not in provenance or "init_from" in provenance:
             return {}
-        words = [w for w in shlex.split(made["command"]) if not w.startswith("run_dir=")]
+        words = [w for w in shlex.split(provenance["command"]) if not w.startswith("run_dir=")]
         folder = f"outputs/{path.stem}"
-        trained.append((shlex.join([*words, f"run_dir={folder}"]), folder, made["commit"]))
-    train, folder, commit = trained[0]
+        trainings.append((shlex.join([*words, f"run_dir={folder}"]), folder, provenance["commit"]))
+    train, folder, commit = trainings[0]
     return {
         "from_training": f"{train} && {command} checkpoint={folder}/last.safetensors",
         "training_commit": commit,
-        "training_commands": [train for train, _, _ in trained],
+        "training_commands": [train for train, _, _ in trainings],
     }
 
 
-def _kept(config: DictConfig, path: Path, tasks: Sequence[tuple[str, Scenario, int]]) -> list[Row]:
-    """The rows of an earlier file that rows are to be merged into.
+def _earlier_rows(config: DictConfig, path: Path, tasks: Sequence[_Task]) -> list[Row]:
+    """Return the rows of an existing file that new rows are merged into.
 
     Raises:
-        ConfigurationError: it is no table, or a row to come would say less than its own.
+        ConfigurationError: the file is not a table, or a new row would have fewer cases or seeds
+            than the row it replaces.
     """
     if not config.merge or not path.exists():
         return []
     earlier = read_rows(path)
     if earlier is None:
-        raise ConfigurationError(f"output has {path}, which is no table to merge rows into")
-    coming = {(name, _place(scenario)): cases for name, scenario, cases in tasks}
+        raise ConfigurationError(f"merge is true; {path} must be a table, or be removed")
+    cases = {(task.method, _column(task.scenario)): task.evaluation.cases for task in tasks}
     for row in earlier:
-        cases = coming.get((row["method"], column_of(row)))
-        if cases is None:
+        new_cases = cases.get((row["method"], column_of(row)))
+        if new_cases is None:
             continue
-        seeds = "training_seeds" in row
-        if cases < row["episodes"] or (seeds and not config.seeds):
+        lost_seeds = "training_seeds" in row and not config.seeds
+        if new_cases < row["episodes"] or lost_seeds:
             raise ConfigurationError(
-                f"merge is true, but {path} says more of {row['method']}: {row['episodes']} cases"
-                + (", several seeds (seeds=true)" if seeds else "")
+                f"merge is true; the row of {row['method']} must have at least the "
+                f"{row['episodes']} cases"
+                + (" and all training seeds (seeds=true)" if "training_seeds" in row else "")
+                + f" of {path}"
             )
     return earlier
 
 
-def _place(scenario: Scenario) -> Column:
-    """The column that a scenario is."""
-    return place_of(scenario, load_scenario(scenario.name))
+def _column(scenario: Scenario) -> Column:
+    """Return the column of a scenario."""
+    return scenario_column(scenario, load_scenario(scenario.name))
 
 
 def merged(rows: Sequence[Row], earlier: Sequence[Row]) -> list[Row]:
-    """The rows in the place of earlier ones of the same method and column; new ones at the end."""
-    every = {(column_of(row), row["method"]): row for row in (*earlier, *rows)}
-    columns = list(dict.fromkeys(column for column, _ in every))
-    order = sorted(every, key=lambda key: columns.index(key[0]))  # stable
-    return [every[key] for key in order]
+    """Replace earlier rows of the same method and column; append the others."""
+    all_rows = {(column_of(row), row["method"]): row for row in (*earlier, *rows)}
+    columns = list(dict.fromkeys(column for column, _ in all_rows))
+    order = sorted(all_rows, key=lambda key: columns.index(key[0]))  # stable
+    return [all_rows[key] for key in order]
 
 
 def _command(
@@ -275,7 +309,7 @@ def _command(
     evaluation: Evaluation,
     plugins: Sequence[str] = (),
 ) -> str:
-    """The evaluation that gives one row: the column, and whatever is not as by default."""
+    """Return the command that evaluates one row: its column and all changed fields."""
     words = ["samarl-evaluate", f"agent={name}"]
     if plugins:
         words.append(f"plugins=[{','.join(plugins)}]")
@@ -283,16 +317,16 @@ def _command(
         words.append(f"scenario={scenario.name}")
     column = ("fov_degrees", "humans", "robots")
     words += [f"scenario.{name}={getattr(scenario, name):g}" for name in column]
-    left_out = {*(f"scenario.{name}" for name in column), "scenario.name", "scenario.reward",
+    excluded = {*(f"scenario.{name}" for name in column), "scenario.name", "scenario.reward",
                 "evaluation.batch"}  # fmt: skip
-    for path, given, default in (
+    for path, instance, default in (
         ("scenario", scenario, named),
         ("scenario.reward", scenario.reward, named.reward),
         ("evaluation", evaluation, Evaluation()),
     ):
-        for name, value in changed_fields(given, default):
+        for name, value in changed_fields(instance, default):
             key = f"{path}.{name}"
-            if key not in left_out:
+            if key not in excluded:
                 value = Path(value).name if name == "recording" else value
                 words.append(f"{key}={value}")
     return shlex.join(words)

@@ -1,4 +1,4 @@
-"""What all commands share: their configuration and how they report an error."""
+"""Common parts of all commands: composing the configuration and reporting errors."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ from samarl.commands.composition import COMPOSITION_ERRORS, compose_cells, unrea
 from samarl.commands.errors import explain
 from samarl.commands.help import help_text
 from samarl.commands.overrides import CommandLine
-from samarl.configuration import first, import_plugins, refuse_bombs, register_schemas
+from samarl.configuration import first, import_plugins, register_schemas, reject_alias_bombs
 from samarl.files import find_folder
 from samarl.launch import launcher, rank
 from samarl.messages import unknown_field
 
-_WAIT_FOR_FIRST = 5.0  # s, for the first process to say what is wrong
-# What a user's mistake raises in a task; other errors are bugs.
-_IN_A_TASK = (ConfigurationError, ActionError, OmegaConfBaseException, OSError, MemoryError)
+_RANK0_REPORT_SECONDS = 5.0  # for which other processes let rank 0 report an error
+# Errors that the user causes in a task; all others are bugs.
+_USER_ERRORS = (ConfigurationError, ActionError, OmegaConfBaseException, OSError, MemoryError)
 
 
 def run_command(
@@ -47,14 +47,14 @@ def run_command(
     check: Callable[[DictConfig], Any] | None = None,
     **schemas: type,
 ) -> None:
-    """Run a Hydra task; a mistake of the user's ends in one line and exit code 2.
+    """Run a Hydra task; user errors are reported in one line with exit code 2.
 
     Args:
-        task: what to do with the composed configuration.
-        config_name: the primary file in `conf/`.
-        check: what to do with the configuration of every cell of a sweep before the first is run,
-            to find mistakes early.
-        **schemas: dataclasses that the configuration names in its defaults.
+        task: function of the composed configuration.
+        config_name: name of the primary file in `conf/`.
+        check: function called with the configuration of every cell of a sweep before the first
+            cell is run, to find errors early.
+        **schemas: dataclasses used as schemas in the defaults list of the configuration.
     """
     words = sys.argv[1:]
     if "--version" in words:
@@ -79,7 +79,7 @@ def run_command(
                     check(config)
     except KeyboardInterrupt:
         _stop("interrupted")
-    except (*_IN_A_TASK, *COMPOSITION_ERRORS) as error:
+    except (*_USER_ERRORS, *COMPOSITION_ERRORS) as error:
         _fail(error, folder)
     sys.argv = [sys.argv[0], *command.words()]
     _run_hydra(task, config_name, folder)
@@ -87,22 +87,26 @@ def run_command(
 
 def _prepare_process(words: Sequence[str]) -> None:
     os.environ["SAMARL_SWEEP"] = _sweep_name(words)
-    for stream in (sys.stdout, sys.stderr):  # a terminal may know only ASCII
+    for stream in (sys.stdout, sys.stderr):  # some terminals support ASCII only
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
     os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra raises instead of printing; see `_fail`
     if os.getcwd() not in sys.path:
-        sys.path.append(os.getcwd())  # a user's own agents live where the command is run
+        sys.path.append(os.getcwd())  # so that plugins in the current folder can be imported
     OmegaConf.register_new_resolver("first", first, replace=True)
     register_schemas()
 
 
 def _check_folder(folder: Path | None) -> None:
-    """Check the user's `--config-dir`, if there is one."""
+    """Check the folder of `--config-dir`, if there is one.
+
+    Raises:
+        ConfigurationError: it is not a folder, or a file in it has too many values.
+    """
     if folder is not None:
         if not folder.is_dir():
             raise ConfigurationError(f"--config-dir is {str(folder)!r}; it must be a folder")
-        refuse_bombs(folder)
+        reject_alias_bombs(folder)
 
 
 def _run_hydra(task: Callable[[DictConfig], Any], config_name: str, folder: Path | None) -> None:
@@ -114,18 +118,18 @@ def _run_hydra(task: Callable[[DictConfig], Any], config_name: str, folder: Path
 
     @functools.wraps(task)
     def checked(config: DictConfig) -> Any:
-        # Reported here, not outside: Hydra would print a second line about the failed job.
+        # Reported here, since Hydra would print a second line about the failed job.
         nonlocal has_started
         has_started = True
         try:
-            _take_threads()
+            _limit_threads()
             _check_plugins_and_keys(config)
             result = task(config)
             sys.stdout.flush()
             return result
         except BrokenPipeError:
-            _leave_quietly()
-        except _IN_A_TASK as error:
+            _exit_on_broken_pipe()
+        except _USER_ERRORS as error:
             _remove_empty_folder()
             _fail(error, folder)
         except KeyboardInterrupt:
@@ -135,7 +139,7 @@ def _run_hydra(task: Callable[[DictConfig], Any], config_name: str, folder: Path
     try:
         decorate(checked)()
     except BrokenPipeError:
-        _leave_quietly()
+        _exit_on_broken_pipe()
     except KeyboardInterrupt as interruption:
         _stop("; ".join(["interrupted", *map(str, interruption.args)]))
     except COMPOSITION_ERRORS as error:
@@ -143,7 +147,7 @@ def _run_hydra(task: Callable[[DictConfig], Any], config_name: str, folder: Path
             raise
         _fail(error, folder)
     except Exception as error:
-        if type(error).__module__.startswith("submitit"):  # of a cell that ran elsewhere
+        if type(error).__module__.startswith("submitit"):  # raised in a cell
             _fail(error)
         if has_started:
             raise
@@ -151,31 +155,31 @@ def _run_hydra(task: Callable[[DictConfig], Any], config_name: str, folder: Path
 
 
 def _check_plugins_and_keys(config: DictConfig) -> None:
-    _refuse_unknown_keys(config, "")
+    _reject_unknown_keys(config, "")
     import_plugins(config.plugins)
 
 
-def _take_threads() -> None:
-    """A cell that a cluster's launcher runs beside others takes the cores that it was given."""
+def _limit_threads() -> None:
+    """Limit a cell of a sweep on a cluster to the cores assigned to it."""
     hydra_config = HydraConfig.get()
     if hydra_config.mode == RunMode.MULTIRUN and "cpus_per_task" in hydra_config.launcher:
         threads = hydra_config.launcher.cpus_per_task or 1
         threads = min(threads, numba.config.NUMBA_NUM_THREADS)
-        numba.config.NUMBA_NUM_THREADS = threads  # before they start, as that sets torch's as well
-        os.environ["OMP_NUM_THREADS"] = str(threads)  # of torch, which is not loaded yet
+        numba.config.NUMBA_NUM_THREADS = threads  # read when they start, as by torch
+        os.environ["OMP_NUM_THREADS"] = str(threads)  # for torch, which is not loaded yet
 
 
 def _sweep_name(words: Sequence[str]) -> str:
-    """A folder for a sweep: what is swept, and a digest that tells it from other sweeps."""
-    aside = ("hydra", "evaluation.batch")  # what leaves the figures as they are
-    settings = sorted(w for w in words if "=" in w and not w.startswith(aside))
+    """Return the folder name of a sweep: the swept keys and a digest of all settings."""
+    ignored = ("hydra", "evaluation.batch")  # these do not affect results
+    settings = sorted(w for w in words if "=" in w and not w.startswith(ignored))
     swept = [w.partition("=")[0].rpartition(".")[2] for w in settings if "," in w or "(" in w]
     digest = hashlib.sha256("\n".join(settings).encode()).hexdigest()[:8]
     return "-".join([*(re.sub(r"\W+", "_", key) for key in swept[:4]), digest])
 
 
 def command_line(program: str) -> str:
-    """The command that is running, as one would type it."""
+    """Return the running command as typed in a shell."""
     hydra_config = HydraConfig.get()
     words = [*launcher(), program]
     for source in hydra_config.runtime.config_sources:
@@ -184,50 +188,55 @@ def command_line(program: str) -> str:
     return shlex.join([*words, *hydra_config.overrides.task])
 
 
-def _refuse_unknown_keys(config: DictConfig, path: str) -> None:
-    """`+key=value` adds keys that no schema knows."""
+def _reject_unknown_keys(config: DictConfig, path: str) -> None:
+    """Reject keys that are not in the schema, which `+key=value` can add.
+
+    Raises:
+        ConfigurationError: a key is unknown.
+    """
     kind = OmegaConf.get_type(config)
-    known = {f.name for f in dataclasses.fields(kind)} if dataclasses.is_dataclass(kind) else None
+    fields = {f.name for f in dataclasses.fields(kind)} if dataclasses.is_dataclass(kind) else None
     for key in map(str, config):
-        if known is not None and key not in known:
-            raise ConfigurationError(unknown_field(path, key, known))
+        if fields is not None and key not in fields:
+            raise ConfigurationError(unknown_field(path, key, fields))
         node = config._get_node(key)
         if isinstance(node, DictConfig) and not node._is_none():
-            _refuse_unknown_keys(node, f"{path}{key}.")
+            _reject_unknown_keys(node, f"{path}{key}.")
 
 
 def _remove_empty_folder() -> None:
-    """The folder that was made for this run, if nothing was written into it."""
+    """Remove the output folder of this run if it is empty."""
     folder = HydraConfig.get().runtime.output_dir
-    if os.path.realpath(folder) != os.getcwd():  # where it runs was there before
+    if os.path.realpath(folder) != os.getcwd():  # the current folder existed before
         with contextlib.suppress(OSError):
             os.rmdir(folder)
 
 
-def _leave_quietly() -> NoReturn:
-    """The reader of what is printed, `head` for example, has seen enough."""
+def _exit_on_broken_pipe() -> NoReturn:
+    """Exit silently because the reader of the output, such as `head`, has closed it."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     sys.exit(1)
 
 
 def _stop(message: str) -> NoReturn:
-    """End an interrupted command; of several processes only the first says so."""
+    """Exit an interrupted command; only rank 0 prints the message."""
     if rank() == 0:
         print(message, file=sys.stderr)
     sys.exit(130)
 
 
 def _fail(error: Exception, folder: Path | None = None) -> NoReturn:
-    """Say in one line what is wrong and leave with exit code 2.
+    """Print the error in one line and exit with code 2.
 
-    Of several processes only one should say it. The others wait first: their launcher ends them.
+    Processes other than rank 0 wait first, so that the launcher usually ends them before they
+    print the same error.
 
     Args:
-        error: the user's mistake.
-        folder: the user's `--config-dir`.
+        error: the user error.
+        folder: the folder of `--config-dir`.
     """
     if rank() > 0:
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
-        time.sleep(_WAIT_FOR_FIRST)
+        time.sleep(_RANK0_REPORT_SECONDS)
     print(f"error: {explain(error, folder)}", file=sys.stderr)
     sys.exit(2)

@@ -1,4 +1,4 @@
-"""The configurations of a command line, composed without running it."""
+"""Composition of configurations without running a command."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ def config_loader(folder: Path | None) -> Iterator[tuple[ConfigLoader, list[str]
     """Initialise Hydra outside of a command.
 
     Args:
-        folder: the user's `--config-dir`.
+        folder: the folder of `--config-dir`.
 
     Yields:
-        The loader of the files in `conf/`, and the settings that make Hydra look into `folder`.
+        The loader of the files in `conf/`, and the override that adds `folder` to the search path.
     """
     with initialize_config_dir(str(find_folder("conf").resolve()), version_base="1.3"):
         search_path = []
@@ -68,17 +68,17 @@ def unreadable(error: Exception) -> ConfigurationError:
 def compose_cells(config_name: str, command: CommandLine) -> Iterator[DictConfig]:
     """Compose the configuration of every cell of a sweep.
 
-    While one is in use, `HydraConfig` holds the choices that led to it.
+    `HydraConfig` holds the choices of the cell yielded last.
 
     Args:
-        config_name: the primary file in `conf/`.
+        config_name: name of the primary file in `conf/`.
         command: the sweep.
     """
     with config_loader(command.folder) as (loader, search_path):
         for cell in command.cells(loader):
             config = composed(config_name, [*cell, *search_path])
             HydraConfig.instance().set_config(config)
-            own = copy.deepcopy(config)
-            with open_dict(own):
-                del own["hydra"]
-            yield own
+            cell_config = copy.deepcopy(config)
+            with open_dict(cell_config):
+                del cell_config["hydra"]
+            yield cell_config

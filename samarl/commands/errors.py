@@ -1,4 +1,4 @@
-"""What Hydra, OmegaConf and YAML refuse, in the words of the commands."""
+"""One-line messages for errors of Hydra, OmegaConf and YAML."""
 
 from __future__ import annotations
 
@@ -18,29 +18,29 @@ from samarl.agents.build import find_class
 from samarl.messages import choice_hint, describe
 
 _JARGON = re.compile(r"(full_key|object_type|reference_type)\b|See https://hydra\.cc|\^$")
-# What Hydra says of `+`, `~` and `@`, and how the commands say it.
+# Messages of Hydra about `+`, `~` and `@`, and their replacements.
 _REWORDED = {
     r"Could not append to config\. An item is already at '(.+?)'":
-        r"\1 exists already; write it without +",
+        r"\1 already exists; write it without +",
     r"Could not delete from config\. '(.+?)' does not exist":
         r"~\1 deletes nothing: \1 is not known; see --help",
     r"Could not delete from config\. The value of '(.+?)' is (.+) and not (.+)\.":
-        r"~\1 has the value \3; it must be \2, or be left out",
+        r"~\1 has the value \3; it must be \2 or omitted",
     r"Error merging override ~([^=\n]+)":
-        r"~\1 deletes a field that must exist; set it instead",
+        r"~\1 deletes a required field; set it instead",
     r"Multiple values for (.+?)\. ":
-        r"\1 is chosen already; write \1=NAME without +",
+        r"\1 is already selected; write \1=NAME without +",
     r"Could not override '(.+?)'\.\nDid you mean to override (.+?)\?":
         r"\1 is not known; did you mean \2?",
 }  # fmt: skip
 
 
 def explain(error: BaseException, folder: Path | None = None) -> str:
-    """Say in one line what is wrong: the field, its value and what would be right.
+    """Return one line that names the field, its value and what it must be.
 
     Args:
-        error: raised by a command, or by Hydra while it composes the configuration.
-        folder: the user's own configuration files, one of which may be the reason.
+        error: an error of a command, or of Hydra while composing the configuration.
+        folder: the folder of `--config-dir`, whose files may be the cause.
     """
     if isinstance(error, MissingConfigException) and error.missing_cfg_file:
         group, _, name = error.missing_cfg_file.rpartition("/")
@@ -59,9 +59,9 @@ def explain(error: BaseException, folder: Path | None = None) -> str:
                 return match.expand(replacement)
         for cause in _chain(error):
             if isinstance(cause, OmegaConfBaseException):
-                return _of_setting(cause, str(error))
+                return _describe_setting(cause, str(error))
     message = str(error).split("Config search path:")[0] or type(error).__name__
-    if isinstance(error, OSError) and error.errno and error.filename is None:  # Hydra's, for one
+    if isinstance(error, OSError) and error.errno and error.filename is None:  # from Hydra
         message = f"a file below {os.getcwd()} cannot be written ({error.strerror})"
     if error.__cause__ and not isinstance(error, ConfigurationError):
         message += f"\n{error.__cause__}"
@@ -69,9 +69,9 @@ def explain(error: BaseException, folder: Path | None = None) -> str:
     return "; ".join(line for line in lines if line and not _JARGON.match(line))
 
 
-def _of_setting(cause: OmegaConfBaseException, message: str) -> str:
-    """Describe OmegaConf's error in the setting, or in the file, that Hydra's `message` names."""
-    if isinstance(cause, ConfigKeyError | ConfigAttributeError) and _is_in_class(cause):
+def _describe_setting(cause: OmegaConfBaseException, message: str) -> str:
+    """Describe OmegaConf's error in the setting or file named by Hydra's message."""
+    if isinstance(cause, ConfigKeyError | ConfigAttributeError) and _is_agent_field(cause):
         return (
             f"{cause.full_key} is not in the agent's file; write ++{cause.full_key}=... to add it"
         )
@@ -87,8 +87,8 @@ def _of_setting(cause: OmegaConfBaseException, message: str) -> str:
     return describe(cause)
 
 
-def _is_in_class(error: OmegaConfBaseException) -> bool:
-    """Whether the class of an agent has the field that its file does not have."""
+def _is_agent_field(error: OmegaConfBaseException) -> bool:
+    """Return whether the class of an agent has a field that is missing in its file."""
     parent = error.parent_node
     if not isinstance(parent, DictConfig) or "_target_" not in parent:
         return False
@@ -106,7 +106,7 @@ def _chain(error: BaseException | None) -> Iterator[BaseException]:
 
 
 def _not_utf8(error: UnicodeDecodeError, folder: Path | None) -> str:
-    """Name the configuration file that cannot be decoded."""
+    """Return a message with the configuration file that cannot be decoded."""
     for path in sorted(folder.rglob("*.yaml")) if folder else ():
         if path.is_file() and error.object in path.read_bytes():
             return f"{path} is not UTF-8 text ({error.reason}); save it as UTF-8"

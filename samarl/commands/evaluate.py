@@ -1,4 +1,4 @@
-"""`samarl-evaluate`: one agent over fixed cases, or a sweep of them."""
+"""`samarl-evaluate`: evaluate an agent on fixed cases, or run a sweep of evaluations."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
-from mrsan import Episodes, Outcome, Scenario, social_score
+from mrsan import Episodes, Outcome, social_score
 from samarl.agents import build_agent
-from samarl.commands.agents import check_agent, chosen_agent, print_scope_warning
+from samarl.commands.agents import check_agent, print_scope_warning, selected_agent
 from samarl.commands.cli import command_line, run_command
 from samarl.configuration import evaluation_in, load_scenario, scenario_in
-from samarl.evaluation.runner import Evaluation, run_cases
+from samarl.evaluation.runner import run_cases
 from samarl.evaluation.summary import Row, summarise
 from samarl.evaluation.sweep import read_cell
 from samarl.evaluation.table import rows_as_markdown
-from samarl.files import code_version, write_atomically, write_json
+from samarl.files import code_version, write_json, write_text
 
 _PER_ROBOT = [
     name
@@ -35,49 +35,43 @@ def main() -> None:
 
 
 def evaluate(config: DictConfig) -> Row:
-    """Play the cases, write `row.json` and `episodes.jsonl`, print the row.
+    """Run the cases, write `row.json` and `episodes.jsonl`, and print the row.
 
-    A cell of a sweep that was finished before with the same configuration and code is not played
-    again.
+    Cells of a sweep that were finished with the same configuration and code are not run again.
     """
-    scenario, evaluation = objects(config)
+    scenario, evaluation = scenario_in(config), evaluation_in(config)
     hydra = HydraConfig.get()
     folder = Path(hydra.runtime.output_dir)
-    finished = folder / "row.json"
-    agent = build_agent(chosen_agent(config), scenario)
+    row_path = folder / "row.json"
+    agent = build_agent(selected_agent(config), scenario)
     marker = {"config": _plain(config), "commit": code_version(), "agent": agent.version()}
-    known = read_cell(finished) if hydra.mode == RunMode.MULTIRUN else None
-    if known and {key: known.get(key) for key in marker} == marker:
-        print(f"finished before: {folder}")
-        before: Row = known["row"]
-        return before
+    cell = read_cell(row_path) if hydra.mode == RunMode.MULTIRUN else None
+    if cell and {key: cell.get(key) for key in marker} == marker:
+        print(f"already finished: {folder}")
+        finished_row: Row = cell["row"]
+        return finished_row
     print_scope_warning(agent)
     name = str(hydra.runtime.choices.agent)
-    episodes = run_cases(agent, scenario, evaluation.numbers(), evaluation.batch, name)
+    episodes = run_cases(agent, scenario, evaluation.case_numbers(), evaluation.batch, name)
     command = command_line("samarl-evaluate")
-    seed = int(evaluation.numbers()[0])
+    seed = int(evaluation.case_numbers()[0])
     named = load_scenario(scenario.name)
     row = summarise(episodes, scenario, name, command, marker["commit"], seed, named)
-    write_atomically(folder / "episodes.jsonl", episodes_as_jsonl(episodes))
-    write_json(finished, {"row": row, **marker})  # last: it marks the cell as finished
+    write_text(folder / "episodes.jsonl", episodes_as_jsonl(episodes))
+    write_json(row_path, {"row": row, **marker})  # last: it marks the cell as finished
     print(rows_as_markdown([row]))
     print(f"written to {folder}")
     return row
 
 
 def check_cell(config: DictConfig) -> None:
-    """Check a cell of a sweep without playing it."""
+    """Check the configuration of a cell of a sweep without running it."""
     evaluation_in(config)
     check_agent(config)
 
 
-def objects(config: DictConfig) -> tuple[Scenario, Evaluation]:
-    """The checked scenario and evaluation of a composed configuration."""
-    return scenario_in(config), evaluation_in(config)
-
-
 def episodes_as_jsonl(episodes: Episodes) -> str:
-    """One JSON object per episode; lists hold one element per robot."""
+    """Return one JSON object per episode; lists hold one element per robot."""
     scores = social_score(episodes)
     lines = []
     for b in range(len(episodes.case)):
@@ -97,14 +91,14 @@ def episodes_as_jsonl(episodes: Episodes) -> str:
 
 
 def _rounded(value: float) -> float | None:
-    """For JSON, which has no infinity; True and False stay what they are."""
+    """Return a value for JSON, which has no infinity; booleans are unchanged."""
     if value == math.inf:
         return None
     return round(value, 4) if isinstance(value, float) else value
 
 
 def _plain(config: DictConfig) -> Any:
-    """What decides the result: all of the configuration but the batch size."""
+    """Return the configuration without the batch size, which does not affect results."""
     content = json.loads(json.dumps(OmegaConf.to_container(config, resolve=True), default=str))
     del content["evaluation"]["batch"]
     return content

@@ -1,4 +1,4 @@
-"""`samarl-export`: a trained policy for robots without torch."""
+"""`samarl-export`: export a trained policy as an ONNX file that runs without torch."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from omegaconf import MISSING, DictConfig
 
 from mrsan import ConfigurationError
 from samarl.agents import build_agent
-from samarl.commands.agents import check_agent, chosen_agent, print_scope_warning
+from samarl.commands.agents import check_agent, print_scope_warning, selected_agent
 from samarl.commands.cli import run_command
 from samarl.configuration import scenario_in
 from samarl.files import check_writable
@@ -35,17 +35,17 @@ def main() -> None:
 
 
 def export(config: DictConfig) -> None:
-    """Write the file."""
+    """Export the policy."""
     scenario = scenario_in(config)
     path = Path(config.output)
     if path.suffix.lower() != ".onnx":
         raise ConfigurationError(f"output is {config.output!r}; it must end in .onnx")
     if not (find_spec("onnx") and find_spec("onnxruntime")):
-        raise ConfigurationError("onnx is not installed: pip install 'samarl[export]'")
+        raise ConfigurationError("onnx is not installed; pip install 'samarl[export]' installs it")
     from samarl.export import export_agent
 
     check_writable(path, "output")
-    agent = build_agent(chosen_agent(config), scenario)
+    agent = build_agent(selected_agent(config), scenario)
     print_scope_warning(agent)
     export_agent(path, agent, str(HydraConfig.get().runtime.choices.agent))
     print(f"written to {path}")

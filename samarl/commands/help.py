@@ -1,7 +1,7 @@
-"""`--help`: every setting with its default, its range, its unit and what it means.
+"""`--help`: every setting with its default, range, unit and meaning.
 
-Nothing is written twice: ranges and meanings come from the fields of the dataclasses that check the
-settings (`mrsan.fields`), and from the comments in `conf/`.
+Ranges and meanings come from the fields of the settings' dataclasses (`mrsan.fields`) and from the
+comments in `conf/`, so they are written in one place only.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ from samarl.evaluation.runner import Evaluation
 from samarl.files import find_folder
 from samarl.prediction.training import Training
 
-_WIDTH = 42  # of the settings; what they mean stands beside them
+_WIDTH = 42  # of the column of settings; their meanings follow
 _GROUPS = "Groups (choose with group=name; help of a choice: group=name --help):"
-Meanings = dict[str, str]  # by the path of a setting, such as scenario.reward.arrival
+Meanings = dict[str, str]  # by path of a setting, such as scenario.reward.arrival
 
 
 def help_text(config_name: str, command: CommandLine) -> str:
-    """Return what `--help` prints.
+    """Return the output of `--help`.
 
     Args:
-        config_name: the primary file in `conf/`.
-        command: its settings are composed, so that the help describes what they choose.
+        config_name: name of the primary file in `conf/`.
+        command: the command line; its settings are composed, so that the help describes them.
     """
     folder = find_folder("conf").resolve()
     with config_loader(command.folder) as (loader, search_path):
@@ -45,34 +45,45 @@ def help_text(config_name: str, command: CommandLine) -> str:
             if not group.startswith("hydra/")
         }  # fmt: skip
         options = {group: loader.get_group_options(group) for group in choices}
-    described = OmegaConf.to_container(config.hydra.help)
-    assert isinstance(described, dict)
+    template = OmegaConf.to_container(config.hydra.help)
+    assert isinstance(template, dict)
     config = OmegaConf.masked_copy(config, [str(key) for key in config if key != "hydra"])
-    meanings = comments_in_yaml(folder / f"{config_name}.yaml")
-    for group, choice in choices.items():
-        of_files = _comments_of_choice(folder / group, choice)
-        meanings |= {f"{group}.{path}": text for path, text in of_files.items()}
-    for path, cls in _classes(config).items():
-        for name, text in meanings_in_class(cls).items():
-            key = f"{path}.{name}"
-            note, limits = text
-            meanings[key] = " ".join(filter(None, [meanings.get(key, note), limits]))
+    meanings = _meanings(config, folder / f"{config_name}.yaml", choices)
     groups = [
         f"{group}: {', '.join(name for name in names if name != 'schema')}"
         for group, names in options.items()
     ]
     return "\n".join(
         [
-            described["header"].strip(), "",
+            template["header"].strip(), "",
             *([_GROUPS, *groups, ""] if groups else []),
             "Settings (change with path.of.setting=value; see the examples):",
-            annotated(_shortened(config), meanings), described["footer"].strip(),
+            annotated(_shortened(config), meanings), template["footer"].strip(),
         ]
     )  # fmt: skip
 
 
+def _meanings(config: DictConfig, primary: Path, choices: dict[str, str]) -> Meanings:
+    """Return the meanings of all settings, from the YAML files and from the dataclasses.
+
+    Args:
+        config: the composed configuration.
+        primary: the primary file.
+        choices: the selected file of each group.
+    """
+    meanings = comments_in_yaml(primary)
+    for group, choice in choices.items():
+        comments = _comments_of_choice(primary.parent / group, choice)
+        meanings |= {f"{group}.{path}": text for path, text in comments.items()}
+    for path, cls in _classes(config).items():
+        for name, (comment, limits) in meanings_in_class(cls).items():
+            key = f"{path}.{name}"
+            meanings[key] = " ".join(filter(None, [meanings.get(key, comment), limits]))
+    return meanings
+
+
 def _shortened(config: DictConfig) -> str:
-    """The settings as YAML; of what a curriculum trains on only what is not as by default."""
+    """Return the settings as YAML; scenarios of a curriculum show only changed fields."""
     content: Any = OmegaConf.to_container(config, enum_to_str=True)
     default = OmegaConf.to_container(OmegaConf.structured(Scenario), enum_to_str=True)
     assert isinstance(default, dict)
@@ -83,7 +94,7 @@ def _shortened(config: DictConfig) -> str:
 
 
 def annotated(yaml: str, meanings: Meanings) -> str:
-    """The lines of a YAML document, each with what its setting means."""
+    """Return a YAML document with the meaning of its setting behind each line."""
     lines = []
     for line, path in _lines_with_paths(yaml):
         meaning = meanings.get(path, "")
@@ -92,28 +103,28 @@ def annotated(yaml: str, meanings: Meanings) -> str:
 
 
 def comments_in_yaml(path: Path) -> Meanings:
-    """The comments at the ends of the lines of a YAML file, by the path of their key."""
-    found: Meanings = {}
+    """Return the comments at the ends of the lines of a YAML file, by path of their key."""
+    comments: Meanings = {}
     for line, key in _lines_with_paths(path.read_text(encoding="utf-8")):
-        comment = re.match(r" *[\w-]+:(?! \{)[^#]*# (.*)$", line)
-        if comment:
-            found[key] = comment[1]
-    return found
+        match = re.match(r" *[\w-]+:(?! \{)[^#]*# (.*)$", line)
+        if match:
+            comments[key] = match[1]
+    return comments
 
 
 def _lines_with_paths(yaml: str) -> Iterator[tuple[str, str]]:
-    """Each line of a YAML document with the path of its key; empty where it has none."""
-    above: list[tuple[int, str]] = []  # the keys above, each with its indentation
+    """Yield each line of a YAML document with the path of its key, empty if it has none."""
+    parents: list[tuple[int, str]] = []  # the enclosing keys, each with its indentation
     for line in yaml.splitlines():
-        found = re.match(r"( *(?:- )?)([\w-]+):", line)
-        if found:
-            above = [(depth, key) for depth, key in above if depth < len(found[1])]
-            above.append((len(found[1]), found[2]))
-        yield line, ".".join(key for _, key in above) if found else ""
+        match = re.match(r"( *(?:- )?)([\w-]+):", line)
+        if match:
+            parents = [(depth, key) for depth, key in parents if depth < len(match[1])]
+            parents.append((len(match[1]), match[2]))
+        yield line, ".".join(key for _, key in parents) if match else ""
 
 
 def meanings_in_class(cls: type) -> dict[str, tuple[str, str]]:
-    """Return of each field of a dataclass its meaning with the unit, and its range or choices."""
+    """Return for each field of a dataclass its meaning with the unit, and its range or choices."""
     meanings: dict[str, tuple[str, str]] = {}
     for field in dataclasses.fields(cls):
         limits, metadata = "", field.metadata
@@ -129,21 +140,20 @@ def meanings_in_class(cls: type) -> dict[str, tuple[str, str]]:
 
 
 def _comments_of_choice(folder: Path, choice: str) -> Meanings:
-    """The comments of a file of a group, and of those that it is based on."""
+    """Return the comments of a file of a group and of the files in its defaults list."""
     path = folder / f"{choice}.yaml"
     if not path.is_file():
         return {}
     content: Any = OmegaConf.load(path)
-    based_on = content.get("defaults", [])
-    found: Meanings = {}
-    for base in based_on:
+    comments: Meanings = {}
+    for base in content.get("defaults", []):
         if isinstance(base, str) and base != "_self_":
-            found |= _comments_of_choice(folder, base)
-    return found | comments_in_yaml(path)
+            comments |= _comments_of_choice(folder, base)
+    return comments | comments_in_yaml(path)
 
 
 def _classes(config: DictConfig) -> dict[str, Any]:
-    """The dataclasses that check the settings, by the path of what they check."""
+    """Return the dataclasses of the settings, by path."""
     classes: dict[str, Any] = {}
     if "scenario" in config:
         classes |= {"scenario": Scenario, "scenario.reward": Reward}
@@ -154,7 +164,7 @@ def _classes(config: DictConfig) -> dict[str, Any]:
     if "training" in config:
         classes["training"] = Training
     if "trainer" in config:
-        # Only here: they take seconds to import, for which help of other commands does not wait.
+        # Imported here because they take seconds, which the help of other commands does not need.
         from samarl.algorithms import ALGORITHMS
         from samarl.encoders import ENCODERS
         from samarl.policies.policy import POLICIES

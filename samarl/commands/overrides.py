@@ -1,8 +1,8 @@
-"""The words of a command line, in the form that Hydra's grammar reads.
+"""Command lines in the form that Hydra's grammar accepts.
 
-In that grammar parentheses, commas, quotes, `=` and letters beyond a to z have meanings of their
-own. Paths are therefore quoted here before Hydra reads them, and whatever else it cannot read is
-either quoted as text, for the field's own check to judge, or refused.
+Parentheses, commas, quotes, `=` and non-ASCII letters are special in that grammar. Therefore paths
+are quoted before Hydra parses them. Other values that it cannot parse are either quoted as strings,
+so that the check of the field reports them, or rejected here.
 """
 
 from __future__ import annotations
@@ -36,24 +36,24 @@ _OPTIONS = frozenset(
     {"--config-dir", "-cd", "--config-name", "-cn", "--config-path", "-cp", "--cfg", "-c",
      "--package", "-p", "--info", "-i", "--experimental-rerun"}
 )  # fmt: skip
-# One of several values: in quotes, or up to the next comma.
+# One of several values, in quotes or up to the next comma.
 _ELEMENT = re.compile(r"""\s*('(?:[^'\\]|\\.)*'|"(?:[^"\\]|\\.)*"|[^,]*?)\s*,""", re.DOTALL)
 
 
 @dataclass(frozen=True)
 class CommandLine:
-    """The options and the settings of a command."""
+    """The options and settings of a command."""
 
-    options: list[str]  # such as --config-dir, with their values
+    options: list[str]  # for example --config-dir, with their values
     settings: list[str]  # name=value
-    folder: Path | None = None  # the user's own configuration files: --config-dir
+    folder: Path | None = None  # of --config-dir
 
     @classmethod
     def parse(cls, words: Sequence[str]) -> CommandLine:
-        """Sort the words of a command line, without the program.
+        """Parse the words of a command line, without the program.
 
         Raises:
-            ConfigurationError: names a word that is no option and no setting.
+            ConfigurationError: an option is unknown or has no value.
         """
         options: list[str] = []
         settings: list[str] = []
@@ -74,34 +74,34 @@ class CommandLine:
                 options.append(word)
             else:
                 raise ConfigurationError(
-                    f"{word!r:.60} is no option; settings are written without dashes, as in "
+                    f"{word!r:.60} is not an option; settings are written without dashes, as in "
                     "agent=orca (see --help)"
                 )
         return cls(options, settings, folder)
 
     @cached_property
     def is_sweep(self) -> bool:
-        """Whether every combination of several values is to be run."""
+        """Whether the command runs every combination of several values."""
         return not {"-m", "--multirun"}.isdisjoint(self.options) or (
             "hydra.mode=MULTIRUN" in self.settings
         )
 
     def quoted(self) -> CommandLine:
-        """Quote the values that Hydra would not read as they are.
+        """Quote the values that Hydra could not parse otherwise.
 
         Raises:
-            ConfigurationError: names a setting that cannot be read at all.
+            ConfigurationError: a setting cannot be parsed.
         """
         parser = OverridesParser.create()
         settings = [_quoted_setting(word, self.is_sweep, parser) for word in self.settings]
         return replace(self, settings=settings)
 
     def words(self) -> list[str]:
-        """The command line that Hydra reads: options first, which it cannot find later."""
+        """Return the command line for Hydra, which requires options first."""
         return [*self.options, *self.settings]
 
     def cells(self, loader: ConfigLoader) -> Iterator[list[str]]:
-        """The settings of each run of a sweep; `loader` knows the files that a glob matches."""
+        """Yield the settings of each cell of a sweep; `loader` lists the files matched by globs."""
         overrides = OverridesParser.create(loader).parse_overrides(self.settings)
         choices = {override.get_key_element(): _choices(override) for override in overrides}
         for cell in itertools.product(*choices.values()):
@@ -109,7 +109,7 @@ class CommandLine:
 
 
 def _choices(override: Override) -> list[str]:
-    """The settings, each with one value, that an override stands for."""
+    """Return the single-valued settings that an override expands to."""
     key = override.get_key_element()
     if override.is_sweep_override():
         return [f"{key}={value}" for value in override.sweep_string_iterator()]
@@ -122,7 +122,7 @@ def _quoted_setting(word: str, is_sweep: bool, parser: OverridesParser) -> str:
     is_complete = bool(name.strip("~")) and (equals or key.startswith("~"))
     if not is_complete or _parsed(f"{key}{equals}", parser) is None:
         raise ConfigurationError(
-            f"{word!r:.60} is no setting; write name=value, as in scenario.robots=5 (see --help)"
+            f"{word!r:.60} is not a setting; write name=value, as in scenario.robots=5 (see --help)"
         )
     if name.rpartition(".")[2] in PATH_FIELDS or name in PATH_SETTINGS:
         return f"{key}={_quoted_paths(value, is_sweep, parser)}"
@@ -130,13 +130,13 @@ def _quoted_setting(word: str, is_sweep: bool, parser: OverridesParser) -> str:
     if override is None:
         if value.startswith(("[", "{")):
             raise ConfigurationError(
-                f"{name} is {value!r:.60}; a list is written [a,b] and names with values "
-                "{a: 1, b: 2}, with quotes around texts such as 'a (1)'"
+                f"{name} is {value!r:.60}; it must be a list [a,b] or a mapping {{a: 1, b: 2}}, "
+                "with quotes around strings such as 'a (1)'"
             )
         return f"{key}={_in_quotes(value)}"
     if override.is_sweep_override() and not is_sweep:
         raise ConfigurationError(
-            f"{name} is {value!r:.60}; it takes one value (add -m to run with each of them, or "
+            f"{name} is {value!r:.60}; it must be a single value (add -m to run each of them, or "
             "write [a,b] for a list)"
         )
     content = override.value()
@@ -144,12 +144,12 @@ def _quoted_setting(word: str, is_sweep: bool, parser: OverridesParser) -> str:
     if is_group and (content is None or isinstance(content, int | float)):
         return f"{key}={_in_quotes(value)}"  # the name of a file
     if isinstance(content, int) and abs(content) > sys.float_info.max:
-        return f"{key}={_in_quotes(value)}"  # which no number can hold
+        return f"{key}={_in_quotes(value)}"  # too large for a float
     return word
 
 
 def _quoted_paths(value: str, is_sweep: bool, parser: OverridesParser) -> str:
-    """The value of a field that holds a path; several, between commas, in a sweep."""
+    """Quote the value of a path field; in a sweep it may be several values."""
     if not is_sweep:
         return _quoted_path(value, parser)
     override = _parsed(f"x={value}", parser)
@@ -162,14 +162,16 @@ def _quoted_paths(value: str, is_sweep: bool, parser: OverridesParser) -> str:
 
 
 def _quoted_path(text: str, parser: OverridesParser) -> str:
-    """The path `text`, unless that is null or in quotes already."""
+    """Quote a path unless it is null or already quoted."""
     if not text or text.lower() == "null":
         return text
     override = _parsed(f"x={text}", parser)
     if override is not None and not override.is_sweep_override():
         if isinstance(override._value, QuotedString):
             return text
-        if override.value() == text and not text.endswith("\\"):  # which would escape a comma
+        if override.value() == text and not text.endswith(
+            "\\"
+        ):  # a trailing backslash would escape a comma
             return text
     return _in_quotes(text)
 
@@ -179,7 +181,7 @@ def _in_quotes(text: str) -> str:
 
 
 def _parsed(word: str, parser: OverridesParser) -> Override | None:
-    """What Hydra reads; None if it cannot."""
+    """Return the override as parsed by Hydra, or None if it cannot parse it."""
     try:
         return parser.parse_override(word)
     except (HydraException, ValueError, RecursionError):

@@ -1,4 +1,4 @@
-"""`samarl-recording`: what a file of recorded people holds, as a summary, a picture, a table."""
+"""`samarl-recording`: summarise, draw and convert a recording of people."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ import samarl
 from mrsan import ConfigurationError, Crowd, Scenario
 from mrsan.recording import People, RecordingError, Summary, find_problem, read_people, summarize
 from mrsan.recording.rows import FRAME_SECONDS, MAX_GAP
-from samarl.files import check_writable, write_atomically
+from samarl.files import check_writable, write_text
 
 _PICTURES = (".png", ".svg", ".pdf")
-_DECIMALS = 6  # of positions that are written, m
-_OPTIONS = {  # what settings in messages are here
+_DECIMALS = 6  # of positions in the output, m
+_OPTIONS = {  # options of this command for the settings in messages
     "scenario.frame_seconds": "--frame-seconds",
     "scenario.recording_scale": "--scale",
     "scenario.recording_check=false": "--no-check",
@@ -27,7 +27,7 @@ _OPTIONS = {  # what settings in messages are here
 
 
 class _Parser(argparse.ArgumentParser):
-    """Ends in one line, as other commands do."""
+    """Reports errors in one line, like the other commands."""
 
     def error(self, message: str) -> NoReturn:
         _fail(message)
@@ -35,7 +35,7 @@ class _Parser(argparse.ArgumentParser):
 
 def main() -> None:
     """Entry point."""
-    for stream in (sys.stdout, sys.stderr):  # a terminal may know only ASCII
+    for stream in (sys.stdout, sys.stderr):  # some terminals support ASCII only
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
     arguments = _parser().parse_args()
@@ -44,7 +44,7 @@ def main() -> None:
         sys.stdout.flush()
     except (ConfigurationError, RecordingError) as error:
         _fail(str(error))
-    except BrokenPipeError:  # the reader of what is printed, `head` for example, has seen enough
+    except BrokenPipeError:  # the reader of the output, such as `head`, has closed it
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
 
@@ -59,19 +59,19 @@ def _fail(message: str) -> NoReturn:
 def _parser() -> argparse.ArgumentParser:
     parser = _Parser(
         prog="samarl-recording",
-        description="Say what a file of recorded people holds and whether it is plausible; draw "
-        "and convert it. --frame-seconds and --scale are scenario.frame_seconds and "
-        "scenario.recording_scale of other commands.",
+        description="Summarise a recording of people and check whether it is plausible; draw and "
+        "convert it. --frame-seconds and --scale correspond to scenario.frame_seconds and "
+        "scenario.recording_scale of the other commands.",
         allow_abbrev=False,
     )
-    parser.add_argument("file", metavar="FILE", type=Path, help="of recorded people")
+    parser.add_argument("file", metavar="FILE", type=Path, help="a recording of people")
     parser.add_argument(
         "--frame-seconds", type=float, metavar="S",
-        help=f"from one frame number to the next (default: as the file states, or {FRAME_SECONDS})",
+        help=f"seconds between frame numbers (default: as stated in the file, or {FRAME_SECONDS})",
     )  # fmt: skip
     parser.add_argument(
         "--scale", type=float, metavar="M",
-        help="metres per unit of the positions (default: as the file states, or 1)",
+        help="metres per unit of the positions (default: as stated in the file, or 1)",
     )  # fmt: skip
     parser.add_argument(
         "--figure", type=Path, metavar="PICTURE", help=f"draw the tracks ({', '.join(_PICTURES)})"
@@ -81,19 +81,17 @@ def _parser() -> argparse.ArgumentParser:
         help=f"write 'frame id x y' in metres, frames {FRAME_SECONDS} s apart; with commas and a "
         "header if it ends in .csv",
     )  # fmt: skip
-    parser.add_argument(
-        "--no-check", action="store_true", help="accept what is implausible of people who walk"
-    )
+    parser.add_argument("--no-check", action="store_true", help="accept an implausible recording")
     parser.add_argument("--version", action="version", version=f"samarl {samarl.__version__}")
     return parser
 
 
 def _describe(arguments: argparse.Namespace) -> None:
-    """Print the summary; draw and convert.
+    """Print the summary, then draw and convert the recording.
 
     Raises:
-        ConfigurationError: an option is wrong.
-        RecordingError: the file cannot be read, or is implausible.
+        ConfigurationError: an option is not valid.
+        RecordingError: the file cannot be read or is implausible.
     """
     path: Path = arguments.file
     _check_options(arguments)
@@ -102,17 +100,17 @@ def _describe(arguments: argparse.Namespace) -> None:
     problem = find_problem(people, summary)
     print("\n".join(_lines(arguments, people, summary, problem)))
     if arguments.figure is not None:
-        from samarl.report.tracks import save_tracks  # matplotlib, which takes a second
+        from samarl.report.tracks import save_tracks  # imports matplotlib, which takes a second
 
         name = path.name.encode("utf-8", "replace").decode()
-        measured = f"{summary.people} people, {summary.seconds:.0f} s, median speed"
-        title = f"{name}\n{measured} {summary.speed_median:.2f} m/s"
+        statistics = f"{summary.people} people, {summary.seconds:.0f} s, median speed"
+        title = f"{name}\n{statistics} {summary.speed_median:.2f} m/s"
         save_tracks(people, title, arguments.figure)
         print(f"written to {arguments.figure}")
     if problem and not arguments.no_check:
-        raise RecordingError(f"{problem}; scenario.recording_check=false uses it anyway")
+        raise RecordingError(f"{problem}; scenario.recording_check=false accepts it")
     if arguments.output is not None:
-        write_atomically(arguments.output, _as_table(people, arguments.output.suffix == ".csv"))
+        write_text(arguments.output, _as_table(people, arguments.output.suffix == ".csv"))
         print(f"written to {arguments.output}")
 
 
@@ -131,23 +129,25 @@ def _check_options(arguments: argparse.Namespace) -> None:
         if path is None:
             continue
         if path.exists() and path.samefile(arguments.file):
-            raise ConfigurationError(f"{name} is {str(path)!r}, the recording; it must be another")
+            raise ConfigurationError(
+                f"{name} is {str(path)!r}, which is the recording; it must be another file"
+            )
         check_writable(path, name)
 
 
 def _lines(
     arguments: argparse.Namespace, people: People, summary: Summary, problem: str | None
 ) -> list[str]:
-    """The summary, a quantity a line."""
+    """Return the lines of the summary, one per quantity."""
     rows, s = people.rows, summary
-    gaps = f", as gaps of more than {MAX_GAP:g} s begin another" if s.tracks > s.people else ""
+    gaps = f", since a gap of more than {MAX_GAP:g} s starts another" if s.tracks > s.people else ""
     table = [
         ("format", rows.format),
         ("people", f"{s.people}, at most {s.people_at_once} at once"),
         ("tracks", f"{s.tracks}{gaps}"),
         ("rows", f"{s.rows}"),
         ("duration", f"{s.seconds:.1f} s"),
-        ("clock", f"{people.frame_seconds:.4g} s from one frame number to the next "
+        ("clock", f"{people.frame_seconds:.4g} s between frame numbers "
                   f"({_origin(arguments.frame_seconds, rows.frame_seconds)})"),
         ("unit", f"{people.metres:.4g} m ({_origin(arguments.scale, rows.metres)})"),
         ("floor", f"{s.floor[0]:.1f} x {s.floor[1]:.1f} m"),
@@ -161,14 +161,14 @@ def _lines(
 
 
 def _origin(option: float | None, stated: float | None) -> str:
-    """Where a number comes from."""
+    """Return where a value comes from."""
     if option is not None:
-        return "as given"
-    return "assumed" if stated is None else "as the file states"
+        return "from the option"
+    return "assumed" if stated is None else "as stated in the file"
 
 
 def _as_table(people: People, commas: bool) -> str:
-    """`frame id x y` in metres, with frames on the usual clock."""
+    """Return the table `frame id x y` in metres, with frames `FRAME_SECONDS` apart."""
     frames = people.rows.frame * (people.frame_seconds / FRAME_SECONDS)
     positions = people.position.round(_DECIMALS)
     separator = "," if commas else " "

@@ -1,4 +1,4 @@
-"""The folder of recorded people that a command line names."""
+"""The folder of recordings named on the command line."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ def recordings_in(
 
     Args:
         folder: the setting `recordings`; None: no recordings.
-        frame_seconds: by the names of files without extension; for other files it is null.
+        frame_seconds: values by file name without extension; None for other files.
 
     Raises:
-        ConfigurationError: there are no recordings in it.
+        ConfigurationError: the folder contains no recordings.
     """
     if folder is None:
         return {}
@@ -26,7 +26,5 @@ def recordings_in(
     entries = sorted(path.iterdir()) if path.is_dir() else []
     files = [file for file in entries if file.suffix.lower() == ".txt"]
     if not files:
-        raise ConfigurationError(
-            f"recordings is {folder!r}; it must be a folder with *.txt files in it"
-        )
+        raise ConfigurationError(f"recordings is {folder!r}; it must be a folder with *.txt files")
     return {file: frame_seconds.get(file.stem) for file in files}

@@ -1,4 +1,4 @@
-"""`samarl-render`: one case as a picture, still or moving."""
+"""`samarl-render`: draw one case as a figure or an animation."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from mrsan import ConfigurationError, Split
 from mrsan.cases import CASES_PER_SPLIT
 from mrsan.fields import check_numbers, number
 from samarl.agents import build_agent
-from samarl.commands.agents import check_agent, chosen_agent, print_scope_warning
+from samarl.commands.agents import check_agent, print_scope_warning, selected_agent
 from samarl.commands.cli import run_command
 from samarl.configuration import load_agent, scenario_in
-from samarl.evaluation.recording import Recording, record_episode
+from samarl.evaluation.trajectory import Trajectory, record_episode
 from samarl.files import check_writable
 
 
@@ -41,39 +41,39 @@ def main() -> None:
 
 
 def render(config: DictConfig) -> None:
-    """Play one case and draw it."""
+    """Run one case and draw it."""
     scenario = scenario_in(config)
     check_numbers(Render(case=config.case, split=config.split), "")
     split, index = config.split, config.case
-    if index >= CASES_PER_SPLIT:  # a number as episodes.jsonl has it
+    if index >= CASES_PER_SPLIT:  # a case number as in episodes.jsonl
         split, index = Split.of(index)
     path = Path(config.output)
     save = picture_writer(path)
     check_writable(path, "output")
     agents: list[tuple[str, Any]] = [
-        (HydraConfig.get().runtime.choices.agent, chosen_agent(config))
+        (HydraConfig.get().runtime.choices.agent, selected_agent(config))
     ]
     if config.against is not None:
         agents.append((config.against, load_agent(config.against, "against")))
-    recordings = []
+    trajectories = []
     for name, agent_config in agents:
         agent = build_agent(agent_config, scenario)
         print_scope_warning(agent)
-        recording = record_episode(agent, scenario, split.case(index))
+        trajectory = record_episode(agent, scenario, split.case(index))
         title = (
             f"{name}, {split.name} case {index}: {scenario.fov_degrees:g}° view, "
             f"{scenario.humans} humans, {scenario.robots} robots"
         )
-        recordings.append((recording, title))
-    save(recordings, path)
+        trajectories.append((trajectory, title))
+    save(trajectories, path)
     print(f"written to {path}")
 
 
-def picture_writer(path: Path) -> Callable[[Sequence[tuple[Recording, str]], Path], None]:
+def picture_writer(path: Path) -> Callable[[Sequence[tuple[Trajectory, str]], Path], None]:
     """Return the function that draws a file with this extension.
 
     Raises:
-        ConfigurationError: there is none, or no encoder for videos.
+        ConfigurationError: the extension is not supported, or there is no encoder for videos.
     """
     extension = path.suffix.lower()
     if extension in (".png", ".svg", ".pdf"):
@@ -84,7 +84,7 @@ def picture_writer(path: Path) -> Callable[[Sequence[tuple[Recording, str]], Pat
         from samarl.report.animation import save_animation, video_encoder
 
         if extension == ".mp4":
-            video_encoder()  # said before the case is played
+            video_encoder()  # fails before the case is run
         return save_animation
     raise ConfigurationError(
         f"output is {str(path)!r}; it must end in .png, .svg, .pdf, .gif or .mp4"

@@ -1,4 +1,4 @@
-"""`samarl-report`: what is in `results/`, and replays, as pages for the browser."""
+"""`samarl-report`: an HTML report of `results/` with replays."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from mrsan import ConfigurationError, Scenario, Split
 from samarl.agents import Agent, build_agent
 from samarl.commands.cli import command_line, run_command
 from samarl.configuration import available_agents, load_agent, scenario_of
-from samarl.evaluation.recording import Recording, record_episode
 from samarl.evaluation.seeds import without_seed
+from samarl.evaluation.trajectory import Trajectory, record_episode
 from samarl.files import check_writable, find_folder
 
 
@@ -38,7 +38,7 @@ def main() -> None:
 
 
 def report(config: DictConfig) -> None:
-    """Play the cases and build the pages."""
+    """Record the replays and build the pages."""
     from samarl.report.build import build_site
 
     results = find_folder("results") if config.results is None else Path(config.results)
@@ -51,31 +51,31 @@ def report(config: DictConfig) -> None:
     check_writable(output / "index.html", "output")
     scenarios = [scenario_of(OmegaConf.to_container(column)) for column in config.columns]
     methods = _methods(config.agents, results)
-    drivers = list(_drivers(methods, scenarios))
-    plays = [(*driver, case) for driver in drivers for case in config.cases]
-    recordings: list[tuple[str, int, Recording]] = [
+    agents = list(_agents(methods, scenarios))
+    runs = [(*agent, case) for agent in agents for case in config.cases]
+    trajectories: list[tuple[str, int, Trajectory]] = [
         (name, case, record_episode(agent, scenario, config.split.case(case)))
-        for name, agent, scenario, case in tqdm(plays, "episodes", unit="episode", disable=None)
+        for name, agent, scenario, case in tqdm(runs, "episodes", unit="episode", disable=None)
     ]
     files = build_site(
-        output, results, recordings, config.split.name, command_line("samarl-report")
+        output, results, trajectories, config.split.name, command_line("samarl-report")
     )
     size = sum(file.stat().st_size for file in files)
     print(f"written to {output}/index.html: {len(files)} files, {size / 1e6:.2f} MB")
 
 
 def _methods(names: list[str] | None, results: Path) -> dict[str, dict[str, Any]]:
-    """The configurations of the agents; every policy that is shipped is one, of one seed each.
+    """Return the configurations of all agents and shipped policies, one training seed each.
 
-    A policy that no agent names is driven as the first agent with a checkpoint says.
+    Policies without an agent of their own use the configuration of the first learned agent.
     """
     configs = {
         name: load_agent(name, "agents")
         for name in (available_agents() if names is None else names)
     }
     learned = [config for config in configs.values() if "checkpoint" in config]
-    found = sorted((results / "checkpoints").glob("*.safetensors"))
-    shipped = {path.stem: str(path) for path in found if without_seed(path.stem) == path.stem}
+    paths = sorted((results / "checkpoints").glob("*.safetensors"))
+    shipped = {path.stem: str(path) for path in paths if without_seed(path.stem) == path.stem}
     methods: dict[str, dict[str, Any]] = {}
     for name, config in configs.items():
         checkpoint = config.get("checkpoint")
@@ -90,10 +90,10 @@ def _methods(names: list[str] | None, results: Path) -> dict[str, dict[str, Any]
     return methods
 
 
-def _drivers(
+def _agents(
     methods: dict[str, dict[str, Any]], scenarios: list[Scenario]
 ) -> Iterator[tuple[str, Agent, Scenario]]:
-    """Every agent in every scenario; what cannot be built is said and left out."""
+    """Yield every agent in every scenario; policies that do not fit are skipped with a message."""
     for scenario in scenarios:
         for name, config in methods.items():
             try:
@@ -101,7 +101,7 @@ def _drivers(
             except ConfigurationError as error:
                 if "checkpoint" not in config:
                     raise
-                print(f"left out: {name}, {scenario.fov_degrees:g}° view: {error}")
+                print(f"skipped: {name}, {scenario.fov_degrees:g}° view: {error}")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""`samarl-train`: train a policy, or go on with an interrupted training."""
+"""`samarl-train`: train a policy or resume an interrupted training."""
 
 from __future__ import annotations
 
@@ -51,23 +51,24 @@ def main() -> None:
 
 
 def train(config: DictConfig) -> None:
-    """Train; the same command again goes on where the last one was interrupted."""
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # is like Ctrl-C
+    """Train a policy; running the same command again resumes an interrupted training."""
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # like Ctrl-C
     if config.resume is not None:
-        config = begun_as(config)
+        config = resumed_config(config)
     trainer = build_trainer(config, command_line("samarl-train"))
-    logging.getLogger("torchrl").setLevel(logging.WARNING)  # it tells of every replay
-    again = shlex.join([*launcher(), "samarl-train", f"resume={trainer.run_dir.folder}"])
+    logging.getLogger("torchrl").setLevel(logging.WARNING)  # it logs every replay buffer
+    resume_command = shlex.join([*launcher(), "samarl-train", f"resume={trainer.run_dir.folder}"])
     if rank() > 0:
-        pass  # the first process says it
+        pass  # rank 0 prints it
     elif trainer.steps_done >= trainer.config.steps:
-        print(f"this run is finished; for more: {again} trainer.steps={2 * trainer.config.steps}")
+        more = f"{resume_command} trainer.steps={2 * trainer.config.steps}"
+        print(f"this run is finished; to continue it: {more}")
     elif trainer.steps_done:
-        print(f"going on at step {trainer.steps_done} of {trainer.config.steps}")
+        print(f"resuming at step {trainer.steps_done} of {trainer.config.steps}")
     try:
         trainer.run()
     except KeyboardInterrupt:
-        raise KeyboardInterrupt(f"go on with: {again}") from None
+        raise KeyboardInterrupt(f"resume with: {resume_command}") from None
     if rank() == 0:
         print(
             f"written to {trainer.run_dir.folder}: "
@@ -75,40 +76,40 @@ def train(config: DictConfig) -> None:
         )
 
 
-def begun_as(config: DictConfig) -> DictConfig:
-    """The configuration of the run in `config.resume`, with what may change from `config`.
+def resumed_config(config: DictConfig) -> DictConfig:
+    """Return the configuration of the run in `config.resume`, with settings that may change.
 
     Raises:
-        ConfigurationError: the folder holds no run, or other settings were given as well.
+        ConfigurationError: the folder contains no run, or other settings are set as well.
     """
     from samarl.training.run_dir import read_progress
     from samarl.training.trainer import RESUME_OVERRIDABLE
 
-    free = [*(f"trainer.{name}" for name in RESUME_OVERRIDABLE), "trainer.steps", "plugins"]
-    given = {o.partition("=")[0]: o for o in HydraConfig.get().overrides.task}
-    for name, override in given.items():
-        if name not in ("resume", *free):
+    overridable = [*(f"trainer.{name}" for name in RESUME_OVERRIDABLE), "trainer.steps", "plugins"]
+    overrides = {o.partition("=")[0]: o for o in HydraConfig.get().overrides.task}
+    for name, override in overrides.items():
+        if name not in ("resume", *overridable):
             raise ConfigurationError(
-                f"resume is {config.resume!r} beside {override}; a run goes on with its own "
-                f"settings, beside it there may only be {', '.join(free)}"
+                f"resume is {config.resume!r} with {override}; a resumed run keeps its own "
+                f"settings, except {', '.join(overridable)}"
             )
-    own = read_progress(Path(config.resume))["configuration"]
-    own["trainer"] |= {name: config.trainer[name] for name in RESUME_OVERRIDABLE}
-    if "trainer.steps" in given:
-        own["trainer"]["steps"] = config.trainer.steps
-    plain = OmegaConf.create({**OmegaConf.to_container(config), **own})  # type: ignore[dict-item]
+    saved = read_progress(Path(config.resume))["configuration"]
+    saved["trainer"] |= {name: config.trainer[name] for name in RESUME_OVERRIDABLE}
+    if "trainer.steps" in overrides:
+        saved["trainer"]["steps"] = config.trainer.steps
+    plain = OmegaConf.create({**OmegaConf.to_container(config), **saved})  # type: ignore[dict-item]
     return OmegaConf.merge(plain, {"run_dir": config.resume})  # type: ignore[return-value]
 
 
 def build_trainer(config: DictConfig, command: str) -> Trainer:
-    """The training run that a composed `conf/train.yaml` describes.
+    """Build the trainer of a composed `conf/train.yaml`.
 
     Args:
         config: the composed configuration.
-        command: what started it, for the record.
+        command: the command line, recorded as provenance.
 
     Raises:
-        ConfigurationError: a number is wrong, or the folder holds another run.
+        ConfigurationError: a setting is not valid, or the folder contains another run.
     """
     from samarl.training.trainer import Trainer
 
@@ -120,16 +121,16 @@ def build_trainer(config: DictConfig, command: str) -> Trainer:
 
 
 def check_training(config: DictConfig) -> None:
-    """Check the settings of one training of several without beginning it.
+    """Check the settings of a cell of a sweep without starting its training.
 
     Raises:
-        ConfigurationError: names what is wrong.
+        ConfigurationError: a setting is not valid.
     """
     from samarl.algorithms import ALGORITHMS
     from samarl.policies.checkpoint import make_policy
 
     if config.resume is not None:
-        config = begun_as(config)
+        config = resumed_config(config)
     settings = settings_in(config)
     sizes = {key: value for key, value in settings.policy.items() if key != "name"}
     make_policy(settings.policy["name"], sizes, settings.stages[0].scenario.action_size)
@@ -152,7 +153,7 @@ def settings_in(config: DictConfig) -> Settings:
     """Return the checked settings of a composed `conf/train.yaml`.
 
     Raises:
-        ConfigurationError: names the setting that is wrong.
+        ConfigurationError: a setting is not valid.
     """
     from samarl.policies.checkpoint import find_policy
     from samarl.training.trainer import TrainerConfig

@@ -1,1 +1,1 @@
-"""Agents over fixed cases: episode records, summaries with intervals, tables."""
+"""Evaluation of agents on fixed cases: metrics, table rows and tables."""

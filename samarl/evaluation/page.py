@@ -1,4 +1,4 @@
-"""A table with all that is said around it, as a page of Markdown."""
+"""Markdown page of a table."""
 
 from __future__ import annotations
 
@@ -7,76 +7,84 @@ from collections.abc import Sequence
 import numpy as np
 
 from samarl.evaluation.seeds import probability_of_improvement
-from samarl.evaluation.summary import Column, Row, column_of, passed
-from samarl.evaluation.table import as_text, column_name, grids_as_markdown, rows_as_markdown
+from samarl.evaluation.summary import Column, Row, case_successes, column_of
+from samarl.evaluation.table import (
+    column_name,
+    grids_as_markdown,
+    markdown_table,
+    rows_as_markdown,
+)
 from samarl.files import machine
 
-_OVER_SEEDS = """ Over training seeds: the interquartile mean (of fewer than four
-seeds the mean) with the 95 % interval of 10,000 bootstrap draws of seeds."""
+_SEEDS = """ For methods with several
+training seeds, the last columns give the mean over the seeds and the range from the worst to the
+best seed."""
 
 
 def page(
     name: str, about: str, rows: Sequence[Row], improvement_of: Sequence[str] = (),
     headline: Sequence[str] = (),
 ) -> str:  # fmt: skip
-    """The page of a table.
+    """Return the page of a table.
 
     Args:
-        name: of the table.
-        about: its title and what it says first.
-        rows: all of them.
+        name: name of the table.
+        about: its title and introduction.
+        rows: its rows.
         improvement_of: methods whose training seeds are compared with those of the others.
-        headline: methods that have a short table of their own before all others, in this order.
+        headline: methods of the short table at the top, in this order; empty: no short table.
     """
     commits = ", ".join(sorted({row["commit"] for row in rows}))
-    first = [row for method in headline for row in rows if row["method"] == method]
-    short = f"{grids_as_markdown(first)}\n\n## Every method\n\n" if first else ""
+    selection = [row for method in headline for row in rows if row["method"] == method]
+    short = f"{grids_as_markdown(selection)}\n\n## All methods\n\n" if selection else ""
     return f"""# {about}
 {short}{grids_as_markdown(rows)}
-{_nobody_passed(rows)}{_improvement(rows, improvement_of)}
-## Every row
+{_unsolved_cases(rows)}{_improvement(rows, improvement_of)}
+## All rows
 
 {rows_as_markdown(rows)}
 
-Made by `samarl-bench table={name}` at commit {commits} on {machine()}. Each row of `{name}.json`
-holds the command that produces it alone.{
-        _OVER_SEEDS if any("training_seeds" in row for row in rows) else ""
+Created by `samarl-bench table={name}` at commit {commits} on {machine()}. Each row of
+`{name}.json` holds the command that reproduces it.{
+        _SEEDS if any("training_seeds" in row for row in rows) else ""
     }
 """
 
 
-def _nobody_passed(rows: Sequence[Row]) -> str:
-    """How many cases among recorded people no agent passes: nobody may be able to."""
+def _unsolved_cases(rows: Sequence[Row]) -> str:
+    """Return a sentence on the cases among recorded people that no agent solves."""
     columns: dict[Column, list[Row]] = {}
     for row in rows:
         if row.get("recording"):
             columns.setdefault(column_of(row), []).append(row)
     shares = []
-    for column, found in columns.items():
-        of_same = {(row["seed"], row["episodes"], "case_success" in row) for row in found}
-        if len(of_same) == 1 and "case_success" in found[0]:
-            ever = np.any([passed(row) for row in found], axis=0)
-            shares.append(f"{column_name(column)} {100 * (1 - ever.mean()):.1f} %")
-    return f"\nCases that none of these agents passes: {', '.join(shares)}.\n" if shares else ""
+    for column, group in columns.items():
+        cases = {(row["seed"], row["episodes"], "case_success" in row) for row in group}
+        if len(cases) == 1 and "case_success" in group[0]:
+            solved = np.any([case_successes(row) for row in group], axis=0)
+            shares.append(f"{column_name(column)} {100 * (1 - solved.mean()):.1f} %")
+    return f"\nCases that no agent solves: {', '.join(shares)}.\n" if shares else ""
 
 
 def _improvement(rows: Sequence[Row], improvement_of: Sequence[str]) -> str:
-    """How likely a training seed of some methods is better than one of each other."""
+    """Return the table of probabilities that a seed of one method is better than one of another."""
     with_seeds = [row for row in rows if "success_of_seeds" in row]
     lines = []
     for ours in (row for row in with_seeds if row["method"] in improvement_of):
         for theirs in with_seeds:
-            same = all(ours[key] == theirs[key] for key in ("episodes", "seed"))
-            if not same or column_of(theirs) != column_of(ours) or theirs is ours:
+            same_cases = all(ours[key] == theirs[key] for key in ("episodes", "seed"))
+            if not same_cases or column_of(theirs) != column_of(ours) or theirs is ours:
                 continue
             names = [f"{row['method']} ({row['training_seeds']} seeds)" for row in (ours, theirs)]
-            found = [
+            estimates = [
                 probability_of_improvement(ours[key], theirs[key])
                 for key in ("success_of_seeds", "social_of_seeds")
             ]
-            cells = ["{:.2f} [{:.2f}, {:.2f}]".format(*of) for of in found]
+            cells = ["{:.2f} [{:.2f}, {:.2f}]".format(*estimate) for estimate in estimates]
             lines.append([*names, column_name(column_of(ours)), *cells])
     if not lines:
         return ""
     header = ("a seed of", "is better than one of", "in", "success", "social score")
-    return f"\nProbability of improvement (Agarwal et al., 2021):\n\n{as_text(header, lines)}\n"
+    return (
+        f"\nProbability of improvement (Agarwal et al., 2021):\n\n{markdown_table(header, lines)}\n"
+    )

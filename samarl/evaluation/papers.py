@@ -1,10 +1,10 @@
-"""What the papers' own tables say, from their own simulators."""
+"""Results published in the papers, measured in their own simulators."""
 
 from __future__ import annotations
 
 from samarl.evaluation.summary import Column
 
-# SAMARL, Table I: success rate in % (500 cases). Its social score is on another scale than ours.
+# SAMARL, Table I: success rate in % (500 cases). Its social score is on another scale.
 PAPER_SUCCESS: dict[Column, dict[str, int]] = {
     Column(90.0, 10, 3): {
         "ORCA": 25, "CADRL": 55, "SAMARL-PPO": 72, "SAMARL-SRNN": 81, "SAMARL": 93,
@@ -16,11 +16,11 @@ PAPER_SUCCESS: dict[Column, dict[str, int]] = {
         "ORCA": 23, "CADRL": 63, "SAMARL-PPO": 72, "SAMARL-SRNN": 87, "SAMARL": 95,
     },
 }  # fmt: skip
-PAPER_NAME = {"orca": "ORCA"}  # what the paper calls our rows
+PAPER_NAME = {"orca": "ORCA"}  # names of our methods in the paper
 
 # MSA3C (Artificial Intelligence Review, 2024), Tables 2 and 3: CSR %, CR %, APL m, NTC and CIR %
-# (500 cases) by the scenario and what is changed of it. MASAC has none there: it did not converge;
-# nor has MSA3C without the temporal-spatial graph in 20p3r.
+# (500 cases) by scenario and changed fields. The paper has no results of MASAC, which did not
+# converge, nor of MSA3C without the temporal-spatial graph (TSG) in 20p3r.
 PAPER_CO_PLANNING: dict[tuple[str, str], dict[str, tuple[float, ...]]] = {
     ("5p3r", ""): {
         "MLGA2C": (98.0, 44.2, 26.8, 45.7, 10.2),

@@ -1,23 +1,24 @@
-"""How a row compares with the committed row of the same method and column."""
+"""Comparison of table rows with committed ones."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 
-from samarl.evaluation.summary import BY_CASE, Row, column_of, first_cases
-from samarl.evaluation.table import column_name, settings_of
+from samarl.evaluation.summary import CASE_FIELDS, Row, column_of, first_cases
+from samarl.evaluation.table import column_name, row_settings
 
 _MEASURED = (
-    "episodes", "success_rate", "social_score", "collision_rate", "timeout_rate", *BY_CASE,
+    "episodes", "success_rate", "social_score", "collision_rate", "timeout_rate", *CASE_FIELDS,
 )  # fmt: skip
 
 
 def compare(row: Row, committed: Sequence[Row]) -> str:
-    """One line: how a row compares with the committed row of the same method and column.
+    """Compare a row with the committed row of the same method and column, in one line.
 
-    One of fewer cases is compared with the first cases of that row. Just one episode that ends
-    otherwise is close: the interval of all but one never reaches all, however many there are.
+    A row of fewer cases is compared with the first cases of the committed row. A single episode
+    with another outcome always counts as close, since the interval of a rate of 100 % or 0 % may
+    exclude it.
     """
     name = f"{row['method']} {column_name(column_of(row))}"
     same = [r for r in committed if (r["method"], column_of(r)) == (row["method"], column_of(row))]
@@ -33,20 +34,20 @@ def compare(row: Row, committed: Sequence[Row]) -> str:
     if all(row.get(key) == old[key] for key in _MEASURED if key in old):
         return f"same     {change}"
     settings = [
-        [word for word in settings_of(of) if not word.startswith("evaluation.cases=")]
-        for of in (row, old)
+        [word for word in row_settings(r) if not word.startswith("evaluation.cases=")]
+        for r in (row, old)
     ]
     if row["episodes"] != old["episodes"] or settings[0] != settings[1]:
         return (
-            f"other    {change}; the committed row is of {old['command']}, {old['episodes']} cases"
+            f"other    {change}; the committed row has {old['episodes']} cases of {old['command']}"
         )
-    one_episode = 100.0 / row["episodes"]  # may end otherwise on another processor
-    apart = abs(row["success_rate"] - old["success_rate"])
+    one_episode = 100.0 / row["episodes"]  # its outcome may differ on another processor
+    difference = abs(row["success_rate"] - old["success_rate"])
     bounds = [("social_score", "social_low", "social_high", one_episode)]
-    if not math.isclose(apart, one_episode, abs_tol=0.11):  # rates are rounded
+    if not math.isclose(difference, one_episode, abs_tol=0.11):  # rates are rounded
         bounds.insert(0, ("success_rate", "success_low", "success_high", 0.0))
-    for key, low, high, slack in bounds:
-        smallest, largest = old[low], old[high]
-        if not smallest - slack <= row[key] <= largest + slack:
-            return f"DIFFERS  {change}: {key} is outside [{smallest:.1f}, {largest:.1f}]"
+    for key, low_key, high_key, tolerance in bounds:
+        low, high = old[low_key], old[high_key]
+        if not low - tolerance <= row[key] <= high + tolerance:
+            return f"DIFFERS  {change}: {key} is outside [{low:.1f}, {high:.1f}]"
     return f"close    {change}, within the committed intervals"

@@ -1,4 +1,4 @@
-"""Run one agent over fixed cases, in batches."""
+"""Evaluation of one agent on fixed cases, in batches."""
 
 from __future__ import annotations
 
@@ -16,65 +16,69 @@ from mrsan.metrics import episodes_of
 
 @dataclass
 class Evaluation:
-    """Which cases are played."""
+    """The cases on which an agent is evaluated."""
 
     split: Split = setting(Split.test, help="cases to draw from")
     first_case: int = number(0, 0, 10**9, help="first case within the split")
     cases: int = number(500, 1, 10**6, help="number of cases")
     batch: int = number(
-        128, 1, 10**5, help="worlds simulated side by side; does not affect the result"
+        128, 1, 10**5, help="worlds simulated in parallel; results do not depend on it"
     )
 
     def __post_init__(self) -> None:
-        """Check every number."""
+        """Check every number.
+
+        Raises:
+            ConfigurationError: a number is out of range.
+        """
         check_numbers(self, "evaluation")
 
-    def numbers(self) -> NDArray[np.int64]:
-        """The case numbers, [cases]."""
+    def case_numbers(self) -> NDArray[np.int64]:
+        """Return the case numbers, [cases]."""
         return self.split.case(self.first_case) + np.arange(self.cases, dtype=np.int64)
 
 
-class Driver(Protocol):
-    """What `run_cases` needs of an agent."""
+class Controller(Protocol):
+    """The methods of an agent that `run_cases` calls."""
 
     def reset(self, worlds: NDArray[np.bool_]) -> None:
-        """Forget the worlds [E] in which an episode begins."""
+        """Clear the memory of the worlds [E] in which an episode begins."""
 
     def act(self, observation: Observation) -> NDArray[np.float32]:
-        """The action of every robot, [E, N, A]."""
+        """Return the action of every robot, [E, N, A]."""
 
 
 def run_cases(
-    agent: Driver, scenario: Scenario, cases: NDArray[np.int64], batch: int, title: str = ""
+    agent: Controller, scenario: Scenario, cases: NDArray[np.int64], batch: int, title: str = ""
 ) -> Episodes:
-    """The record of every case, in the order given.
+    """Run every case and return its record, in the order of `cases`.
 
-    A world that has ended begins the next case at once, so the batch stays full.
+    A world whose episode has ended starts the next case immediately, so the batch stays full.
 
     Args:
-        agent: drives all robots.
+        agent: the controller of all robots.
         scenario: the task.
         cases: [B] case numbers, all different.
-        batch: worlds side by side.
-        title: of the progress bar; empty: none.
+        batch: number of worlds simulated in parallel.
+        title: title of the progress bar; empty: no progress bar.
     """
     worlds = min(batch, len(cases))
     world = World(scenario, worlds)
-    begins = np.ones(worlds, np.bool_)
+    is_init = np.ones(worlds, np.bool_)
     current = cases[:worlds].copy()
     observation = world.reset(current)
-    begun, remaining = worlds, len(cases)
+    started, remaining = worlds, len(cases)
     records: list[Episodes] = []
     with tqdm(
         total=len(cases), desc=title, unit="case", leave=False, disable=None if title else True
     ) as bar:
         while True:
-            if begins.any():
-                agent.reset(begins)
+            if is_init.any():
+                agent.reset(is_init)
             step = world.step(agent.act(observation))
             observation = step.observation
             ended = (step.terminated | step.truncated) & (current >= 0)
-            begins = np.zeros(worlds, np.bool_)
+            is_init = np.zeros(worlds, np.bool_)
             if not ended.any():
                 continue
             records.append(episodes_of(world.state, scenario, ended))
@@ -83,13 +87,13 @@ def run_cases(
             if not remaining:
                 break
             current[ended] = -1
-            slots = np.flatnonzero(ended)[: len(cases) - begun]
+            slots = np.flatnonzero(ended)[: len(cases) - started]
             if len(slots):
-                current[slots] = cases[begun : begun + len(slots)]
-                begun += len(slots)
-                begins[slots] = True
-                observation = world.reset(np.maximum(current, 0), begins)
-    played = Episodes(*(np.concatenate(parts) for parts in zip(*records, strict=True)))
-    by_case = {number: row for row, number in enumerate(played.case.tolist())}
-    order = np.array([by_case[number] for number in cases.tolist()])
-    return Episodes(*(array[order] for array in played))
+                current[slots] = cases[started : started + len(slots)]
+                started += len(slots)
+                is_init[slots] = True
+                observation = world.reset(np.maximum(current, 0), is_init)
+    episodes = Episodes(*(np.concatenate(parts) for parts in zip(*records, strict=True)))
+    row_of_case = {case: row for row, case in enumerate(episodes.case.tolist())}
+    order = np.array([row_of_case[case] for case in cases.tolist()])
+    return Episodes(*(array[order] for array in episodes))

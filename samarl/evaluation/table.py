@@ -1,4 +1,4 @@
-"""The table as Markdown, beside the papers' figures."""
+"""Tables of rows as Markdown, next to the results in the papers."""
 
 from __future__ import annotations
 
@@ -8,32 +8,32 @@ from pathlib import Path
 from typing import NamedTuple
 
 from mrsan import Scenario
-from samarl.evaluation.metrics import METRICS, Metric, Shown
+from samarl.evaluation.metrics import METRICS, Metric, Tables
 from samarl.evaluation.papers import PAPER_CO_PLANNING, PAPER_NAME, PAPER_SUCCESS
 from samarl.evaluation.summary import Column, Row, column_of
 
 _COLUMNS = ("agent=", "scenario=", "scenario.fov_degrees=", "scenario.humans=", "scenario.robots=")
-_CHANGES = 3  # so many are named
+_MAX_CHANGES = 3  # named in a column heading
 _CO_PLANNING = ("csr", "cr", "apl", "ntc", "cir")  # the metrics of MSA3C, Table 2
 
 
 def column_name(column: Column) -> str:
-    """The column in short."""
+    """Return a short name of a column."""
     if column.scenario != Scenario.name:
-        return place_name(column)
+        return setting_name(column)
     words = [
         f"{column.fov_degrees:g}°",
         f"{column.humans}h",
         f"{column.robots}r",
-        place_name(column),
+        setting_name(column),
     ]
     if column.recording:
         del words[1]
     return " ".join(filter(None, words))
 
 
-def place_name(column: Column) -> str:
-    """How a column differs from those of Table I besides its numbers."""
+def setting_name(column: Column) -> str:
+    """Return how a column differs from those of Table I besides view, people and robots."""
     words = [column.scenario] if column.scenario != Scenario.name else []
     if column.recording:
         words.append(Path(column.recording).stem)
@@ -44,22 +44,23 @@ def place_name(column: Column) -> str:
     if column.team_perception != "none":
         words.append("team")
     changes = column.changes.split()
-    shown = changes if len(changes) <= _CHANGES else [*changes[: _CHANGES - 1], "..."]
-    words += [word.replace("_", " ").replace("=", " ").replace(" True", "") for word in shown]
+    if len(changes) > _MAX_CHANGES:
+        changes = [*changes[: _MAX_CHANGES - 1], "..."]
+    words += [word.replace("_", " ").replace("=", " ").replace(" True", "") for word in changes]
     return " ".join(words)
 
 
-def settings_of(row: Row) -> list[str]:
-    """Return what the command that made a row sets besides its method and its column."""
+def row_settings(row: Row) -> list[str]:
+    """Return the overrides in a row's command other than its method and its column."""
     try:
         words = shlex.split(row["command"])
-    except ValueError:  # quotes that are not closed, in a file from elsewhere
+    except ValueError:  # unclosed quotes, in a file that another program wrote
         words = row["command"].split()
     return [word for word in words if "=" in word and not word.startswith(_COLUMNS)]
 
 
-def as_text(header: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
-    """A Markdown table whose columns line up, the first to the left and the rest to the right."""
+def markdown_table(header: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
+    """Return an aligned Markdown table: first column left-aligned, the others right-aligned."""
     widths = [max(len(cells[i]) for cells in [header, *lines]) for i in range(len(header))]
 
     def line(cells: Sequence[str]) -> str:
@@ -72,89 +73,87 @@ def as_text(header: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
 
 
 def rows_as_markdown(rows: Sequence[Row], with_settings: bool = False) -> str:
-    """All rows with what is measured of each; see `rows_as_cells`."""
-    return as_text(*rows_as_cells(rows, with_settings))
+    """Return a table with one line per row; see `rows_as_cells`."""
+    return markdown_table(*rows_as_cells(rows, with_settings))
 
 
-def tells_of_driving(rows: Sequence[Row]) -> bool:
-    """Has some row what only the table of how the robots drive shows?"""
-    fields = [f for f, known in METRICS.items() if known.shown is Shown.driving]
+def has_driving_metrics(rows: Sequence[Row]) -> bool:
+    """Return whether any row has metrics that only the table on driving shows."""
+    fields = [f for f, metric in METRICS.items() if metric.tables is Tables.driving]
     return any(field in row for row in rows for field in fields)
 
 
 def counts_collisions(rows: Sequence[Row]) -> bool:
-    """Is some row of a scenario in which collisions do not end the episode?"""
+    """Return whether collisions do not end the episode in the scenario of any row."""
     return any(not column_of(row).collisions_end for row in rows)
 
 
 def rows_as_cells(
-    rows: Sequence[Row], with_settings: bool = False, table: Shown = Shown.printed
+    rows: Sequence[Row], with_settings: bool = False, table: Tables = Tables.printed
 ) -> tuple[tuple[str, ...], list[list[str]]]:
-    """The header, and the cells of each row with what is measured of it.
+    """Return the header and the cells of each row.
 
     Args:
         rows: the rows.
-        with_settings: say what else was set on the command line, where that tells rows apart.
-        table: which of them.
+        with_settings: add other overrides of the command line, where they distinguish rows.
+        table: the table whose metrics are shown.
     """
-    tables = (
-        table if table is Shown.driving or not counts_collisions(rows) else table | Shown.counted
-    )
-    shown = [known for known in METRICS.values() if known.heading and tables & known.shown]
-    measured = [known.heading for known in shown]
-    header = ("method", "FOV", "humans", "robots", *measured)
-    lines = [_cells(row, shown) for row in rows]
-    places = [place_name(column_of(row)) for row in rows]
-    if any(places):
-        header = (*header[:4], "place", *header[4:])
-        for line, place in zip(lines, places, strict=True):
-            line.insert(4, place)
-    if table is not Shown.driving:
+    driving = table is Tables.driving
+    tables = table if driving or not counts_collisions(rows) else table | Tables.counted
+    metrics = [metric for metric in METRICS.values() if metric.heading and tables & metric.tables]
+    header = ("method", "FOV", "humans", "robots", *(metric.heading for metric in metrics))
+    lines = [_cells(row, metrics) for row in rows]
+    settings = [setting_name(column_of(row)) for row in rows]
+    if any(settings):
+        header = (*header[:4], "setting", *header[4:])
+        for line, setting in zip(lines, settings, strict=True):
+            line.insert(4, setting)
+    if not driving:
         header += ("paper's success %",)
         for line, row in zip(lines, rows, strict=True):
-            line.append(_of_the_paper(row))
-    if table is not Shown.driving and any("training_seeds" in row for row in rows):
-        header += ("seeds", "success % over seeds", "social score over seeds")
+            line.append(_paper_success(row))
+    if not driving and any("training_seeds" in row for row in rows):
+        header += ("seeds", "mean success % [range]", "mean social score [range]")
         for line, row in zip(lines, rows, strict=True):
-            line += _over_seeds(row)
+            line += _seed_cells(row)
     names = {(row["method"], column_of(row)) for row in rows}
     if with_settings and len(names) < len(rows):
-        header += ("settings",)
+        header += ("overrides",)
         for line, row in zip(lines, rows, strict=True):
-            line.append(" ".join(settings_of(row)))
+            line.append(" ".join(row_settings(row)))
     return header, lines
 
 
-def _cells(row: Row, shown: Sequence[Metric]) -> list[str]:
+def _cells(row: Row, metrics: Sequence[Metric]) -> list[str]:
     return [
         row["method"],
         f"{row['fov_degrees']:g}°",
         str(row["humans"]),
         str(row["robots"]),
-        *(known.cell(row) for known in shown),
+        *(metric.cell(row) for metric in metrics),
     ]
 
 
-def _of_the_paper(row: Row) -> str:
-    """Its success rate, empty where it has none."""
-    paper = PAPER_SUCCESS.get(column_of(row), {}).get(PAPER_NAME.get(row["method"], ""))
-    return "" if paper is None else str(paper)
+def _paper_success(row: Row) -> str:
+    """Return the success rate in the paper, empty if it has none."""
+    rate = PAPER_SUCCESS.get(column_of(row), {}).get(PAPER_NAME.get(row["method"], ""))
+    return "" if rate is None else str(rate)
 
 
-def _over_seeds(row: Row) -> list[str]:
-    """Interquartile means with their intervals; empty where only one seed was trained."""
+def _seed_cells(row: Row) -> list[str]:
+    """Return number, means and ranges over training seeds; empty if only one was trained."""
     if "training_seeds" not in row:
         return ["", "", ""]
     form = "{:.1f} [{:.1f}, {:.1f}]"
-    of_both = [
-        form.format(*(row[f"{name}_{key}"] for key in ("iqm", "iqm_low", "iqm_high")))
+    cells = [
+        form.format(*(row[f"{name}_seed_{key}"] for key in ("mean", "min", "max")))
         for name in ("success", "social")
     ]
-    return [str(row["training_seeds"]), *of_both]
+    return [str(row["training_seeds"]), *cells]
 
 
-def by_kind(rows: Sequence[Row]) -> dict[str, list[Row]]:
-    """The rows of each kind of column."""
+def group_by_kind(rows: Sequence[Row]) -> dict[str, list[Row]]:
+    """Return the rows grouped by `Column.kind`."""
     kinds: dict[str, list[Row]] = {}
     for row in rows:
         kinds.setdefault(column_of(row).kind, []).append(row)
@@ -162,43 +161,44 @@ def by_kind(rows: Sequence[Row]) -> dict[str, list[Row]]:
 
 
 def grids_as_markdown(rows: Sequence[Row]) -> str:
-    """A grid for each kind of column, under a heading if there are several."""
-    kinds = by_kind(rows)
+    """Return one grid per kind of column, with headings if there are several."""
+    kinds = group_by_kind(rows)
     if len(kinds) == 1:
         return grid_as_markdown(rows)
-    return "\n\n".join(f"### {kind}\n\n{grid_as_markdown(of)}" for kind, of in kinds.items())
+    return "\n\n".join(f"### {kind}\n\n{grid_as_markdown(group)}" for kind, group in kinds.items())
 
 
 def grid_as_markdown(rows: Sequence[Row]) -> str:
-    """Success and social score, a line per method, the paper's methods below ours.
+    """Return a grid of success and social score, one line per method, then the paper's methods.
 
-    Where collisions are counted and do not end the episode, MSA3C's table instead.
+    If collisions do not end the episode, the table has the metrics of MSA3C instead.
     """
     if counts_collisions(rows):
-        return as_text(*co_planning_as_cells(rows))
+        return markdown_table(*co_planning_as_cells(rows))
     grid = grid_of(rows)
     header = ["success % / social score", *map(column_name, grid.columns)]
     lines = [
         [method]
-        + ["" if r is None else f"{r['success_rate']:.1f} / {r['social_score']:.1f}" for r in found]
-        for method, found in grid.ours.items()
+        + ["" if r is None else f"{r['success_rate']:.1f} / {r['social_score']:.1f}" for r in cells]
+        for method, cells in grid.ours.items()
     ]
     for name, figures in grid.paper.items():
         lines.append([f"paper: {name}"] + ["" if f is None else f"{f} / -" for f in figures])
-    return as_text(header, lines)
+    return markdown_table(header, lines)
 
 
 def co_planning_as_cells(rows: Sequence[Row]) -> tuple[list[str], list[list[str]]]:
-    """MSA3C's metrics beside joint success: the header, and the paper's lines below ours."""
-    shown = [METRICS[name] for name in ("success_rate", *_CO_PLANNING)]
-    header = ["scenario", "method", *(known.heading for known in shown)]
+    """Return header and lines of joint success and MSA3C's metrics, with the paper's results."""
+    metrics = [METRICS[name] for name in ("success_rate", *_CO_PLANNING)]
+    header = ["scenario", "method", *(metric.heading for metric in metrics)]
     columns: dict[Column, list[Row]] = {}
     for row in rows:
         columns.setdefault(column_of(row), []).append(row)
     lines = []
-    for column, found in columns.items():
+    for column, group in columns.items():
         name = column_name(column)
-        lines += [[name, row["method"], *(known.cell(row) for known in shown)] for row in found]
+        for row in group:
+            lines.append([name, row["method"], *(metric.cell(row) for metric in metrics)])
         paper = PAPER_CO_PLANNING.get((column.scenario, column.changes), {})
         for method, figures in paper.items():
             lines.append([name, f"paper: {method}", "", *(str(figure) for figure in figures)])
@@ -206,15 +206,15 @@ def co_planning_as_cells(rows: Sequence[Row]) -> tuple[list[str], list[list[str]
 
 
 class Grid(NamedTuple):
-    """Rows as methods by columns."""
+    """Rows arranged as methods by columns."""
 
     columns: list[Column]
-    ours: dict[str, list[Row | None]]  # of each method, a row for each column
-    paper: dict[str, list[int | None]]  # the same of the paper's success rates
+    ours: dict[str, list[Row | None]]  # per method, the row of each column
+    paper: dict[str, list[int | None]]  # per method of the paper, its success rates, %
 
 
 def grid_of(rows: Sequence[Row]) -> Grid:
-    """Arrange rows by method and column, both in the order in which they come."""
+    """Arrange rows by method and column, both in order of appearance."""
     columns = list(dict.fromkeys(column_of(row) for row in rows))
     cells = {(row["method"], column_of(row)): row for row in rows}
     ours = {row["method"]: [cells.get((row["method"], c)) for c in columns] for row in rows}
@@ -222,5 +222,5 @@ def grid_of(rows: Sequence[Row]) -> Grid:
         name: [PAPER_SUCCESS.get(column, {}).get(name) for column in columns]
         for name in next(iter(PAPER_SUCCESS.values()))
     }
-    known = {name: figures for name, figures in paper.items() if set(figures) != {None}}
-    return Grid(columns, ours, known)
+    paper = {name: rates for name, rates in paper.items() if set(rates) != {None}}
+    return Grid(columns, ours, paper)

@@ -1,1 +1,1 @@
-"""What planners, the shield and policies share: dynamics, plans and what they cost."""
+"""Planning shared by the planners, the safety shield and the policies."""

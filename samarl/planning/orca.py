@@ -1,4 +1,4 @@
-"""ORCA for robots: everybody is expected to do half of the avoiding."""
+"""ORCA for robots: each agent is expected to take half of the responsibility for avoidance."""
 
 from __future__ import annotations
 
@@ -14,35 +14,37 @@ from mrsan.fields import required
 from mrsan.kernels import kernel
 from mrsan.kernels.orca import orca_room, orca_velocity
 from mrsan.parameters import kernel_parameters
-from samarl.planning.tracking import gather, preferred_velocity, track_velocity
+from samarl.planning.velocity_control import gather_rows, preferred_velocity, track_velocity
 
 
 @dataclass
-class Avoidance:
-    """Numbers of optimal reciprocal collision avoidance (van den Berg et al., 2011)."""
+class OrcaParameters:
+    """Parameters of optimal reciprocal collision avoidance (van den Berg et al., 2011)."""
 
     neighbor_distance: float = required(
         0.1, 1000.0, unit="m", help="agents farther away are ignored"
     )
-    max_neighbors: int = required(1, 80, help="largest number of neighbours considered")
+    max_neighbors: int = required(1, 80, help="largest number of the nearest agents considered")
     time_horizon: float = required(
-        0.01, 100.0, unit="s", help="time for which velocities are free of collisions"
+        0.01, 100.0, unit="s", help="time for which the velocity must be safe"
     )
     safety_space: float = required(0.0, 5.0, unit="m", help="margin added to every radius")
 
 
-def avoid(numbers: Avoidance, observation: Observation, scenario: Scenario) -> NDArray[np.float32]:
-    """The action [E, N, A] nearest to every robot's ORCA velocity, within its limits."""
+def orca_actions(
+    parameters: OrcaParameters, observation: Observation, scenario: Scenario
+) -> NDArray[np.float32]:
+    """Return the actions [E, N, A] that track every robot's ORCA velocity within its limits."""
     worlds, robots = observation.ego.shape[:2]
     action = np.empty((worlds, robots, scenario.action_size), np.float32)
     _orca(
         worlds,
         *observation.perception,
         kernel_parameters(scenario),
-        np.float32(numbers.neighbor_distance),
-        numbers.max_neighbors,
-        np.float32(numbers.time_horizon),
-        np.float32(numbers.safety_space),
+        np.float32(parameters.neighbor_distance),
+        parameters.max_neighbors,
+        np.float32(parameters.time_horizon),
+        np.float32(parameters.safety_space),
         action,
     )
     return action
@@ -68,7 +70,7 @@ def _orca(
         rows, scratch = orca_room(1 + humans.shape[2] + robots.shape[2])
         for e in range(chunk * total // chunks, (chunk + 1) * total // chunks):
             for i in range(ego.shape[1]):
-                count = gather(
+                count = gather_rows(
                     ego[e, i],
                     humans[e, i],
                     humans_visible[e, i],
@@ -78,13 +80,13 @@ def _orca(
                     safety_space,
                     rows,
                 )
-                wanted_x, wanted_y = preferred_velocity(ego[e, i], p)
+                preferred_x, preferred_y = preferred_velocity(ego[e, i], p)
                 vx, vy = orca_velocity(
                     rows,
                     count,
                     0,
-                    wanted_x,
-                    wanted_y,
+                    preferred_x,
+                    preferred_y,
                     p.robot_speed,
                     neighbor_distance,
                     max_neighbors,

@@ -1,11 +1,11 @@
-"""A fixed set of plans, simulated against predictions of those who are known."""
+"""Cheapest of a fixed set of plans, simulated against the predicted motion of others."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import prange
@@ -16,8 +16,13 @@ from mrsan.features import GOAL_X, GOAL_Y
 from mrsan.fields import required
 from mrsan.kernels import function, kernel
 from mrsan.parameters import kernel_parameters
-from samarl.planning.foresight import gather_aside
-from samarl.planning.tracking import gather, move, steer, track_velocity
+from samarl.planning.track_predictor import gather_offsets
+from samarl.planning.velocity_control import (
+    gather_rows,
+    step_robot,
+    track_rotated_velocity,
+    track_velocity,
+)
 
 _ZERO = np.float32(0.0)
 _ONE = np.float32(1.0)
@@ -27,44 +32,44 @@ _ROUNDING = np.float32(1e-3)
 
 @dataclass
 class Plans:
-    """A set of plans, and what they cost.
+    """Parameters of the set of plans and of their cost.
 
-    A plan drives in one direction at one speed for a while and then towards the goal. The set
-    is fixed, not random, so a decision is a function of what is known.
+    A plan drives in one direction at one speed for some time and then towards the goal. The set
+    is fixed, not random, so that the action is a function of the observation.
     """
 
-    horizon: float = required(0.01, 100.0, unit="s", help="duration of a plan")
+    horizon: float = required(0.01, 100.0, unit="s", help="simulated time")
     directions: int = required(1, 360, help="directions that are tried")
     speeds: int = required(1, 20, help="speeds that are tried")
     holds: int = required(
-        1, 20, help="durations that are tried: the horizon, half of it, a third, ..."
+        1, 20, help="hold times that are tried: the whole horizon, a half, a third, ..."
     )
     human_margin: float = required(0.0, 5.0, unit="m", help="margin added to the radius of people")
     robot_margin: float = required(0.0, 5.0, unit="m", help="margin added to the radius of robots")
-    comfort: float = required(0.0, 5.0, unit="m", help="distance that costs nothing")
+    comfort: float = required(0.0, 5.0, unit="m", help="surface distance without cost")
     comfort_weight: float = required(0.0, 1e6, help="cost per second at contact")
     collision_weight: float = required(0.0, 1e6, help="cost of a collision")
     collision_discount: float = required(0.0, 1.0, help="discount of later collisions, per second")
 
 
-def first_action(
-    plans: Plans, known: Sequence[NDArray[Any]], scenario: Scenario, aside: NDArray[np.float32]
-) -> NDArray[np.float32]:
-    """The first action of every robot's cheapest plan, [E, N, A].
+class PlanParameters(NamedTuple):
+    """`Plans` in the kernels' units: float32 and steps."""
 
-    Args:
-        plans: the set, and what it costs.
-        known: `Observation.perception` or `Tracks`: all of them go on at constant velocity.
-        scenario: the dynamics.
-        aside: by how much people will be elsewhere, as `Foresight.update` says.
-    """
-    worlds, robots = known[0].shape[:2]
-    action = np.empty((worlds, robots, scenario.action_size), np.float32)
-    _choose(
-        worlds,
-        *known,
-        aside,
-        kernel_parameters(scenario),
+    horizon: int
+    directions: int
+    speeds: int
+    holds: int
+    human_margin: np.float32
+    robot_margin: np.float32
+    comfort: np.float32
+    comfort_weight: np.float32  # per step
+    collision_weight: np.float32
+    collision_discount: np.float32  # per step
+
+
+def plan_parameters(plans: Plans, scenario: Scenario) -> PlanParameters:
+    """Return the parameters of the plans for the time step of a scenario."""
+    return PlanParameters(
         max(1, scenario.steps(plans.horizon)),
         plans.directions,
         plans.speeds,
@@ -75,141 +80,149 @@ def first_action(
         np.float32(plans.comfort_weight * scenario.time_step),
         np.float32(plans.collision_weight),
         np.float32(plans.collision_discount**scenario.time_step),
-        action,
     )
+
+
+def first_action(
+    plans: Plans,
+    tracks: Sequence[NDArray[Any]],
+    scenario: Scenario,
+    predicted_offset: NDArray[np.float32],
+) -> NDArray[np.float32]:
+    """Return the first action of every robot's cheapest plan, [E, N, A].
+
+    Args:
+        plans: parameters of the plans and of their cost.
+        tracks: `Observation.perception` or `Tracks`; everybody moves at constant velocity.
+        scenario: the dynamics.
+        predicted_offset: people's offsets from constant velocity, see `OffsetPredictor.update`.
+    """
+    worlds, robots = tracks[0].shape[:2]
+    action = np.empty((worlds, robots, scenario.action_size), np.float32)
+    plan = plan_parameters(plans, scenario)
+    _first_action(worlds, *tracks, predicted_offset, kernel_parameters(scenario), plan, action)
     return action
 
 
 @kernel
-def _choose(
+def _first_action(
     chunks,
     ego,
     humans,
     humans_visible,
     robots,
     robots_visible,
-    aside,
+    predicted_offset,
     p,
-    horizon,
-    directions,
-    speeds,
-    holds,
-    human_margin,
-    robot_margin,
-    comfort,
-    comfort_weight,
-    collision_weight,
-    collision_discount,
+    plans,
     action,
 ):
     total = ego.shape[0]
     for chunk in prange(chunks):
         rows = np.empty((1 + humans.shape[2] + robots.shape[2], 5), np.float32)
-        bends = np.zeros((rows.shape[0], aside.shape[3], 2), np.float32)
-        attempt = np.empty(action.shape[2], np.float32)
+        row_offset = np.zeros((rows.shape[0], predicted_offset.shape[3], 2), np.float32)
+        scratch_action = np.empty(action.shape[2], np.float32)
         for e in range(chunk * total // chunks, (chunk + 1) * total // chunks):
             for i in range(ego.shape[1]):
-                count = gather(
+                count = gather_rows(
                     ego[e, i],
                     humans[e, i],
                     humans_visible[e, i],
                     robots[e, i],
                     robots_visible[e, i],
-                    human_margin,
-                    robot_margin,
+                    plans.human_margin,
+                    plans.robot_margin,
                     rows,
                 )
-                gather_aside(humans_visible[e, i], aside[e, i], bends)
-                speed = math.sqrt(rows[0, 2] * rows[0, 2] + rows[0, 3] * rows[0, 3])
+                gather_offsets(humans_visible[e, i], predicted_offset[e, i], row_offset)
                 goal_x, goal_y = ego[e, i, GOAL_X], ego[e, i, GOAL_Y]
-                goal_angle = math.atan2(goal_y, goal_x)
-                cheapest = np.float32(np.inf)
-                for plan in range(directions * speeds * holds + 1):
-                    direction = np.float32(plan % directions) / np.float32(directions)
-                    angle = goal_angle + _TWO_PI * direction
-                    wanted = p.robot_speed * np.float32(plan // directions % speeds + 1)
-                    wanted /= np.float32(speeds)
-                    hold = max(horizon // (plan // (directions * speeds) + 1), 1)
-                    if plan == directions * speeds * holds:  # stand still
-                        wanted, hold = _ZERO, horizon
-                    vx, vy = wanted * math.cos(angle), wanted * math.sin(angle)
-                    cost = _cost(
-                        rows,
-                        bends,
-                        count,
-                        goal_x,
-                        goal_y,
-                        vx,
-                        vy,
-                        horizon,
-                        hold,
-                        comfort,
-                        comfort_weight,
-                        collision_weight,
-                        collision_discount,
-                        cheapest,
-                        attempt,
-                        p,
-                    )
-                    if cost < cheapest:
-                        cheapest = cost
-                        track_velocity(vx, vy, speed, action[e, i], p)
+                _choose_action(
+                    rows, row_offset, count, goal_x, goal_y, plans, scratch_action, action[e, i], p
+                )
+
+
+@function
+def _choose_action(rows, row_offset, count, goal_x, goal_y, plans, scratch_action, action, p):
+    """Write the first action of the cheapest plan of one robot."""
+    speed = math.sqrt(rows[0, 2] * rows[0, 2] + rows[0, 3] * rows[0, 3])
+    goal_angle = math.atan2(goal_y, goal_x)
+    cheapest = np.float32(np.inf)
+    for index in range(plans.directions * plans.speeds * plans.holds + 1):
+        vx, vy, hold = _plan(index, goal_angle, plans, p)
+        cost = _cost(
+            rows, row_offset, count, goal_x, goal_y, vx, vy, hold, plans, cheapest,
+            scratch_action, p,
+        )  # fmt: skip
+        if cost < cheapest:
+            cheapest = cost
+            track_velocity(vx, vy, speed, action, p)
+
+
+@function
+def _plan(index, goal_angle, plans, p):
+    """Return the velocity of a plan (m/s) and for how many steps it is held; the last one waits."""
+    direction = np.float32(index % plans.directions) / np.float32(plans.directions)
+    angle = goal_angle + _TWO_PI * direction
+    speed = p.robot_speed * np.float32(index // plans.directions % plans.speeds + 1)
+    speed /= np.float32(plans.speeds)
+    hold = max(plans.horizon // (index // (plans.directions * plans.speeds) + 1), 1)
+    if index == plans.directions * plans.speeds * plans.holds:
+        speed, hold = _ZERO, plans.horizon
+    return speed * math.cos(angle), speed * math.sin(angle), hold
 
 
 @function
 def _cost(
     rows,
-    bends,
+    row_offset,
     count,
     goal_x,
     goal_y,
     plan_vx,
     plan_vy,
-    horizon,
     hold,
-    comfort,
-    comfort_weight,
-    collision_weight,
-    collision_discount,
+    plans,
     cheapest,
     action,
     p,
 ):
-    """What a plan costs: time, distance left, discomfort, a discounted collision.
+    """Return the cost of a plan: time, remaining distance, discomfort and a discounted collision.
 
-    It gives up as soon as it is clear that the plan will cost more than the cheapest so far.
+    The cost is infinite as soon as the plan can no longer be cheaper than `cheapest`.
     """
     x, y, vx, vy, heading = _ZERO, _ZERO, rows[0, 2], rows[0, 3], _ZERO
     cost = _ZERO
-    left = _ZERO
+    remaining = _ZERO
     discount = _ONE
-    least_collision = collision_weight * collision_discount ** np.float32(horizon)
-    for k in range(1, horizon + 1):
-        wanted_x, wanted_y = plan_vx, plan_vy
+    cheapest_collision = plans.collision_weight * plans.collision_discount ** np.float32(
+        plans.horizon
+    )
+    for k in range(1, plans.horizon + 1):
+        desired_x, desired_y = plan_vx, plan_vy
         dx, dy = goal_x - x, goal_y - y
         if k > hold:
             scale = p.robot_speed / max(math.sqrt(dx * dx + dy * dy), np.float32(1e-6))
-            wanted_x, wanted_y = dx * scale, dy * scale
-        steer(vx, vy, heading, wanted_x, wanted_y, action, p)
-        x, y, vx, vy, heading = move(x, y, vx, vy, heading, action, p)
-        time, later = np.float32(k) * p.time_step, min(k, bends.shape[1] - 1)
+            desired_x, desired_y = dx * scale, dy * scale
+        track_rotated_velocity(vx, vy, heading, desired_x, desired_y, action, p)
+        x, y, vx, vy, heading = step_robot(x, y, vx, vy, heading, action, p)
+        time, offset_step = np.float32(k) * p.time_step, min(k, row_offset.shape[1] - 1)
         gap = np.float32(np.inf)
         for j in range(1, count):
-            ax = rows[j, 0] + rows[j, 2] * time + bends[j, later, 0] - x
-            ay = rows[j, 1] + rows[j, 3] * time + bends[j, later, 1] - y
+            ax = rows[j, 0] + rows[j, 2] * time + row_offset[j, offset_step, 0] - x
+            ay = rows[j, 1] + rows[j, 3] * time + row_offset[j, offset_step, 1] - y
             gap = min(gap, math.sqrt(ax * ax + ay * ay) - rows[j, 4])
         gap -= p.robot_radius
         if gap < _ZERO:
-            return cost + collision_weight * discount
-        if gap < comfort:
-            cost += comfort_weight * discount * (_ONE - gap / comfort)
-        discount *= collision_discount
+            return cost + plans.collision_weight * discount
+        if gap < plans.comfort:
+            cost += plans.comfort_weight * discount * (_ONE - gap / plans.comfort)
+        discount *= plans.collision_discount
         dx, dy = goal_x - x, goal_y - y
-        left = math.sqrt(dx * dx + dy * dy)
-        if left < p.robot_radius:
+        remaining = math.sqrt(dx * dx + dy * dy)
+        if remaining < p.robot_radius:
             return cost + p.robot_speed * time
-        # It will cost at least the way that is left, or a collision at the end of the horizon.
-        way = p.robot_speed * time + left - p.robot_radius - _ROUNDING
-        if cost + min(way, least_collision) >= cheapest:
+        # The rest costs at least the remaining distance or a collision at the end of the horizon.
+        path_cost = p.robot_speed * time + remaining - p.robot_radius - _ROUNDING
+        if cost + min(path_cost, cheapest_collision) >= cheapest:
             return np.float32(np.inf)
-    return cost + p.robot_speed * time + left
+    return cost + p.robot_speed * time + remaining

@@ -1,15 +1,17 @@
-"""A shield for the last moment: it replaces actions after which one can hardly avoid a collision.
+"""Safety shield that replaces actions after which a collision can hardly be avoided.
 
-The least restrictive kind (Alshiekh et al., Safe Reinforcement Learning via Shielding, 2018): an
-action passes as long as some way of going on from it keeps clear of everybody's prediction. Else
-the robot takes the way that stays clear the longest; of those that stay clear, one that keeps some
-distance and leads on to the goal, round whoever stands in between.
+It is minimally restrictive (Alshiekh et al., Safe Reinforcement Learning via Shielding, 2018): an
+action passes if at least one continuation after it avoids everybody's predicted motion. Otherwise
+the robot takes the continuation that stays collision-free the longest. Among those that do so for
+the whole horizon, it prefers one that keeps some distance and leads towards the goal, around
+whoever stands in between.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numba import prange
@@ -22,16 +24,22 @@ from mrsan.kernels import function, kernel
 from mrsan.kernels.contact import closest_approach
 from mrsan.parameters import kernel_parameters
 from samarl.observations.tracker import Tracks
-from samarl.planning.detour import way_left
-from samarl.planning.foresight import STRAIGHT, gather_aside, straight_on
-from samarl.planning.tracking import SHARP, gather, move, steer, track_velocity
+from samarl.planning.detour import remaining_path_length
+from samarl.planning.track_predictor import CONSTANT_VELOCITY, gather_offsets, zero_offset
+from samarl.planning.velocity_control import (
+    TURN_IN_PLACE_ANGLE,
+    gather_rows,
+    step_robot,
+    track_rotated_velocity,
+    track_velocity,
+)
 
-DIRECTIONS = 16  # of the ways of going on: at full speed, at half, and turning on the spot first
-WAYS = 1 + 3 * DIRECTIONS
-ENOUGH = np.float32(0.3)  # no way is better for keeping further away than that, m
-HAIR = np.float32(1e-4)  # what is not for rounding, m
-TEAM_MATE_UNCERTAIN = 0.75  # s in which a team-mate may change its plans; later is seen in time
-PROGRESS = np.float32(0.3)  # distance that is given for a metre nearer to the goal, m
+DIRECTIONS = 16  # of continuations: at full speed, at half speed, and turning in place first
+CONTINUATIONS = 1 + 3 * DIRECTIONS  # the first is standing still
+SUFFICIENT_GAP = np.float32(0.3)  # a larger distance makes a continuation no better, m
+ROUNDING = np.float32(1e-4)  # tolerance for rounding errors, m
+TEAM_MATE_UNCERTAIN = 0.75  # s during which a team-mate may change its velocity unnoticed
+PROGRESS_WEIGHT = np.float32(0.3)  # gap that one metre of progress towards the goal is worth, m
 
 _ZERO = np.float32(0.0)
 _HALF = np.float32(0.5)
@@ -42,7 +50,7 @@ _TWO_PI = np.float32(2.0 * math.pi)
 
 @dataclass
 class Shield:
-    """The numbers of the shield; chosen on validation cases."""
+    """Parameters of the shield, chosen on validation cases."""
 
     horizon: float = number(
         2.0, 0.0, 100.0, above=True, unit="s", help="time for which actions are checked"
@@ -57,7 +65,7 @@ class Shield:
         6.0, 0.0, 1000.0, unit="s", help="time for which agents out of view are remembered"
     )
     predictor: str = setting(
-        STRAIGHT, help="predictor of the people in view: a name or a weights file"
+        CONSTANT_VELOCITY, help="predictor of the people in view: a name or a weights file"
     )
 
     def __post_init__(self) -> None:
@@ -69,269 +77,245 @@ class Shield:
         check_numbers(self, "agent.shield")
 
 
-def shielded(
-    known: Observation | Tracks, action: NDArray[np.float32], scenario: Scenario, shield: Shield,
-    aside: NDArray[np.float32] | None = None,
+def apply_shield(
+    tracks: Observation | Tracks, action: NDArray[np.float32], scenario: Scenario, shield: Shield,
+    predicted_offset: NDArray[np.float32] | None = None,
 ) -> NDArray[np.float32]:  # fmt: skip
-    """The actions [E, N, A], each of them replaced where it leads into a collision.
+    """Return the actions [E, N, A], with unsafe ones replaced.
 
     Args:
-        known: what every robot sees, or sees and remembers.
+        tracks: what every robot sees, or sees and remembers.
         action: [E, N, A] in [-1, 1].
         scenario: the dynamics.
-        shield: its numbers.
-        aside: by how much people will be elsewhere than at constant velocity, as
-            `Foresight.update` says; None: not at all.
+        shield: its parameters.
+        predicted_offset: offsets of people from constant velocity, as from
+            `OffsetPredictor.update`; None: zero.
     """
     checked = np.array(action, np.float32)
-    margins = np.float32(shield.human_margin), np.float32(shield.robot_margin)
-    aside = straight_on(known[2]) if aside is None else aside
-    steps = max(1, scenario.steps(shield.horizon)), scenario.steps(TEAM_MATE_UNCERTAIN)
-    _check(len(checked), *known[:5], aside, kernel_parameters(scenario), *steps, *margins, checked)
+    offset = zero_offset(tracks[2]) if predicted_offset is None else predicted_offset
+    settings = _Settings(
+        max(1, scenario.steps(shield.horizon)),
+        scenario.steps(TEAM_MATE_UNCERTAIN),
+        np.float32(shield.human_margin),
+        np.float32(shield.robot_margin),
+    )
+    _apply_shield(len(checked), *tracks[:5], offset, kernel_parameters(scenario), settings, checked)
     return checked
 
 
+class _Settings(NamedTuple):
+    """`Shield` in the kernels' units: float32 and steps."""
+
+    steps: int
+    uncertain_steps: int
+    human_margin: np.float32
+    robot_margin: np.float32
+
+
 @kernel
-def _check(
+def _apply_shield(
     chunks,
     ego,
     humans,
     humans_known,
     robots,
     robots_known,
-    aside,
+    predicted_offset,
     p,
-    steps,
-    uncertain_steps,
-    human_margin,
-    robot_margin,
+    settings,
     action,
 ):
     total = ego.shape[0]
     for chunk in prange(chunks):
         rows = np.empty((1 + humans.shape[2] + robots.shape[2], 5), np.float32)
-        bends = np.zeros((rows.shape[0], aside.shape[3], 2), np.float32)
-        first = np.empty(action.shape[2], np.float32)
-        attempt = np.empty(action.shape[2], np.float32)
+        row_offset = np.zeros((rows.shape[0], predicted_offset.shape[3], 2), np.float32)
+        first_action = np.empty(action.shape[2], np.float32)
+        scratch_action = np.empty(action.shape[2], np.float32)
         for e in range(chunk * total // chunks, (chunk + 1) * total // chunks):
             for i in range(ego.shape[1]):
                 goal_x, goal_y = ego[e, i, GOAL_X], ego[e, i, GOAL_Y]
                 if goal_x * goal_x + goal_y * goal_y < p.robot_radius * p.robot_radius:
                     continue  # it has arrived
-                count = gather(
+                count = gather_rows(
                     ego[e, i],
                     humans[e, i],
                     humans_known[e, i],
                     robots[e, i],
                     robots_known[e, i],
-                    human_margin,
-                    robot_margin,
+                    settings.human_margin,
+                    settings.robot_margin,
                     rows,
                 )
-                mates = gather_aside(humans_known[e, i], aside[e, i], bends)
-                _allow_for_nearness(rows, count, p)
-                if not _passes(
-                    rows,
-                    bends,
-                    count,
-                    mates,
-                    goal_x,
-                    goal_y,
-                    steps,
-                    uncertain_steps,
-                    action[e, i],
-                    attempt,
-                    p,
-                ):
-                    _escape(
-                        rows,
-                        bends,
-                        count,
-                        mates,
-                        goal_x,
-                        goal_y,
-                        steps,
-                        uncertain_steps,
-                        action[e, i],
-                        first,
-                        attempt,
-                        p,
-                    )
+                first_robot = gather_offsets(humans_known[e, i], predicted_offset[e, i], row_offset)
+                _shrink_margins(rows, count, p)
+                if not _is_safe(
+                    rows, row_offset, count, first_robot, goal_x, goal_y, settings, action[e, i],
+                    scratch_action, p,
+                ):  # fmt: skip
+                    _choose_continuation(
+                        rows, row_offset, count, first_robot, goal_x, goal_y, settings,
+                        action[e, i], first_action, scratch_action, p,
+                    )  # fmt: skip
 
 
 @function
-def _allow_for_nearness(rows, count, p):
-    """Take off the margins what is not there: who is too near already must not come nearer."""
+def _shrink_margins(rows, count, p):
+    """Reduce the margins of agents within them, so that these only must not come closer."""
     for j in range(1, count):
         x, y = rows[j, 0], rows[j, 1]
-        room = math.sqrt(x * x + y * y) - p.robot_radius - HAIR
-        rows[j, 4] = min(rows[j, 4], max(room, _ZERO))
+        available = math.sqrt(x * x + y * y) - p.robot_radius - ROUNDING
+        rows[j, 4] = min(rows[j, 4], max(available, _ZERO))
 
 
 @function
-def _passes(rows, bends, count, mates, goal_x, goal_y, steps, uncertain_steps, action, attempt, p):
-    """Whether some way of going on after `action` stays clear."""
-    for way in range(WAYS):
-        vx, vy, sharp = _way(way, goal_x, goal_y, p)
+def _is_safe(
+    rows, row_offset, count, first_robot, goal_x, goal_y, settings, action, scratch_action, p
+):
+    """Return whether some continuation after `action` is collision-free for the whole horizon."""
+    for index in range(CONTINUATIONS):
+        vx, vy, turn_in_place_angle = _continuation(index, goal_x, goal_y, p)
         for k in range(action.shape[0]):
-            attempt[k] = action[k]
-        clear, _, _ = _outlook(
-            rows,
-            bends,
-            count,
-            mates,
-            goal_x,
-            goal_y,
-            vx,
-            vy,
-            sharp,
-            steps,
-            uncertain_steps,
-            attempt,
-            False,
-            p,
-        )
-        if clear >= steps:
+            scratch_action[k] = action[k]
+        safe_steps, _, _ = _simulate(
+            rows, row_offset, count, first_robot, goal_x, goal_y, vx, vy, turn_in_place_angle,
+            settings, scratch_action, False, p,
+        )  # fmt: skip
+        if safe_steps >= settings.steps:
             return True
     return False
 
 
 @function
-def _escape(
-    rows, bends, count, mates, goal_x, goal_y, steps, uncertain_steps, action, first, attempt, p
-):
-    """Write the first action of the best way."""
+def _choose_continuation(
+    rows, row_offset, count, first_robot, goal_x, goal_y, settings, action, first_action,
+    scratch_action, p,
+):  # fmt: skip
+    """Write the first action of the best continuation."""
     speed = math.sqrt(rows[0, 2] * rows[0, 2] + rows[0, 3] * rows[0, 3])
-    longest, best = -_ONE, _ZERO
-    for way in range(WAYS):
-        vx, vy, sharp = _way(way, goal_x, goal_y, p)
-        track_velocity(vx, vy, speed, first, p, sharp)
+    longest, best_score = -_ONE, _ZERO
+    for index in range(CONTINUATIONS):
+        vx, vy, turn_in_place_angle = _continuation(index, goal_x, goal_y, p)
+        track_velocity(vx, vy, speed, first_action, p, turn_in_place_angle)
         for k in range(action.shape[0]):
-            attempt[k] = first[k]
-        clear, gap, left = _outlook(
-            rows,
-            bends,
-            count,
-            mates,
-            goal_x,
-            goal_y,
-            vx,
-            vy,
-            sharp,
-            steps,
-            uncertain_steps,
-            attempt,
-            True,
-            p,
-        )
-        merit = min(gap, ENOUGH) - PROGRESS * left
-        if clear > longest or (clear == longest and merit > best + HAIR):
-            longest, best = clear, merit
+            scratch_action[k] = first_action[k]
+        safe_steps, gap, path_length = _simulate(
+            rows, row_offset, count, first_robot, goal_x, goal_y, vx, vy, turn_in_place_angle,
+            settings, scratch_action, True, p,
+        )  # fmt: skip
+        score = min(gap, SUFFICIENT_GAP) - PROGRESS_WEIGHT * path_length
+        if safe_steps > longest or (safe_steps == longest and score > best_score + ROUNDING):
+            longest, best_score = safe_steps, score
             for k in range(action.shape[0]):
-                action[k] = first[k]
+                action[k] = first_action[k]
 
 
 @function
-def _way(way, goal_x, goal_y, p):
-    """A way of going on: standing, or in one of the directions.
+def _continuation(index, goal_x, goal_y, p):
+    """Return the velocity (x, y) of a continuation and its turn-in-place angle, rad.
 
-    They are counted from the goal's, so a robot that turns towards one finds it again; clockwise,
-    so two robots that stand face to face both keep to the right.
-
-    Returns:
-        Its velocity (x, y), and beyond which turn the robot turns on the spot, rad.
+    The first is standing still; the others drive in one of the directions. Directions are counted
+    from the goal's, so that a robot turning towards one chooses it again in the next step, and
+    clockwise, so that two robots facing each other both keep to the right.
     """
-    if way == 0:
-        return _ZERO, _ZERO, SHARP
-    turn = _TWO_PI * np.float32((way - 1) % DIRECTIONS) / np.float32(DIRECTIONS)
+    if index == 0:
+        return _ZERO, _ZERO, TURN_IN_PLACE_ANGLE
+    turn = _TWO_PI * np.float32((index - 1) % DIRECTIONS) / np.float32(DIRECTIONS)
     angle = math.atan2(goal_y, goal_x) - turn
-    kind = (way - 1) // DIRECTIONS
+    kind = (index - 1) // DIRECTIONS
     speed = p.robot_speed * (_HALF if kind == 1 else _ONE)
-    sharp = p.max_turn if kind == 2 else SHARP
-    return np.float32(speed * math.cos(angle)), np.float32(speed * math.sin(angle)), sharp
+    turn_in_place_angle = p.max_turn if kind == 2 else TURN_IN_PLACE_ANGLE
+    vx, vy = np.float32(speed * math.cos(angle)), np.float32(speed * math.sin(angle))
+    return vx, vy, turn_in_place_angle
 
 
 @function
-def _outlook(
+def _simulate(
     rows,
-    bends,
+    row_offset,
     count,
-    mates,
+    first_robot,
     goal_x,
     goal_y,
-    wanted_x,
-    wanted_y,
-    sharp,
-    steps,
-    uncertain_steps,
+    desired_x,
+    desired_y,
+    turn_in_place_angle,
+    settings,
     action,
-    judged,
+    with_path_length,
     p,
 ):
-    """What comes of taking `action`, which is overwritten, and then driving at a velocity.
+    """Simulate `action`, which is overwritten, followed by driving at the desired velocity.
 
-    Rows from `mates` on are team-mates.
+    Rows from `first_robot` on are team-mates.
 
     Returns:
-        The steps that stay clear, the smallest gap in them (m), and if `judged` the shortest way
-        that is left to the goal after any of them (m).
+        The number of collision-free steps, the smallest gap in them (m), and if `with_path_length`
+        the shortest remaining path to the goal after any of them (m).
     """
     x, y, vx, vy, heading = _ZERO, _ZERO, rows[0, 2], rows[0, 3], _ZERO
-    least = left = np.float32(np.inf)
-    for k in range(steps):
+    smallest_gap = path_length = np.float32(np.inf)
+    for k in range(settings.steps):
         if k > 0:
-            steer(vx, vy, heading, wanted_x, wanted_y, action, p, sharp)
-        new_x, new_y, vx, vy, heading = move(x, y, vx, vy, heading, action, p)
-        gap = _least_gap(rows, bends, count, mates, x, y, new_x, new_y, k, uncertain_steps, p)
+            track_rotated_velocity(
+                vx, vy, heading, desired_x, desired_y, action, p, turn_in_place_angle
+            )
+        new_x, new_y, vx, vy, heading = step_robot(x, y, vx, vy, heading, action, p)
+        gap = _smallest_gap(
+            rows, row_offset, count, first_robot, x, y, new_x, new_y, k,
+            settings.uncertain_steps, p,
+        )  # fmt: skip
         if gap < _ZERO:
-            return np.float32(k) + max(_ONE + gap, _ZERO), _ZERO, left
-        least = min(least, gap)
+            return np.float32(k) + max(_ONE + gap, _ZERO), _ZERO, path_length
+        smallest_gap = min(smallest_gap, gap)
         x, y = new_x, new_y
-        if judged:
-            left = min(left, way_left(rows, count, x, y, heading, goal_x, goal_y, p))
-        left_x, left_y = goal_x - x, goal_y - y
-        if left_x * left_x + left_y * left_y < p.robot_radius * p.robot_radius:
+        if with_path_length:
+            path_length = min(
+                path_length, remaining_path_length(rows, count, x, y, heading, goal_x, goal_y, p)
+            )
+        dx, dy = goal_x - x, goal_y - y
+        if dx * dx + dy * dy < p.robot_radius * p.robot_radius:
             break
-    return np.float32(steps), least, left
+    return np.float32(settings.steps), smallest_gap, path_length
 
 
 @function
-def _least_gap(rows, bends, count, mates, x, y, new_x, new_y, step, uncertain_steps, p):
-    """The smallest surface distance while driving straight from (x, y) in one step.
+def _smallest_gap(
+    rows, row_offset, count, first_robot, x, y, new_x, new_y, step, uncertain_steps, p
+):
+    """Return the smallest surface distance while driving straight from (x, y) during one step.
 
-    Everybody goes on at constant velocity, but for what `bends` adds to it. A team-mate may also
-    stop, as those do that arrive, or change its velocity as much as this robot does and against it,
-    as both decide at the same time.
+    Everybody moves at constant velocity plus the predicted offset. A team-mate may also stop, as it
+    does on arrival, or mirror this robot's change of velocity, since both decide at the same time.
     """
-    begin = np.float32(step) * p.time_step
-    end = begin + p.time_step
-    stopped = _HALF * p.time_step  # it is as far as if it had gone on for so long
-    now, then = min(step, bends.shape[1] - 1), min(step + 1, bends.shape[1] - 1)
-    least = np.float32(np.inf)
+    start = np.float32(step) * p.time_step
+    end = start + p.time_step
+    stop_time = _HALF * p.time_step  # braking covers the distance of half a step at full velocity
+    before, after = min(step, row_offset.shape[1] - 1), min(step + 1, row_offset.shape[1] - 1)
+    smallest = np.float32(np.inf)
     for j in range(1, count):
         px, py, vx, vy = rows[j, 0], rows[j, 1], rows[j, 2], rows[j, 3]
         distance = closest_approach(
-            px + vx * begin + bends[j, now, 0] - x,
-            py + vy * begin + bends[j, now, 1] - y,
-            px + vx * end + bends[j, then, 0] - new_x,
-            py + vy * end + bends[j, then, 1] - new_y,
+            px + vx * start + row_offset[j, before, 0] - x,
+            py + vy * start + row_offset[j, before, 1] - y,
+            px + vx * end + row_offset[j, after, 0] - new_x,
+            py + vy * end + row_offset[j, after, 1] - new_y,
         )
-        if j >= mates and step < uncertain_steps:
-            still = min(begin, stopped)
+        if j >= first_robot and step < uncertain_steps:
+            moving_time = min(start, stop_time)
             distance = min(
                 distance,
                 closest_approach(
-                    px + vx * still - x,
-                    py + vy * still - y,
-                    px + vx * stopped - new_x,
-                    py + vy * stopped - new_y,
+                    px + vx * moving_time - x,
+                    py + vy * moving_time - y,
+                    px + vx * stop_time - new_x,
+                    py + vy * stop_time - new_y,
                 ),
                 closest_approach(
-                    px + (vx + rows[0, 2]) * begin - _TWO * x,
-                    py + (vy + rows[0, 3]) * begin - _TWO * y,
+                    px + (vx + rows[0, 2]) * start - _TWO * x,
+                    py + (vy + rows[0, 3]) * start - _TWO * y,
                     px + (vx + rows[0, 2]) * end - _TWO * new_x,
                     py + (vy + rows[0, 3]) * end - _TWO * new_y,
                 ),
             )
-        least = min(least, distance - rows[j, 4])
-    return least - p.robot_radius
+        smallest = min(smallest, distance - rows[j, 4])
+    return smallest - p.robot_radius

@@ -24,7 +24,7 @@ from torch.utils._pytree import tree_flatten, tree_leaves, tree_unflatten
 
 from mrsan import ConfigurationError
 from mrsan.choices import ACTION_SIZE
-from samarl.files import find_folder, read_json, unfinished, write_json
+from samarl.files import atomic_write, find_folder, read_json, write_json
 from samarl.messages import choice_hint
 from samarl.policies import (  # noqa: F401 (makes them known)
     flat,
@@ -44,27 +44,27 @@ class PolicyCard:
     policy: str  # a name in POLICIES
     action_size: int
     config: dict[str, Any]  # of the policy, with its encoder
-    made: dict[str, Any]  # the command, commit, scenario, steps ... that made it
+    provenance: dict[str, Any]  # command, commit, configuration, steps ... of the training
     sha256: str  # digest of the file of the weights
 
 
-_CARD_TYPES = {"policy": str, "action_size": int, "config": dict, "made": dict, "sha256": str}
+_CARD_TYPES = {"policy": str, "action_size": int, "config": dict, "provenance": dict, "sha256": str}
 
 
 def write_tensors(path: Path, tensors: dict[str, Tensor], metadata: dict[str, str]) -> str:
     """Write tensors atomically; returns the digest of the file."""
     content = save({key: value.contiguous().cpu() for key, value in tensors.items()}, metadata)
-    with unfinished(path) as part, part.open("wb") as file:
+    with atomic_write(path) as part, part.open("wb") as file:
         file.write(content)
         file.flush()
         os.fsync(file.fileno())
     return hashlib.sha256(content).hexdigest()
 
 
-def save_policy(path: Path, policy: Policy, name: str, made: dict[str, Any]) -> None:
+def save_policy(path: Path, policy: Policy, name: str, provenance: dict[str, Any]) -> None:
     """Write `path` (ending in .safetensors) and its card beside it."""
     digest = write_tensors(path, dict(policy.state_dict()), {})
-    card = PolicyCard(name, policy.action_size, asdict(policy.config), made, digest)
+    card = PolicyCard(name, policy.action_size, asdict(policy.config), provenance, digest)
     write_json(path.with_suffix(".json"), {"format": FORMAT, **asdict(card)})
 
 
@@ -79,7 +79,7 @@ def make_policy(name: str, config: Mapping[str, Any], action_size: int) -> Polic
             f"action_size is {action_size}; it must be among {sorted({*ACTION_SIZE.values()})}"
         )
     values = POLICIES.config({**config, "name": name})
-    policy = POLICIES[name].made(values, action_size)
+    policy = POLICIES[name].cls(values, action_size)
     return policy
 
 

@@ -20,8 +20,8 @@ from samarl.encoders import Encoder
 from samarl.observations.features import frames_of
 from samarl.observations.frames import Frames
 from samarl.observations.tracker import Tracks
-from samarl.planning.lookahead import Commands, command_set, look_ahead
-from samarl.planning.orca import Avoidance, avoid
+from samarl.planning.one_step import Commands, command_set, predict_outcomes
+from samarl.planning.orca import OrcaParameters, orca_actions
 from samarl.policies.policy import (
     LOCAL,
     POLICIES,
@@ -40,7 +40,7 @@ VALUE_SCALE = 10.0  # what is 1 to the networks; SAMARL's rewards add up to some
 
 
 @dataclass
-class LookaheadConfig(Avoidance, Commands, PolicyConfig):
+class LookaheadConfig(OrcaParameters, Commands, PolicyConfig):
     """Numbers of the lookahead, and of ORCA, which drives while it is imitated."""
 
     discount: float = required(0.0, 0.9999, help="discount per step")
@@ -106,7 +106,8 @@ class LookaheadPolicy(Policy):
         tracks, features = self._perceive(observation, state, is_init, scenario)
         action = torch.zeros(*shape, self.action_size)
         if explore and self.imitating:
-            action[decided] = torch.from_numpy(avoid(self.config, observation, scenario))[decided]
+            avoiding = orca_actions(self.config, observation, scenario)
+            action[decided] = torch.from_numpy(avoiding)[decided]
         else:
             epsilon = self.epsilon if explore else 0.0
             action[decided] = self._best(tracks, active, scenario, epsilon)
@@ -120,7 +121,7 @@ class LookaheadPolicy(Policy):
         """Return the best command [R, A] of the R active robots, or any with chance `epsilon`."""
         commands = command_set(self.config, scenario.kinematics)
         target = self.route(tracks.ego, scenario)
-        outcomes = look_ahead(tracks, active, target, commands, scenario)
+        outcomes = predict_outcomes(tracks, active, target, commands, scenario)
         imagined = frames_of(outcomes.tracks, scenario, self.config.known_origin).to(self.device)
         rows = torch.from_numpy(np.flatnonzero(active)).to(self.device).repeat(len(commands))
         piece = CHUNK_SIZE if self.device.type == "cpu" else max(len(rows), 1)

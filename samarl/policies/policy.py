@@ -134,7 +134,7 @@ class Policy(nn.Module, ABC):
         sizes = ENCODERS.config(config.encoder)
         entry = ENCODERS[config.encoder["name"]]
         self.networks = nn.ModuleList(  # type: ignore[assignment]
-            self._make_networks(entry.made(sizes, NETWORK_EGO_FEATURES, NETWORK_OTHER_FEATURES))
+            self._make_networks(entry.cls(sizes, NETWORK_EGO_FEATURES, NETWORK_OTHER_FEATURES))
             for _ in range(config.num_parameter_sets)
         )
         self.low_precision = False  # encode with bfloat16

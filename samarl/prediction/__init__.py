@@ -1,1 +1,1 @@
-"""Training and measuring the predictor of people that the simulator runs (`mrsan.prediction`)."""
+"""Training and evaluation of the predictor of people (`mrsan.prediction`)."""

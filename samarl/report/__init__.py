@@ -1,1 +1,1 @@
-"""Pictures of what happened."""
+"""Figures, animations and the HTML report."""

@@ -1,4 +1,4 @@
-"""The pages of the report, from whatever a results folder holds."""
+"""The HTML report of a results folder."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ from tqdm import tqdm
 
 from mrsan import ConfigurationError
 from samarl.configuration import load_scenario
-from samarl.evaluation.metrics import Shown
-from samarl.evaluation.recording import Recording
+from samarl.evaluation.metrics import Tables
 from samarl.evaluation.seeds import without_seed
-from samarl.evaluation.summary import Row, place_of, read_rows
+from samarl.evaluation.summary import Row, read_rows, scenario_column
 from samarl.evaluation.table import (
-    by_kind,
     co_planning_as_cells,
     column_name,
     counts_collisions,
     grid_of,
-    place_name,
+    group_by_kind,
+    has_driving_metrics,
     rows_as_cells,
-    tells_of_driving,
+    setting_name,
 )
-from samarl.files import code_version, unfinished, write_atomically
+from samarl.evaluation.trajectory import Trajectory
+from samarl.files import atomic_write, code_version, write_text
 from samarl.report.figures import (
     Curve,
     baselines,
@@ -45,46 +45,46 @@ from samarl.report.replays import as_replay
 from samarl.report.style import PALETTE, save_figure
 
 _TEMPLATES = Path(__file__).parent / "site"
-KINDS = {  # of curves: the first whose pattern is found in the name of the column
-    "How well it does": "success|score",
-    "Statistics of the policy and of its updates": (
+KINDS = {  # of curves: the first kind whose pattern matches the name of the column
+    "Performance": "success|score",
+    "Statistics of the policy and its updates": (
         "kl|clip_fraction|entropy|effective|explained|gradient|epochs|unsafe"
     ),
     "Speed": "charts/",
     "Losses": "",
 }
-_MARK = "viewer.js"  # an earlier report has it
+_MARKER = "viewer.js"  # identifies the folder of an earlier report
 
 
 @dataclass
 class Table:
-    """A file of rows."""
+    """The rows of a file, or one kind of them."""
 
     name: str
     rows: list[Row]
 
     @property
     def key(self) -> str:
-        """The name as part of an address."""
+        """The name as part of a URL."""
         return slug(self.name)
 
     @property
     def episodes(self) -> str:
-        """How many cases a row is of: one number, or the fewest and the most."""
+        """The number of cases per row, or the smallest and the largest number."""
         counts = sorted({row["episodes"] for row in self.rows})
         return " to ".join(str(count) for count in sorted({counts[0], counts[-1]}))
 
     def parts(self) -> list[Table]:
-        """A table of each kind of columns; none if there is one kind."""
-        kinds = by_kind(self.rows)
+        """Return one table per kind of column, or an empty list if there is only one kind."""
+        kinds = group_by_kind(self.rows)
         if len(kinds) == 1:
             return []
         return [Table(f"{self.name}: {kind.lower()}", rows) for kind, rows in kinds.items()]
 
 
 @dataclass
-class Picture:
-    """A figure that was saved as `figures/KEY.svg` and `.png`."""
+class SavedFigure:
+    """A figure saved as `figures/KEY.svg` and `figures/KEY.png`."""
 
     key: str
     title: str
@@ -93,33 +93,35 @@ class Picture:
 def build_site(
     output: Path,
     results: Path,
-    recordings: Sequence[tuple[str, int, Recording]],
+    trajectories: Sequence[tuple[str, int, Trajectory]],
     split: str,
     command: str = "samarl-report",
 ) -> list[Path]:
-    """Build all pages in a new folder that takes the place of an earlier report.
+    """Build all pages in a new folder, replacing an earlier report.
 
     Args:
-        output: the folder.
-        results: tables in `*.json`, learning curves in `curves/*.csv`, sweeps in `sweeps/*.json`.
-        recordings: each with the method's name and the place of its case in the split.
-        split: its name.
-        command: what made the pages, for their foot.
+        output: output folder.
+        results: folder with tables in `*.json`, learning curves in `curves/*.csv` and sweeps in
+            `sweeps/*.json`.
+        trajectories: for each replay the name of the method, the index of the case in the split,
+            and the trajectory.
+        split: name of the split.
+        command: command line shown in the footer.
 
     Returns:
         All files of the report.
 
     Raises:
-        ConfigurationError: the folder holds something else, or a result cannot be read.
+        ConfigurationError: the folder contains other files, or a result cannot be read.
     """
-    if output.exists() and not (output / _MARK).is_file() and any(output.iterdir()):
+    if output.exists() and not (output / _MARKER).is_file() and any(output.iterdir()):
         raise ConfigurationError(
-            f"output is {str(output)!r}; it must be a new folder or that of an earlier report"
+            f"output is {str(output)!r}; it must be a new folder or contain an earlier report"
         )
     site = output.with_name(output.name + ".part")
     shutil.rmtree(site, ignore_errors=True)
     try:
-        _build_pages(site, results, recordings, split, command)
+        _build_pages(site, results, trajectories, split, command)
         if output.exists():
             shutil.rmtree(output)
         site.replace(output)
@@ -131,74 +133,78 @@ def build_site(
 def _build_pages(
     site: Path,
     results: Path,
-    recordings: Sequence[tuple[str, int, Recording]],
+    trajectories: Sequence[tuple[str, int, Trajectory]],
     split: str,
     command: str,
 ) -> None:
-    """See `build_site`."""
+    """Write all files of the report into the folder `site`; see `build_site`."""
     tables, sweeps = read_tables(results), read_tables(results / "sweeps")
-    elsewhere = [part for table in tables for part in table.parts()]
+    transfer = [part for table in tables for part in table.parts()]
     tables = [table for table in tables if not table.parts()]
     runs = read_runs(results / "curves")
-    pages = {"index": "Results", "elsewhere": "Elsewhere", "curves": "Learning curves",
-             "sweeps": "Sweeps", "replays": "Replays"}  # fmt: skip
-    there = {"index": True, "elsewhere": elsewhere, "curves": runs, "sweeps": sweeps,
-             "replays": recordings}  # fmt: skip
-    environment = Environment(
-        loader=FileSystemLoader(_TEMPLATES), autoescape=True, trim_blocks=True, lstrip_blocks=True,
-        undefined=StrictUndefined,
-    )  # fmt: skip
-    environment.globals |= {
-        "pages": {page: title for page, title in pages.items() if there[page]},
-        "commit": code_version(),
-        "command": command,
-        "grid_of": grid_of,
-        "co_planning_as_cells": co_planning_as_cells,
-        "counts_collisions": counts_collisions,
-        "place_name": place_name,
-        "rows_as_cells": rows_as_cells,
-        "tells_of_driving": tells_of_driving,
-        "Shown": Shown,
-        "groups": GROUPS,
-        "ranked": ranked,
-        "is_best": is_best,
-        "cards": _copy_cards(results / "checkpoints", site),
+    pages = {
+        "index": "Results",
+        "transfer": "Transfer" if transfer else "",
+        "curves": "Learning curves" if runs else "",
+        "sweeps": "Sweeps" if sweeps else "",
+        "replays": "Replays" if trajectories else "",
     }
+    environment = _environment(
+        pages={page: title for page, title in pages.items() if title},
+        command=command,
+        cards=_copy_cards(results / "checkpoints", site),
+    )
 
     def write(name: str, **content: Any) -> None:
-        write_atomically(site / name, environment.get_template(name).render(page=name, **content))
+        write_text(site / name, environment.get_template(name).render(page=name, **content))
 
     write("site.css", palette=PALETTE)
     headlines = {
         table.name: _save(draw_table(table.rows), table.key, table.name, site)
-        for table in (*tables, *elsewhere)
+        for table in (*tables, *transfer)
     }
     write("index.html", tables=tables, headlines=headlines)
-    if elsewhere:
-        write("elsewhere.html", tables=elsewhere, headlines=headlines)
+    if transfer:
+        write("transfer.html", tables=transfer, headlines=headlines)
     if runs:
         rows = [row for table in tables for row in table.rows]
-        write("curves.html", pictures=_draw_runs(runs, rows, site), runs=runs)
+        write("curves.html", figures=_draw_runs(runs, rows, site), runs=runs)
     if sweeps:
-        pictures = {
-            sweep.name: [
-                _save(figure, f"{sweep.key}-{title}", title, site)
-                for title, figure in sweep_figures(sweep.rows)
-            ]
-            for sweep in sweeps
-        }
-        write("sweeps.html", sweeps=sweeps, pictures=pictures)
-    if recordings:
-        write("replays.html", replays=_write_replays(recordings, split, site))
+        figures = {sweep.name: _draw_sweep(sweep, site) for sweep in sweeps}
+        write("sweeps.html", sweeps=sweeps, figures=figures)
+    if trajectories:
+        write("replays.html", replays=_write_replays(trajectories, split, site))
     for script in _TEMPLATES.glob("*.js"):
-        write_atomically(site / script.name, script.read_text(encoding="utf-8"))
+        write_text(site / script.name, script.read_text(encoding="utf-8"))
+
+
+def _environment(**variables: Any) -> Environment:
+    """Return the template environment with the functions and variables that templates use."""
+    environment = Environment(
+        loader=FileSystemLoader(_TEMPLATES), autoescape=True, trim_blocks=True, lstrip_blocks=True,
+        undefined=StrictUndefined,
+    )  # fmt: skip
+    environment.globals |= variables | {
+        "commit": code_version(),
+        "grid_of": grid_of,
+        "co_planning_as_cells": co_planning_as_cells,
+        "counts_collisions": counts_collisions,
+        "setting_name": setting_name,
+        "rows_as_cells": rows_as_cells,
+        "has_driving_metrics": has_driving_metrics,
+        "Tables": Tables,
+        "groups": GROUPS,
+        "ranked": ranked,
+        "is_best": is_best,
+    }
+    return environment
 
 
 def read_tables(folder: Path) -> list[Table]:
-    """Every JSON file of a folder that is a list of rows.
+    """Return the tables in the JSON files of a folder that contain rows.
 
     Raises:
-        ConfigurationError: a file is not JSON, or its rows lack a field they need.
+        ConfigurationError: a file is not JSON, or a field of a row is missing or invalid.
     """
     tables = []
     for path in sorted(folder.glob("*.json")):
@@ -209,7 +215,7 @@ def read_tables(folder: Path) -> list[Table]:
 
 
 def read_runs(folder: Path) -> dict[str, list[Curve]]:
-    """Every curve of a folder by the name of its run; files `NAME_seedK.csv` are one run."""
+    """Return the curves of a folder by run; files `NAME_seedK.csv` belong to one run."""
     runs: dict[str, list[Curve]] = {}
     for path in sorted(folder.glob("*.csv")):
         curve = read_curve(path)
@@ -220,59 +226,70 @@ def read_runs(folder: Path) -> dict[str, list[Curve]]:
 
 def _draw_runs(
     runs: dict[str, list[Curve]], rows: Sequence[Row], site: Path
-) -> dict[str, list[Picture]]:
-    """Figures of all columns by what they tell of."""
+) -> dict[str, list[SavedFigure]]:
+    """Draw the figures of all columns, grouped by `KINDS`."""
     columns = list(dict.fromkeys(c for curves in runs.values() for curve in curves for c in curve))
-    pictures: dict[str, list[Picture]] = {kind: [] for kind in KINDS}
+    figures: dict[str, list[SavedFigure]] = {kind: [] for kind in KINDS}
     for column in tqdm(columns, "curves", unit="figure", disable=None):
         kind = next(kind for kind, pattern in KINDS.items() if re.search(pattern, column))
         figure = draw_curves(runs, column, baselines(rows, column))
-        pictures[kind].append(_save(figure, f"curve-{column}", curve_title(column), site))
-    return pictures
+        figures[kind].append(_save(figure, f"curve-{column}", curve_title(column), site))
+    return figures
+
+
+def _draw_sweep(sweep: Table, site: Path) -> list[SavedFigure]:
+    return [
+        _save(figure, f"{sweep.key}-{title}", title, site)
+        for title, figure in sweep_figures(sweep.rows)
+    ]
 
 
 def _copy_cards(checkpoints: Path, site: Path) -> set[str]:
-    """The cards of the policies, for those who want to know how one was made; their names."""
+    """Copy the cards of the policies, which tell how each was trained; return their names."""
     cards = sorted(checkpoints.glob("*.json"))
     for card in cards:
-        with unfinished(site / "cards" / card.name) as part:
+        with atomic_write(site / "cards" / card.name) as part:
             shutil.copyfile(card, part)
     return {card.stem for card in cards}
 
 
-def _save(figure: Figure, name: str, title: str, site: Path) -> Picture:
-    for ending in ("svg", "png"):
-        save_figure(figure, site / "figures" / f"{slug(name)}.{ending}")
-    return Picture(slug(name), title)
+def _save(figure: Figure, name: str, title: str, site: Path) -> SavedFigure:
+    for extension in ("svg", "png"):
+        save_figure(figure, site / "figures" / f"{slug(name)}.{extension}")
+    return SavedFigure(slug(name), title)
 
 
 def _write_replays(
-    recordings: Sequence[tuple[str, int, Recording]], split: str, site: Path
+    trajectories: Sequence[tuple[str, int, Trajectory]], split: str, site: Path
 ) -> list[dict[str, Any]]:
-    """A script for each recording (pages from a disk may not fetch data), and the list of them."""
-    entries = []
-    for method, case, recording in recordings:
-        scenario = recording.scenario
-        column = place_of(scenario, load_scenario(scenario.name))
+    """Write one script per replay, since pages opened from a disk may not fetch data.
+
+    Returns:
+        The entries for the lists of the viewer.
+    """
+    entries: list[dict[str, Any]] = []
+    for method, case, trajectory in trajectories:
+        scenario = trajectory.scenario
+        column = scenario_column(scenario, load_scenario(scenario.name))
         key = slug(f"{method}-{column_name(column)}-{split}-{case}")
-        data = json.dumps(as_replay(recording), separators=(",", ":"))
-        write_atomically(site / f"replays/{key}.js", f"replay({json.dumps(key)},{data});\n")
+        data = json.dumps(as_replay(trajectory), separators=(",", ":"))
+        write_text(site / f"replays/{key}.js", f"replay({json.dumps(key)},{data});\n")
         people = "" if column.recording else f"{scenario.humans} humans"
         words = [f"{scenario.fov_degrees:g}° view", people, f"{scenario.robots} robots"]
-        words.append(place_name(column))
+        words.append(setting_name(column))
         entries.append(
             {"key": key, "method": method, "column": ", ".join(filter(None, words)),
-             "case": f"{split} case {case}", "success": bool(recording.episodes.success[0])}
+             "case": f"{split} case {case}", "success": bool(trajectory.episodes.success[0])}
         )  # fmt: skip
     return entries
 
 
 def readable(stem: str) -> str:
-    """A file's name as a title: `table1` is `Table 1`."""
+    """Return a file name as a title: `Table 1` for `table1`."""
     words = re.sub(r"(?<=[A-Za-z])(?=\d)|[_-]+", " ", stem)
     return words[:1].upper() + words[1:]
 
 
 def slug(name: str) -> str:
-    """A name that is safe as a file's and in an address."""
+    """Return a name that is safe in file names and URLs."""
     return re.sub(r"[^a-z0-9]+", "-", name.lower().replace("°", "")).strip("-")

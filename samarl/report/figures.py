@@ -1,4 +1,4 @@
-"""Learning curves, heat maps of sweeps and bars of robustness."""
+"""Figures of tables, learning curves and sweeps."""
 
 from __future__ import annotations
 
@@ -10,37 +10,39 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib import rc_context
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter
 from numpy.typing import NDArray
 
 from mrsan import ConfigurationError, Scenario
 from samarl.evaluation.summary import Column, Row, column_of
-from samarl.evaluation.table import column_name, grid_of, settings_of
+from samarl.evaluation.table import column_name, grid_of, row_settings
 from samarl.report.leaderboard import ranked
 from samarl.report.style import COLOURS, INK, MUTED, STYLE
 
-Curve = dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]  # column: steps, values
-_BASELINES = ("model_predictive", "perimeter")  # planners that curves are compared with
+Points = tuple[NDArray[np.float64], NDArray[np.float64]]  # steps and values
+Curve = dict[str, Points]  # by column
+_BASELINES = ("model_predictive", "perimeter")  # planners shown beside learning curves
 _AXES = {"fov_degrees": "field of view, degrees", "humans": "humans", "robots": "robots"}
-_POINTS = 200  # more do not show
-_DASHES = ("-", "--", ":", "-.")  # each for as many runs as there are colours
-_PANELS = 5  # of a table, side by side at most
-_LIGHT_TEXT, _DARK_TEXT = "#FDFDFD", "#111111"  # on the colours of a heat map, in any mode
+_POINTS = 200  # drawn per curve
+_DASHES = ("-", "--", ":", "-.")  # the next style once all colours are used
+_PANELS = 5  # of a table, per line
+_LIGHT_TEXT, _DARK_TEXT = "#FDFDFD", "#111111"  # on a heat map, in light and dark mode
 
 
 def read_curve(path: Path) -> Curve:
-    """The columns of a training's curve over its steps, without the gaps.
+    """Read the columns of a learning curve over its steps, without missing values.
 
     Raises:
-        ConfigurationError: it is no table of comma-separated values.
+        ConfigurationError: the file is not a table of comma-separated values.
     """
     points: dict[str, list[tuple[float, float]]] = {}
     try:
         with path.open(newline="", encoding="utf-8") as file:
             lines = list(csv.DictReader(file))
     except (csv.Error, UnicodeDecodeError) as error:
-        raise ConfigurationError(f"{path} is no curve ({error})") from error
+        raise ConfigurationError(f"{path} is not a learning curve ({error})") from error
     for line in lines:
         steps = _number(line.get("steps"))
         for column, text in line.items():
@@ -53,58 +55,44 @@ def read_curve(path: Path) -> Curve:
 def _number(text: str | None) -> float:
     try:
         return float(text or "nan")
-    except (ValueError, TypeError):  # a list of what a line has beyond the header
+    except (ValueError, TypeError):  # a list of the cells beyond the header
         return math.nan
 
 
 def baselines(rows: Sequence[Row], column: str) -> dict[str, float]:
-    """What planners reach on the test cases of the column that a validation curve is of, %."""
-    found = re.fullmatch(r"validation/(success|social_score)_([\d.]+)_(\d+)h_(\d+)r", column)
-    if not found:
+    """Return the planners' results on the test cases of the column of a validation curve, %."""
+    match = re.fullmatch(r"validation/(success|social_score)_([\d.]+)_(\d+)h_(\d+)r", column)
+    if not match:
         return {}
-    key = {"success": "success_rate", "social_score": "social_score"}[found[1]]
-    place = Column(float(found[2]), int(found[3]), int(found[4]))
+    key = {"success": "success_rate", "social_score": "social_score"}[match[1]]
+    setting = Column(float(match[2]), int(match[3]), int(match[4]))
     return {row["method"]: row[key] for row in rows
-            if row["method"] in _BASELINES and column_of(row) == place}  # fmt: skip
+            if row["method"] in _BASELINES and column_of(row) == setting}  # fmt: skip
 
 
 def draw_curves(
     runs: dict[str, list[Curve]], column: str, levels: Mapping[str, float] | None = None
 ) -> Figure:
-    """One column of all runs: the mean of a run's seeds as a line, their range as a band.
+    """Draw one column of all runs: the mean over seeds as a line, their range as a band.
 
     Args:
-        runs: the curves of each run's seeds.
-        column: which to draw.
-        levels: drawn as horizontal lines, by their names.
+        runs: the curves of all seeds, by run.
+        column: the column to draw.
+        levels: values drawn as horizontal lines, by name.
     """
-    shown = {
-        name: found
+    drawn = {
+        name: seeds
         for name, curves in runs.items()
-        if (found := [curve[column] for curve in curves if column in curve])
+        if (seeds := [curve[column] for curve in curves if column in curve])
     }
-    entries = len(shown) + len(levels or {})
+    entries = len(drawn) + len(levels or {})
     size = (4.6, 3.0) if entries <= len(COLOURS) else (7.0, max(3.0, 0.6 + 0.185 * entries))
     with rc_context(STYLE):
         figure = Figure(figsize=size, layout="constrained")
         axes = figure.add_subplot()
-        scale = 100.0 if "success" in column else 1.0
-        for i, name in enumerate(runs):  # of the same colour in every figure
-            if name not in shown:
-                continue
-            found = shown[name]
-            last = min(steps[-1] for steps, _ in found)  # where all seeds have come to
-            grid = np.unique(np.concatenate([steps for steps, _ in found]))
-            grid = grid[grid <= last]
-            grid = grid[np.linspace(0, len(grid) - 1, min(len(grid), _POINTS)).astype(int)]
-            values = scale * np.stack([np.interp(grid, *curve) for curve in found])
-            colour, dashes = COLOURS[i % len(COLOURS)], _DASHES[i // len(COLOURS) % len(_DASHES)]
-            seeds = f" ({len(found)} seeds)" if len(found) > 1 else " (1 seed)"
-            axes.plot(grid, values.mean(0), dashes, color=colour, linewidth=1.5, label=name + seeds)
-            if len(found) > 1:
-                axes.fill_between(
-                    grid, values.min(0), values.max(0), color=colour, alpha=0.18, linewidth=0
-                )
+        for i, name in enumerate(runs):  # a run has the same colour in every figure
+            if name in drawn:
+                _draw_run(axes, i, name, drawn[name], 100.0 if "success" in column else 1.0)
         for i, (name, level) in enumerate((levels or {}).items()):
             dots = (0, (1 + 2 * i, 1 + i))
             axes.axhline(level, color=MUTED, linewidth=1.2, linestyle=dots, label=name)
@@ -121,8 +109,23 @@ def draw_curves(
     return figure
 
 
+def _draw_run(axes: Axes, i: int, name: str, seeds: Sequence[Points], scale: float) -> None:
+    """Draw the mean and the range of the seeds of run `i`, up to the last step all have reached."""
+    last = min(steps[-1] for steps, _ in seeds)
+    grid = np.unique(np.concatenate([steps for steps, _ in seeds]))
+    grid = grid[grid <= last]
+    grid = grid[np.linspace(0, len(grid) - 1, min(len(grid), _POINTS)).astype(int)]
+    values = scale * np.stack([np.interp(grid, *curve) for curve in seeds])
+    colour, dashes = COLOURS[i % len(COLOURS)], _DASHES[i // len(COLOURS) % len(_DASHES)]
+    label = f"{name} ({len(seeds)} seed{'s' if len(seeds) > 1 else ''})"
+    axes.plot(grid, values.mean(0), dashes, color=colour, linewidth=1.5, label=label)
+    if len(seeds) > 1:
+        low, high = values.min(0), values.max(0)
+        axes.fill_between(grid, low, high, color=colour, alpha=0.18, linewidth=0)
+
+
 def _unit(column: str) -> str:
-    """What stands at the axis of a column's values."""
+    """Return the axis label of a column's values."""
     if "success" in column:
         return "success %"
     if "score" in column:
@@ -131,21 +134,23 @@ def _unit(column: str) -> str:
 
 
 def curve_title(column: str) -> str:
-    """What a column of a curve is called."""
+    """Return the title of a column of a learning curve."""
     group, _, name = column.rpartition("/")
-    name = re.sub(r"_([\d.]+)_(\d+h)_(\d+r)$", r", \1° \2 \3", name)  # on the cases of a column
+    name = re.sub(
+        r"_([\d.]+)_(\d+h)_(\d+r)$", r", \1° \2 \3", name
+    )  # evaluated in a column of the table
     name = name.replace("success", "success %").replace("_", " ")
     return f"{'training' if group == 'charts' else group}: {name}"
 
 
 def draw_heat_map(rows: Sequence[Row], title: str) -> Figure:
-    """Success over the field of view and the number of humans and robots."""
+    """Draw success over the field of view and the numbers of humans and robots as a heat map."""
     views = sorted({row["fov_degrees"] for row in rows})
     crowds = sorted({(row["humans"], row["robots"]) for row in rows})
     success = np.full((len(crowds), len(views)), np.nan)
     for row in rows:
-        place = crowds.index((row["humans"], row["robots"])), views.index(row["fov_degrees"])
-        success[place] = row["success_rate"]
+        cell = crowds.index((row["humans"], row["robots"])), views.index(row["fov_degrees"])
+        success[cell] = row["success_rate"]
     with rc_context(STYLE):
         figure = Figure(figsize=(4.6, 1.5 + 0.34 * len(crowds)), layout="constrained")
         axes = figure.add_subplot()
@@ -168,23 +173,23 @@ def draw_heat_map(rows: Sequence[Row], title: str) -> Figure:
 def draw_lines(
     rows: Sequence[Row], values: Sequence[float], name: str, title: str, lines: Sequence[str]
 ) -> Figure:
-    """Success over a number, with its interval as a band.
+    """Draw success over a quantity, with its interval as a band.
 
     Args:
-        rows: of all methods.
-        values: the number in each row.
-        name: what it is called.
-        title: of the figure.
-        lines: the name of the line that each row is on.
+        rows: the rows of all methods.
+        values: the quantity in each row.
+        name: name of the quantity.
+        title: title of the figure.
+        lines: for each row the name of its line.
     """
     with rc_context(STYLE):
         figure = Figure(figsize=(4.6, 3.0), layout="constrained")
         axes = figure.add_subplot()
         for m, line in enumerate(dict.fromkeys(lines)):
-            mine = sorted((x, row["success_rate"], row["success_low"], row["success_high"])
-                          for x, row, of in zip(values, rows, lines, strict=True)
-                          if of == line)  # fmt: skip
-            x, rate, low, high = np.array(mine).T
+            points = sorted((x, row["success_rate"], row["success_low"], row["success_high"])
+                            for x, row, name_of_line in zip(values, rows, lines, strict=True)
+                            if name_of_line == line)  # fmt: skip
+            x, rate, low, high = np.array(points).T
             colour = COLOURS[m % len(COLOURS)]
             axes.plot(x, rate, marker="o", markersize=4, color=colour, label=line)
             axes.fill_between(x, low, high, color=colour, alpha=0.18, linewidth=0)
@@ -197,7 +202,7 @@ def draw_lines(
 
 
 def draw_bars(rows: Sequence[Row], title: str) -> Figure:
-    """Success with its interval in one column of the table, for each setting and method."""
+    """Draw success with its interval in one column, for each setting and method, as bars."""
     labels = settings_labels(rows)
     settings, methods = list(dict.fromkeys(labels)), list(dict.fromkeys(r["method"] for r in rows))
     thickness = 0.8 / len(methods)
@@ -206,13 +211,13 @@ def draw_bars(rows: Sequence[Row], title: str) -> Figure:
         figure = Figure(figsize=(4.6, height), layout="constrained")
         axes = figure.add_subplot()
         for m, method in enumerate(methods):
-            mine = [(r, label) for r, label in zip(rows, labels, strict=True)
-                    if r["method"] == method]  # fmt: skip
-            rate = np.array([row["success_rate"] for row, _ in mine])
-            low = np.array([row["success_low"] for row, _ in mine])
-            high = np.array([row["success_high"] for row, _ in mine])
-            place = [settings.index(label) - 0.4 + (m + 0.5) * thickness for _, label in mine]
-            axes.barh(place, rate, 0.9 * thickness, color=COLOURS[m % len(COLOURS)], label=method,
+            of_method = [(r, label) for r, label in zip(rows, labels, strict=True)
+                         if r["method"] == method]  # fmt: skip
+            rate = np.array([row["success_rate"] for row, _ in of_method])
+            low = np.array([row["success_low"] for row, _ in of_method])
+            high = np.array([row["success_high"] for row, _ in of_method])
+            y = [settings.index(label) - 0.4 + (m + 0.5) * thickness for _, label in of_method]
+            axes.barh(y, rate, 0.9 * thickness, color=COLOURS[m % len(COLOURS)], label=method,
                       xerr=(rate - low, high - rate), ecolor=INK,
                       error_kw={"elinewidth": 1, "capsize": 2})  # fmt: skip
         axes.set_yticks(range(len(settings)), settings)
@@ -225,42 +230,42 @@ def draw_bars(rows: Sequence[Row], title: str) -> Figure:
 
 
 def draw_table(rows: Sequence[Row]) -> Figure:
-    """Success with its interval and social score of every method, a panel for each column."""
+    """Draw success with its interval and the social score of all methods, one panel per column."""
     grid = grid_of(rows)
-    methods = [entry.name for entry in reversed(ranked(rows))]  # the first stands on top
-    place = np.arange(len(methods))
+    methods = [line.name for line in reversed(ranked(rows))]  # the first is drawn at the top
+    y = np.arange(len(methods))
     with rc_context({**STYLE, "axes.grid.axis": "x"}):
-        down = math.ceil(len(grid.columns) / _PANELS)
-        across = math.ceil(len(grid.columns) / down)
-        size = (1.6 + 1.9 * across, 0.5 + (0.4 + 0.24 * len(methods)) * down)
+        height = math.ceil(len(grid.columns) / _PANELS)
+        width = math.ceil(len(grid.columns) / height)
+        size = (1.6 + 1.9 * width, 0.5 + (0.4 + 0.24 * len(methods)) * height)
         figure = Figure(figsize=size, layout="constrained")
-        panels = figure.subplots(down, across, sharey=True, squeeze=False).ravel()
+        panels = figure.subplots(height, width, sharey=True, squeeze=False).ravel()
         for unused in panels[len(grid.columns) :]:
             unused.set_visible(False)
         panels = panels[: len(grid.columns)]
         for c, (axes, column) in enumerate(zip(panels, grid.columns, strict=True)):
-            found = [grid.ours[name][c] for name in methods]
-            there = np.array([row is not None for row in found])
+            cells = [grid.ours[name][c] for name in methods]
+            filled = np.array([row is not None for row in cells])
             rate, low, high, social = (
-                np.array([row[key] for row in found if row is not None])
+                np.array([row[key] for row in cells if row is not None])
                 for key in ("success_rate", "success_low", "success_high", "social_score")
             )
-            axes.barh(place[there], rate, 0.7, color=COLOURS[5], label="success %, 95 % interval",
+            axes.barh(y[filled], rate, 0.7, color=COLOURS[5], label="success %, 95 % interval",
                       xerr=(rate - low, high - rate), ecolor=INK,
                       error_kw={"elinewidth": 1, "capsize": 2})  # fmt: skip
-            axes.plot(social, place[there], "D", color=COLOURS[1], markersize=4,
+            axes.plot(social, y[filled], "D", color=COLOURS[1], markersize=4,
                       label="social score")  # fmt: skip
             axes.set_xlim(0, 100)
             axes.set_title(column_name(column), loc="left")
-        panels[0].set_yticks(place, methods)
+        panels[0].set_yticks(y, methods)
         figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=2,
                       fontsize=8)  # fmt: skip
     return figure
 
 
 def settings_labels(rows: Sequence[Row]) -> list[str]:
-    """What was set for each row and not for all of them."""
-    words = [settings_of(row) for row in rows]
+    """Return the overrides of each row that not all rows share."""
+    words = [row_settings(row) for row in rows]
     shared = set.intersection(*map(set, words))
     return [
         ", ".join(w.removeprefix("scenario.") for w in ws if w not in shared) or "default"
@@ -269,10 +274,14 @@ def settings_labels(rows: Sequence[Row]) -> list[str]:
 
 
 def sweep_figures(rows: Sequence[Row]) -> Iterable[tuple[str, Figure]]:
-    """What a sweep varies: a number alone as lines, views and crowds as maps, the rest as bars."""
+    """Yield title and figure of each part of a sweep.
+
+    A single varied number is drawn as lines, several of view, humans and robots as heat maps, and
+    other settings as bars.
+    """
     labels = settings_labels(rows)
-    several = len(set(labels)) > 1
-    names = [row["method"] + (f", {label}" if several else "")
+    has_settings = len(set(labels)) > 1
+    names = [row["method"] + (f", {label}" if has_settings else "")
              for row, label in zip(rows, labels, strict=True)]  # fmt: skip
     if len(_varied(rows)) == 1 and len(set(names)) <= len(COLOURS):
         yield _lines_over_axis(rows, names)
@@ -282,42 +291,42 @@ def sweep_figures(rows: Sequence[Row]) -> Iterable[tuple[str, Figure]]:
     for row, label in zip(rows, labels, strict=True):
         settings.setdefault(label, []).append(row)
         columns.setdefault(Column(*column_of(row)[:3]), []).append((row, label))
-    for label, mine in settings.items():
-        suffix = f", {label}" if several else ""
-        if len(_varied(mine)) == 1:
-            yield _lines_over_axis(mine, [row["method"] for row in mine], suffix)
-        elif _varied(mine):
-            for method in dict.fromkeys(row["method"] for row in mine):
-                of_method = [row for row in mine if row["method"] == method]
+    for label, group in settings.items():
+        suffix = f", {label}" if has_settings else ""
+        if len(_varied(group)) == 1:
+            yield _lines_over_axis(group, [row["method"] for row in group], suffix)
+        elif _varied(group):
+            for method in dict.fromkeys(row["method"] for row in group):
+                of_method = [row for row in group if row["method"] == method]
                 yield method + suffix, draw_heat_map(of_method, method + suffix)
-    for column, found in columns.items():
-        of_column, of_label = [row for row, _ in found], [label for _, label in found]
-        if len(set(of_label)) > 1:
+    for column, pairs in columns.items():
+        column_rows, column_labels = [row for row, _ in pairs], [label for _, label in pairs]
+        if len(set(column_labels)) > 1:
             title = column_name(column)
-            if number := _one_number(of_label):
-                methods = [row["method"] for row in of_column]
-                yield title, draw_lines(of_column, number[1], number[0], title, methods)
+            if number := _single_number(column_labels):
+                methods = [row["method"] for row in column_rows]
+                yield title, draw_lines(column_rows, number[1], number[0], title, methods)
             else:
-                yield title, draw_bars(of_column, title)
+                yield title, draw_bars(column_rows, title)
 
 
 def _varied(rows: Sequence[Row]) -> list[str]:
-    """Which of the axes rows differ in."""
+    """Return the axes in which rows differ."""
     return [key for key in _AXES if len({row[key] for row in rows}) > 1]
 
 
 def _lines_over_axis(
     rows: Sequence[Row], names: Sequence[str], suffix: str = ""
 ) -> tuple[str, Figure]:
-    """Lines over the one axis that rows differ in, and their title."""
+    """Return title and figure of lines over the one axis in which rows differ."""
     key = _varied(rows)[0]
     values = [float(row[key]) for row in rows]
     title = _AXES[key] + suffix
     return title, draw_lines(rows, values, _AXES[key], title, names)
 
 
-def _one_number(labels: Sequence[str]) -> tuple[str, list[float]] | None:
-    """The name and the values of the one number that labels set; None if it is not one."""
+def _single_number(labels: Sequence[str]) -> tuple[str, list[float]] | None:
+    """Return name and values if all labels set the same single number, otherwise None."""
     pairs = [label.partition("=") for label in labels]
     names = {name for name, sign, _ in pairs if sign}
     if len(names) != 1:

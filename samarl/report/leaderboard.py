@@ -1,4 +1,4 @@
-"""The methods of a table in groups, best first, each with what it is and where it comes from."""
+"""The methods of a table in groups, best first, with description and checkpoint."""
 
 from __future__ import annotations
 
@@ -18,57 +18,58 @@ GROUPS = {"learned": "Learned", "ablation": "Ablations", "planner": "Planners"}
 
 
 @dataclass
-class Entry:
-    """One method: a line of the leaderboard."""
+class Line:
+    """A line of the leaderboard: one method."""
 
     name: str
     group: str  # a key of GROUPS
-    about: str  # in a line; empty if it is not known here
-    checkpoint: str | None  # the policy it drives with
-    rows: list[Row | None]  # of each column
+    description: str  # one line; empty if the method has no configuration file
+    checkpoint: str | None  # of its policy
+    rows: list[Row | None]  # one per column
 
     @property
     def label(self) -> Markup:
-        """The name, which may break after its underscores."""
+        """The name with line breaks allowed after underscores."""
         return Markup(str(escape(self.name)).replace("_", "_<wbr>"))
 
     @property
     def success(self) -> float:
-        """The mean over the columns that it has, %."""
+        """The mean success rate over the columns with a row, %."""
         rates = [row["success_rate"] for row in self.rows if row is not None]
         return sum(rates) / len(rates)
 
 
-def ranked(rows: Sequence[Row]) -> list[Entry]:
-    """The methods by their group, and in it by their mean success over the columns, best first."""
-    entries = [_entry(name, found) for name, found in grid_of(rows).ours.items()]
+def ranked(rows: Sequence[Row]) -> list[Line]:
+    """Return the methods by group, within a group by mean success over the columns, best first."""
+    lines = [_line(name, method_rows) for name, method_rows in grid_of(rows).ours.items()]
     order = list(GROUPS)
-    return sorted(entries, key=lambda entry: (order.index(entry.group), -entry.success))
+    return sorted(lines, key=lambda line: (order.index(line.group), -line.success))
 
 
 def is_best(row: Row, rows: Sequence[Row]) -> bool:
-    """Is it the highest success rate of its column?"""
+    """Return whether a row has the highest success rate of its column."""
     column = column_of(row)
     return row["success_rate"] == max(r["success_rate"] for r in rows if column_of(r) == column)
 
 
-def _entry(name: str, rows: list[Row | None]) -> Entry:
-    """What the file of the agent says of itself; a stranger is a planner as far as one knows."""
-    about = _comment(find_folder("conf") / "agent" / f"{name}.yaml")
+def _line(name: str, rows: list[Row | None]) -> Line:
+    """Return the line of a method; methods without a configuration file count as planners."""
+    description = _leading_comment(find_folder("conf") / "agent" / f"{name}.yaml")
     checkpoint = _checkpoint(name)
     group = "planner" if checkpoint is None else "learned"
-    return Entry(name, "ablation" if about.startswith("An ablation") else group, about, checkpoint,
-                 rows)  # fmt: skip
+    if description.startswith("An ablation"):
+        group = "ablation"
+    return Line(name, group, description, checkpoint, rows)
 
 
 @cache
 def _checkpoint(name: str) -> str | None:
-    """The policy that an agent's configuration names; kept, as it takes a while to compose."""
+    """Return the checkpoint of an agent's configuration; cached, since composing it is slow."""
     return load_agent(name).get("checkpoint") if name in available_agents() else None
 
 
-def _comment(path: Path) -> str:
-    """What a YAML file begins with."""
+def _leading_comment(path: Path) -> str:
+    """Return the comment at the top of a YAML file, at most three lines."""
     if not path.is_file():
         return ""
     lines = path.read_text(encoding="utf-8").splitlines()

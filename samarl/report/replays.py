@@ -1,4 +1,4 @@
-"""Recordings as the viewer of the report plays them: few characters, no loss that one can see."""
+"""Trajectories as compact JSON for the viewer of the report."""
 
 from __future__ import annotations
 
@@ -8,49 +8,48 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrsan import Outcome
-from samarl.evaluation.recording import Recording
+from samarl.evaluation.trajectory import Trajectory
 
 
-def as_replay(recording: Recording) -> dict[str, Any]:
-    """What the viewer needs of an episode, ready for JSON.
+def as_replay(trajectory: Trajectory) -> dict[str, Any]:
+    """Return the data of an episode for the viewer, ready for JSON.
 
-    Positions are in cm and headings in degrees, the first and then the changes from step to step.
-    What is seen is the steps at which it comes into view, goes out of view, and so on; who is
-    there, the steps at which each human comes, goes, and so on.
+    Positions (cm) and headings (degrees) are stored as the first value and the changes from step
+    to step. Boolean series are stored as the steps at which they change, starting from False.
     """
-    scenario, episodes = recording.scenario, recording.episodes
+    scenario, episodes = trajectory.scenario, trajectory.episodes
     return {
         "step": scenario.time_step,
         "fov": scenario.fov_degrees,
         "range": scenario.sensing_range,
         "zone": scenario.reward.discomfort_distance,
         "radius": scenario.robot_radius,
-        "radii": [round(float(radius), 3) for radius in recording.human_radius],
-        "goals": recording.robot_goal.round(2).tolist(),
-        "robots": _points(recording.robot_position),
-        "headings": _changes(np.degrees(np.unwrap(recording.robot_heading, axis=0))),
-        "humans": _points(recording.human_position),
-        "humansPresent": _switches(recording.human_present[:, None])[0],
-        "humansSeen": _switches(recording.humans_seen),
-        "robotsSeen": _switches(recording.robots_seen),
-        "humansReported": _told(recording.humans_reported),
-        "robotsReported": _told(recording.robots_reported),
-        "waypoints": None if recording.waypoint is None else _points(recording.waypoint),
-        "humanAttention": _percent(recording.human_attention),
-        "robotAttention": _percent(recording.robot_attention),
-        "shielded": _steps_of(recording.shielded),
-        "drivingSteps": recording.driving.sum(0).tolist(),
+        "radii": [round(float(radius), 3) for radius in trajectory.human_radius],
+        "goals": trajectory.robot_goal.round(2).tolist(),
+        "robots": _points(trajectory.robot_position),
+        "headings": _series(np.degrees(np.unwrap(trajectory.robot_heading, axis=0))),
+        "humans": _points(trajectory.human_position),
+        "humansPresent": _switches(trajectory.human_present[:, None])[0],
+        "humansVisible": _switches(trajectory.humans_visible),
+        "robotsVisible": _switches(trajectory.robots_visible),
+        "humansReported": _reported_switches(trajectory.humans_reported),
+        "robotsReported": _reported_switches(trajectory.robots_reported),
+        "waypoints": None if trajectory.waypoint is None else _points(trajectory.waypoint),
+        "humanAttention": _percent(trajectory.human_attention),
+        "robotAttention": _percent(trajectory.robot_attention),
+        "shielded": _true_steps(trajectory.shielded),
+        "drivingSteps": trajectory.driving.sum(0).tolist(),
         "outcomes": [Outcome(value).name for value in episodes.outcome[0]],
     }
 
 
 def _points(position: NDArray[np.float32]) -> list[list[list[int]]]:
-    """[T, K, 2] m as K pairs of lists."""
-    return [[*map(_differences, agent)] for agent in _whole(100 * position.transpose(1, 2, 0))]
+    """Return [T, K, 2] in m as K pairs of lists."""
+    return [[*map(_differences, xy)] for xy in _whole(100 * position.transpose(1, 2, 0))]
 
 
-def _changes(values: NDArray[np.float32]) -> list[list[int]]:
-    """[T, K] as K lists."""
+def _series(values: NDArray[np.float32]) -> list[list[int]]:
+    """Return [T, K] as K lists."""
     return [_differences(series) for series in _whole(values.T)]
 
 
@@ -62,25 +61,25 @@ def _whole(values: NDArray[np.float32]) -> NDArray[np.int64]:
     return np.rint(values).astype(np.int64)
 
 
-def _switches(seen: NDArray[np.bool_]) -> list[list[list[int]]]:
-    """[T, N, K] as the steps at which each changes, of each robot and each it may see."""
-    changed = np.diff(seen, axis=0, prepend=np.zeros((1, *seen.shape[1:]), np.bool_))
+def _switches(mask: NDArray[np.bool_]) -> list[list[list[int]]]:
+    """Return the steps at which each series of a mask [T, N, K] changes."""
+    changed = np.diff(mask, axis=0, prepend=np.zeros((1, *mask.shape[1:]), np.bool_))
     return [
-        [np.flatnonzero(changed[:, i, k]).tolist() for k in range(seen.shape[2])]
-        for i in range(seen.shape[1])
+        [np.flatnonzero(changed[:, i, k]).tolist() for k in range(mask.shape[2])]
+        for i in range(mask.shape[1])
     ]
 
 
-def _told(told: NDArray[np.bool_]) -> list[list[list[int]]] | None:
-    """The same of whom only team-mates see; most robots are told of nobody."""
-    return _switches(told) if told.any() else None
+def _reported_switches(mask: NDArray[np.bool_]) -> list[list[list[int]]] | None:
+    """Return the switches of a mask, or None if it is never True."""
+    return _switches(mask) if mask.any() else None
 
 
-def _steps_of(happened: NDArray[np.bool_] | None) -> list[list[int]] | None:
-    """[T, N] as the steps at which it happened to each."""
-    return None if happened is None else [np.flatnonzero(one).tolist() for one in happened.T]
+def _true_steps(mask: NDArray[np.bool_] | None) -> list[list[int]] | None:
+    """Return the steps at which each column of a mask [T, N] is True."""
+    return None if mask is None else [np.flatnonzero(column).tolist() for column in mask.T]
 
 
 def _percent(shares: NDArray[np.float32] | None) -> list[list[list[int]]] | None:
-    """[T, N, K] shares as T lists of each robot's percentages."""
+    """Return shares [T, N, K] as percentages."""
     return None if shares is None else _whole(100 * shares).tolist()

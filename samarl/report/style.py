@@ -1,4 +1,4 @@
-"""One look for all figures and pages: few colours, thin lines, no boxes, light and dark."""
+"""Style of all figures and pages, in a light and a dark version."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from mrsan.rendering import ROBOT_COLOURS
-from samarl.files import unfinished
+from samarl.files import atomic_write
 
 _DARK_SERIES = ("#4FA8E0", "#FF8B3D", "#2CC79B", "#E79CC6", "#F2B632", "#8CD0F7", "#FFFFFF")
-# Each with what stands for it on a dark page.
+# Each colour with its counterpart on a dark page.
 PALETTE = {
     **{f"series-{i}": pair for i, pair in enumerate(zip(ROBOT_COLOURS, _DARK_SERIES, strict=True))},
     "ink": ("#222222", "#E8E8E8"),
@@ -43,8 +43,8 @@ STYLE: Any = {
     "legend.frameon": False,
     "savefig.bbox": "tight",
     "savefig.dpi": 130,
-    "svg.fonttype": "none",  # text stays text
-    "svg.hashsalt": "samarl",  # the same figure is the same file
+    "svg.fonttype": "none",  # keep text as text
+    "svg.hashsalt": "samarl",  # makes files reproducible
     "text.color": INK,
     "xtick.color": MUTED,
     "xtick.labelcolor": INK,
@@ -56,22 +56,22 @@ STYLE: Any = {
 def save_figure(figure: Figure, path: Path) -> None:
     """Write a figure in the format that the file extension names, atomically."""
     kind = path.suffix.removeprefix(".").lower()
-    dateless = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(kind)
-    with unfinished(path) as part, rc_context(STYLE):
-        figure.savefig(part, format=kind, metadata=dateless, transparent=kind == "svg")
+    metadata = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(kind)
+    with atomic_write(path) as part, rc_context(STYLE):
+        figure.savefig(part, format=kind, metadata=metadata, transparent=kind == "svg")
         if kind == "svg":
-            part.write_text(_dark_too(part.read_text(encoding="utf-8")), encoding="utf-8")
-        if kind == "png":  # 256 colours are enough, and a third of the bytes
+            part.write_text(_with_dark_mode(part.read_text(encoding="utf-8")), encoding="utf-8")
+        if kind == "png":  # 256 colours suffice and take a third of the bytes
             with Image.open(part) as image:
                 image.convert("RGB").quantize(256).save(part, "PNG", optimize=True)
 
 
-def _dark_too(svg: str) -> str:
-    """Let an SVG follow the reader's choice of light or dark; elsewhere it stays light."""
+def _with_dark_mode(svg: str) -> str:
+    """Add dark colours to an SVG for readers who prefer a dark colour scheme."""
     rules = "".join(
-        f'[style*="{what}: {light.lower()}"]{{{what}:{dark}!important}}'
+        f'[style*="{attribute}: {light.lower()}"]{{{attribute}:{dark}!important}}'
         for light, dark in PALETTE.values()
-        for what in ("fill", "stroke")
+        for attribute in ("fill", "stroke")
     )
     head, mark, rest = svg.partition("<defs>")
     style = f"<style>@media (prefers-color-scheme: dark){{{rules}}}</style>"

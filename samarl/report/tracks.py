@@ -1,4 +1,4 @@
-"""The tracks of recorded people as a picture."""
+"""Figure of the tracks in a recording."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from matplotlib.lines import Line2D
 from mrsan.recording import People
 from samarl.report.style import MUTED, STYLE, save_figure
 
-# Without the brightest shades, which a white page hides.
+# Without the brightest shades, which are hard to see on white.
 _SHADES = ListedColormap(colormaps["viridis"](np.linspace(0.0, 0.92, 256)))
-_WIDTH = 7.0  # of the picture, inches
+_WIDTH = 7.0  # of the figure, inches
 _HEIGHTS = (3.5, 9.0)  # inches
 
 
 def save_tracks(people: People, title: str, path: Path) -> None:
-    """Draw where everybody walked, coloured by when they come, and write it atomically.
+    """Draw all tracks, coloured by their start time, and write the figure atomically.
 
     Args:
         people: the recording; positions are drawn in the frame of its file.
-        title: above the picture, in lines.
-        path: where to; its ending is the format.
+        title: lines above the figure.
+        path: output file; its extension is the format.
     """
     tracks = [track.rows for track in people.tracks]
     starts = np.array([rows[0] for rows in tracks])
@@ -37,7 +37,7 @@ def save_tracks(people: People, title: str, path: Path) -> None:
     width, height = high - low + 2 * margin
     size = float(np.clip(_WIDTH * 0.85 * height / width + 1.0, *_HEIGHTS))
     with rc_context(STYLE), warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "Glyph")  # a letter of the title that the font lacks
+        warnings.filterwarnings("ignore", "Glyph")  # characters that the font lacks
         figure = Figure(figsize=(_WIDTH, size), layout="compressed")
         axes = figure.subplots()
         lines = LineCollection(
@@ -59,5 +59,5 @@ def save_tracks(people: People, title: str, path: Path) -> None:
         axes.set_title(shown, parse_math=False)
         start = Line2D([], [], linestyle="none", marker="o", color=MUTED, label="start of a track")
         figure.legend(handles=[start], loc="outside lower center")
-        figure.colorbar(lines, ax=axes, label="second in which a track starts", shrink=0.8)
+        figure.colorbar(lines, ax=axes, label="start of the track (s)", shrink=0.8)
         save_figure(figure, path)

@@ -17,9 +17,9 @@ from mrsan.parameters import kernel_parameters
 from mrsan.se2 import unrotate
 from samarl.observations.route import route
 from samarl.observations.tracker import Tracker, TrackMemory, Tracks
-from samarl.planning.lookahead import Commands, command_set, look_ahead
-from samarl.planning.shield import shielded
-from samarl.planning.tracking import motion_after
+from samarl.planning.one_step import Commands, command_set, predict_outcomes
+from samarl.planning.shield import apply_shield
+from samarl.planning.velocity_control import action_to_motion
 from samarl.runtime.inputs import Detection, InputError, OwnState, validated
 from samarl.runtime.network import Network
 from samarl.runtime.slots import Slots
@@ -118,7 +118,7 @@ class Driver:
         action = wanted
         if self._shield:
             tracks = known[self._shield.track_time]
-            action = shielded(tracks, wanted, self.scenario, self._shield)
+            action = apply_shield(tracks, wanted, self.scenario, self._shield)
         return self._command(seen.ego, action, own.heading, bool((action != wanted).any()))
 
     def _observed(self, own: OwnState, detections: Sequence[Detection], time: float) -> Observation:
@@ -164,7 +164,7 @@ class Driver:
         if not self._network.looks_ahead:
             return self._network.action(tracks, aim)
         here = np.ones((1, 1), np.bool_)
-        outcomes = look_ahead(tracks, here, aim, self._commands, self.scenario)
+        outcomes = predict_outcomes(tracks, here, aim, self._commands, self.scenario)
         worth = self._network.values(outcomes.tracks) * ~outcomes.ended[:, 0]
         best = (outcomes.reward[:, 0] + np.float32(policy["discount"]) * worth).argmax()
         return self._commands[best][None, None].copy()
@@ -173,7 +173,7 @@ class Driver:
         self, ego: NDArray[np.float32], action: NDArray[np.float32], heading: float, replaced: bool
     ) -> Command:
         s = self.scenario
-        speed, turn, acceleration, lateral = motion_after(ego, action, self._parameters)
+        speed, turn, acceleration, lateral = action_to_motion(ego, action, self._parameters)
         new = math.remainder(heading + turn, 2.0 * math.pi)
         return Command(
             action[0, 0], acceleration, lateral, new, speed, turn / s.time_step, replaced

@@ -16,7 +16,7 @@ from mrsan.features import VELOCITY
 from mrsan.metrics import episodes_of
 from samarl.observations.features import state_of
 from samarl.observations.frames import Frames
-from samarl.planning.shield import Shield, shielded
+from samarl.planning.shield import Shield, apply_shield
 from samarl.policies.policy import LOCAL, Decision, Policy, PolicyState, empty_features
 from samarl.policies.stochastic import StochasticPolicy
 from samarl.reward_shaping import RewardShaping, level_rewards
@@ -159,7 +159,7 @@ class RolloutCollector:
         if self.shield is not None:
             mean = step.mean.clamp(-1.0, 1.0)
             safe = torch.from_numpy(
-                shielded(decision.tracks, mean.numpy(), self.stage.scenario, self.shield)
+                apply_shield(decision.tracks, mean.numpy(), self.stage.scenario, self.shield)
             )
             column["agents", "safe_action"] = safe
             column["agents", "unsafe"] = ((safe - mean).abs().amax(-1) > UNSAFE) & active

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from mrsan import ConfigurationError
-from samarl.launch import processes
+from samarl.launch import world_size
 
 
 def check_same_run(
@@ -27,11 +27,11 @@ def check_same_run(
     Raises:
         ConfigurationError: names the first setting that differs.
     """
-    world_size = progress.get("processes", 1)
-    if world_size != processes():
+    saved_world_size = progress.get("processes", 1)
+    if saved_world_size != world_size():
         raise ConfigurationError(
-            f"{folder} holds a run of {world_size} process{'es' if world_size > 1 else ''}; it "
-            f"cannot be resumed with {processes()}"
+            f"{folder} holds a run with WORLD_SIZE={saved_world_size}; it cannot be resumed with "
+            f"WORLD_SIZE={world_size()}"
         )
     saved = progress["configuration"]
     steps, saved_steps = (config["trainer"]["steps"] for config in (configuration, saved))

@@ -15,7 +15,7 @@ from safetensors import safe_open
 from torch import Tensor
 
 from mrsan import ConfigurationError
-from samarl.files import write_atomically
+from samarl.files import write_text
 from samarl.launch import rank
 from samarl.policies.checkpoint import attribute_errors_to, write_tensors
 
@@ -64,7 +64,7 @@ class RunDir:
         writer = csv.DictWriter(table, keys, lineterminator="\n")
         writer.writeheader()
         writer.writerows(rows)
-        write_atomically(self.folder / "progress.csv", table.getvalue())
+        write_text(self.folder / "progress.csv", table.getvalue())
 
     def load(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
         """The state and the progress.

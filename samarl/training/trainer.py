@@ -23,11 +23,11 @@ from mrsan import ConfigurationError, Split, social_score
 from mrsan.fields import check_numbers, required, setting
 from mrsan.threads import use_threads
 from samarl import distributed
-from samarl.agents.learned import Deployed
+from samarl.agents.learned import DeployedPolicy
 from samarl.algorithms import ALGORITHMS
 from samarl.evaluation.runner import run_cases
 from samarl.files import code_version, machine
-from samarl.launch import local_device, processes, rank, share
+from samarl.launch import local_device, per_process, rank, world_size
 from samarl.policies.checkpoint import (
     attribute_errors_to,
     check_finite,
@@ -112,7 +112,7 @@ class Trainer:
         }  # fmt: skip
         if init_from is not None:
             self._load_initial_weights(init_from)
-        distributed.begin(config.device)
+        distributed.init_process_group(config.device)
         self.policy.to(usable_device(local_device(config.device)))
         self.policy.low_precision = config.bfloat16
         self.averaged = AveragedModel(
@@ -125,10 +125,10 @@ class Trainer:
                 for part in ("observe", "read"):
                     setattr(encoder, part, torch.compile(getattr(encoder, part), dynamic=True))
         entry = ALGORITHMS[str(algorithm.get("name"))]
-        if processes() > 1:
+        if world_size() > 1:
             _check_averages(str(algorithm.get("name")))
-        self.algorithm = entry.made(self.policy, ALGORITHMS.config(algorithm))
-        if processes() > 1:  # the weights are the same so far, from here on chance is another
+        self.algorithm = entry.cls(self.policy, ALGORITHMS.config(algorithm))
+        if world_size() > 1:  # the weights are the same so far, from here on chance is another
             torch.manual_seed(config.seed + MOST_SEEDS * rank())
         self.configuration = json.loads(
             json.dumps(
@@ -151,7 +151,7 @@ class Trainer:
         if self.run_dir.has_checkpoint:
             self.restore()
         for module in (self.policy, self.averaged, self.algorithm):
-            distributed.copy_from_first(module.state_dict().values())
+            distributed.broadcast_from_rank0(module.state_dict().values())
 
     def _collectors(self) -> list[RolloutCollector]:
         """One for each stage, with training cases of its own."""
@@ -162,7 +162,7 @@ class Trainer:
                 f"curriculum.stages has {cases // 2} worlds; it must have {MOST_SEEDS // 2} at most"
             )
         for index, stage in enumerate(self.stages):
-            part = share(stage, f"curriculum.stages[{index}]", "worlds")
+            part = per_process(stage, f"curriculum.stages[{index}]", "worlds")
             collectors.append(
                 RolloutCollector(
                     part,
@@ -177,7 +177,7 @@ class Trainer:
             first += 2 * stage.worlds
         return collectors
 
-    @distributed.stopping_between_rounds()
+    @distributed.defer_stop_signals()
     def run(self) -> None:
         """Train to the end; Ctrl-C and SIGTERM stop it after a round, and nothing is lost."""
         c, first = self.config, rank() == 0
@@ -201,7 +201,7 @@ class Trainer:
                     logger.log(row, self.steps_done)
                 bar.set_postfix_str(f"success {100 * row['charts/success']:.1f} %")
                 bar.update(self.steps_done - before)
-                stops = distributed.asked_to_stop()
+                stops = distributed.stop_requested()
                 if stops or self.steps_done // c.save_every > before // c.save_every:
                     self.save()
                 if stops:
@@ -232,8 +232,8 @@ class Trainer:
         self.averaged.update_parameters(self.policy)
         ended = [episodes for rollout in rollouts for episodes in rollout.episodes]
         successes = [float(success) for episodes in ended for success in episodes.success]
-        told = distributed.exchanged((successes, statistics))
-        steps = processes() * sum(rollout.environment_steps for rollout in rollouts)
+        told = distributed.all_gather_object((successes, statistics))
+        steps = world_size() * sum(rollout.environment_steps for rollout in rollouts)
         self.steps_done += steps
         self.algorithm.set_progress(min(self.steps_done / self.config.steps, 1.0))
         took = time.perf_counter() - begun
@@ -277,7 +277,7 @@ class Trainer:
                 f"init_from is {str(init_from)!r} with {card.config}; its sizes must be those of "
                 "this run's policy"
             ) from error
-        self.made["init_from"] = {"sha256": card.sha256, **card.made}
+        self.made["init_from"] = {"sha256": card.sha256, **card.provenance}
 
     def _validate(self) -> dict[str, float]:
         """Deterministic success on validation cases with all people present; keeps the best.
@@ -296,7 +296,9 @@ class Trainer:
             name += "_team" if full.team_tracks else ""
             if f"validation/success_{name}" in row:
                 continue
-            episodes = run_cases(Deployed(policy, full), full, cases, len(cases), "validation")
+            episodes = run_cases(
+                DeployedPolicy(policy, full), full, cases, len(cases), "validation"
+            )
             successes.append(float(episodes.success.mean()))
             row[f"validation/success_{name}"] = round(successes[-1], 4)
             row[f"validation/social_score_{name}"] = round(float(social_score(episodes).mean()), 2)
@@ -335,7 +337,7 @@ class Trainer:
     def save(self) -> None:
         """Write the state of all processes, the last policy and the curve."""
         tensors: dict[str, Tensor] = {}
-        for own in distributed.given_to_first(_packed(self._own_state(rank()))):
+        for own in distributed.gather_to_rank0(_packed(self._own_state(rank()))):
             tensors |= own
         if rank() > 0:
             return
@@ -351,7 +353,7 @@ class Trainer:
             "recent": list(self.recent),
             "rows": self.rows,
             "made": self.made,
-            "processes": processes(),
+            "processes": world_size(),
             "configuration": self.configuration,
         }
         self.run_dir.save(tensors, progress)
@@ -401,7 +403,7 @@ class Trainer:
 
 
 def _check_averages(algorithm: str) -> None:
-    good = [name for name in ALGORITHMS if ALGORITHMS[name].made.supports_data_parallel]
+    good = [name for name in ALGORITHMS if ALGORITHMS[name].cls.supports_data_parallel]
     if algorithm not in good:
         raise ConfigurationError(
             f"algorithm.name is {algorithm!r}; with several processes it must be one that averages "

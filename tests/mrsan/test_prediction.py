@@ -170,7 +170,7 @@ def test_every_predictor_does_what_the_interface_says(name: str) -> None:
 def written(folder: Path, content: bytes, **card: object) -> str:
     path = folder / "mine.safetensors"
     path.write_bytes(content)
-    known = {"format": FORMAT, "history": H, "time_step": DT, "made": {}}
+    known = {"format": FORMAT, "history": H, "time_step": DT, "provenance": {}}
     digest = hashlib.sha256(content).hexdigest()
     path.with_suffix(".json").write_text(json.dumps(known | {"sha256": digest} | card))
     return str(path)

@@ -1,4 +1,4 @@
-"""The report that the tests of its files and those in a browser look at."""
+"""The report used by the tests of its files and by those in a browser."""
 
 import json
 from pathlib import Path
@@ -20,9 +20,9 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (results / name).mkdir(parents=True)
     table = json.loads((find_folder("results") / "table1.json").read_text())
     (results / "table1.json").write_text(json.dumps(table))
-    places = ({"layout": "square"}, {"goal_turn_degrees": -30.0}, {"recording": "zara.txt"})
-    elsewhere = [row | place for row in table[:2] for place in places]
-    (results / "places.json").write_text(json.dumps(elsewhere))
+    settings = ({"layout": "square"}, {"goal_turn_degrees": -30.0}, {"recording": "zara.txt"})
+    transfer = [row | setting for row in table[:2] for setting in settings]
+    (results / "places.json").write_text(json.dumps(transfer))
     (results / "not_rows.json").write_text('{"worlds": 512}')
     (results / "sweeps/views.json").write_text(json.dumps(table))
     noisy = [

@@ -1,4 +1,4 @@
-"""Everything that drives robots, by walking `conf/agent/`."""
+"""All agents of `conf/agent/`."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -39,7 +39,7 @@ def agent_in(name: str, scenario: Scenario) -> Agent:
     return build_agent(CONFIGS[name], scenario)
 
 
-def test_the_planners_are_there() -> None:
+def test_all_planners_are_available() -> None:
     planners = {"orca", "social_force", "straight", "perimeter", "model_predictive"}
     assert planners <= set(NAMES)
 
@@ -92,7 +92,7 @@ def test_an_action_is_valid_and_does_not_depend_on_the_batch(
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_an_agent_acts_on_what_it_observes_alone(name: str) -> None:
+def test_an_agent_acts_on_its_observations_only(name: str) -> None:
     """The same observations with another truth behind them lead to the same actions."""
     scenario = Scenario(robots=2, humans=6, fov_degrees=120.0, kinematics=robots_of(name))
     actions = []
@@ -115,7 +115,7 @@ def test_an_agent_acts_on_what_it_observes_alone(name: str) -> None:
 
 
 @pytest.mark.parametrize("kinematics", Kinematics)
-def test_straight_alone_always_arrives_by_the_straight_line(kinematics: Kinematics) -> None:
+def test_straight_alone_always_arrives_on_the_straight_line(kinematics: Kinematics) -> None:
     scenario = Scenario(robots=1, humans=0, kinematics=kinematics)
     episodes = run_cases(agent_in("straight", scenario), scenario, CASES, batch=40)
     assert episodes.success.all()
@@ -127,7 +127,7 @@ def test_straight_alone_always_arrives_by_the_straight_line(kinematics: Kinemati
 
 
 @pytest.mark.parametrize("name", [n for n in NAMES if n != "perimeter"])
-def test_nobody_in_the_way_is_no_reason_to_fail(name: str) -> None:
+def test_every_agent_succeeds_without_people(name: str) -> None:
     scenario = Scenario(robots=1, humans=0, kinematics=robots_of(name))
     episodes = run_cases(agent_in(name, scenario), scenario, CASES[:10], batch=10)
     if name in ("straight", "orca", "social_force", "model_predictive"):
@@ -135,7 +135,7 @@ def test_nobody_in_the_way_is_no_reason_to_fail(name: str) -> None:
     assert np.isinf(episodes.closest_human).all()
 
 
-def test_round_the_crowd_beats_straight_through_it() -> None:
+def test_driving_around_the_crowd_beats_driving_through_it() -> None:
     scenario = Scenario()
     perimeter, straight = (
         run_cases(agent_in(name, scenario), scenario, CASES, batch=40)
@@ -145,7 +145,7 @@ def test_round_the_crowd_beats_straight_through_it() -> None:
     assert perimeter.path_length[perimeter.success].mean() > 20  # a half circle of 7.5 m is 23.6 m
 
 
-def test_looking_beats_not_looking() -> None:
+def test_perceiving_people_beats_ignoring_them() -> None:
     """With everybody in view, predicting people is better than driving straight on."""
     scenario = Scenario(robots=1)
     looking, blind = (
@@ -179,12 +179,12 @@ HERE = f"{__name__}.Waiting"
         ({"_target_": HERE, "patience": 3, "x": 1}, r"agent\.x is not known; .*patience"),
     ],
 )
-def test_an_agent_that_cannot_be_built_says_why(fields: dict[str, Any], message: str) -> None:
+def test_invalid_agents_are_refused(fields: dict[str, Any], message: str) -> None:
     with pytest.raises(ConfigurationError, match=message):
         build_agent(fields, Scenario())
 
 
-def test_an_agent_of_ones_own_needs_one_class() -> None:
+def test_a_custom_agent_needs_one_class() -> None:
     scenario = Scenario(robots=2, humans=0, time_limit=2.0)
     agent = build_agent({"_target_": HERE, "patience": 3}, scenario)
     episodes = run_cases(agent, scenario, CASES[:3], batch=2)
@@ -192,7 +192,7 @@ def test_an_agent_of_ones_own_needs_one_class() -> None:
     assert not episodes.path_length.any()
 
 
-def test_a_policy_says_among_whom_it_was_trained(tmp_path: Path) -> None:
+def test_a_policy_warns_about_recordings_it_was_trained_on(tmp_path: Path) -> None:
     policy, card = load_policy(find_policy("samarl_flat"))
     made = {"configuration": {"stages": [{"scenario": {"recording": "mine/walk.txt"}}]}}
     save_policy(tmp_path / "known.safetensors", policy, card.policy, made)

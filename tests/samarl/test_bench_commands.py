@@ -1,4 +1,4 @@
-"""The rows of a table: their commands, and that they show when something gets worse."""
+"""Rows of a table: their commands and their sensitivity to regressions."""
 
 import sys
 from dataclasses import replace
@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from mrsan import Crowd, Reward, Scenario, Split
-from samarl.commands.bench import _command, _row, main
+from samarl.commands.bench import _command, _row, _Task, main
 from samarl.configuration import load_agent
 from samarl.evaluation.regression import compare
 from samarl.evaluation.runner import Evaluation
@@ -17,7 +17,7 @@ from samarl.files import find_folder
 from samarl.policies.checkpoint import find_policy, load_policy, save_policy
 
 
-def test_the_command_names_all_that_is_not_as_by_default() -> None:
+def test_the_command_names_all_changed_fields() -> None:
     column = Scenario(fov_degrees=90.0, humans=4, robots=2)
     plain = "samarl-evaluate agent=orca scenario.fov_degrees=90 scenario.humans=4 scenario.robots=2"
     assert _command("orca", column, Scenario(), Evaluation()) == plain
@@ -37,7 +37,7 @@ def played(monkeypatch: pytest.MonkeyPatch, *words: str) -> None:
     main()
 
 
-def test_rows_are_merged_where_they_say_no_less(
+def test_rows_with_fewer_cases_are_not_merged(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -56,7 +56,8 @@ def test_rows_are_merged_where_they_say_no_less(
     before = path.read_bytes()
     with pytest.raises(SystemExit):
         played(monkeypatch, "agents=[straight]", "merge=true", columns, "evaluation.cases=2")
-    assert "says more of straight: 3 cases" in capsys.readouterr().err
+    error = capsys.readouterr().err
+    assert "the row of straight must have at least the 3 cases" in error
     assert path.read_bytes() == before
 
 
@@ -66,32 +67,32 @@ def committed() -> list[Row]:
     return rows
 
 
-def test_a_policy_with_damaged_weights_shows(tmp_path: Path) -> None:
-    """With the share of the cases that is played with policies in every check."""
+def test_a_policy_with_damaged_weights_differs(tmp_path: Path) -> None:
+    """On the number of cases that continuous integration uses for policies."""
     policy, card = load_policy(find_policy("samarl_flat"))
     with torch.no_grad():
         for parameter in policy.networks[0].encoder.humans.parameters():
-            parameter.zero_()  # it sees nobody
+            parameter.zero_()  # it ignores people
     save_policy(tmp_path / "damaged.safetensors", policy, card.policy, {})
     agent, cases = load_agent("samarl_flat"), Evaluation(cases=25)
     whole = compare(
-        _row("samarl_flat", [agent], Scenario(), Scenario(), cases, "", []), committed()
+        _row(_Task("samarl_flat", [agent], Scenario(), cases), Scenario(), "", []), committed()
     )
     assert whole.startswith(("same ", "close "))
     agent["checkpoint"] = str(tmp_path / "damaged.safetensors")
     damaged = compare(
-        _row("samarl_flat", [agent], Scenario(), Scenario(), cases, "", []), committed()
+        _row(_Task("samarl_flat", [agent], Scenario(), cases), Scenario(), "", []), committed()
     )
     assert damaged.startswith("DIFFERS ")
 
 
-def test_a_row_of_a_policy_says_how_it_comes_about_from_nothing() -> None:
+def test_a_row_of_a_policy_has_its_training_commands() -> None:
     agents = [
         load_agent("samarl_flat"),
         load_agent("samarl_flat") | {"checkpoint": "samarl_flat_seed0"},
     ]
     scenario = Scenario(humans=0, robots=1)
-    row = _row("samarl_flat", agents, scenario, scenario, Evaluation(cases=1), "", [])
+    row = _row(_Task("samarl_flat", agents, scenario, Evaluation(cases=1)), scenario, "", [])
     train = "samarl-train trainer.threads=1 trainer.seed=2 policy=flat run_dir=outputs/samarl_flat"
     assert row["from_training"] == (
         f"{train} && {row['command']} checkpoint=outputs/samarl_flat/last.safetensors"
@@ -99,17 +100,18 @@ def test_a_row_of_a_policy_says_how_it_comes_about_from_nothing() -> None:
     other = train.replace("seed=2", "seed=0") + "_seed0"
     assert row["training_commands"] == [train, other]
     straight = _row(
-        "straight", [load_agent("straight")], scenario, scenario, Evaluation(cases=1), "", []
-    )
+        _Task("straight", [load_agent("straight")], scenario, Evaluation(cases=1)),
+        scenario, "", [],
+    )  # fmt: skip
     assert "from_training" not in straight
 
 
-def test_a_planner_that_is_five_points_worse_shows() -> None:
+def test_a_planner_that_is_five_points_worse_differs() -> None:
     agent = load_agent("perimeter")
-    played = Scenario(), Scenario(), Evaluation(), "", []
-    good = _row("perimeter", [agent], *played)
+    good = _row(_Task("perimeter", [agent], Scenario(), Evaluation()), Scenario(), "", [])
     assert compare(good, committed()).startswith(("same ", "close "))
-    worse = _row("perimeter", [{**agent, "radius": 7.0}], *played)
+    task = _Task("perimeter", [{**agent, "radius": 7.0}], Scenario(), Evaluation())
+    worse = _row(task, Scenario(), "", [])
     assert 4.0 < good["success_rate"] - worse["success_rate"] < 6.0
     assert compare(worse, committed()).startswith("DIFFERS ")
 

@@ -1,4 +1,4 @@
-"""What a shell hands to a command is read as it is: paths above all."""
+"""Parsing of command lines, of paths above all."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from samarl.commands.render import Render
 from samarl.commands.report import Report
 from samarl.commands.train import Train
 from samarl.configuration import Config
-from samarl.evaluation.table import settings_of
+from samarl.evaluation.table import row_settings
 from samarl.messages import choice_hint, closest_names
 from samarl.planning.shield import Shield
 from samarl.training.trainer import TrainerConfig
@@ -47,7 +47,7 @@ def value_of(word: str) -> Any:
 
 @pytest.mark.parametrize("field", ["scenario.recording", "agent.checkpoint", "+hydra.run.dir"])
 @pytest.mark.parametrize("text", ODD)
-def test_a_path_is_what_stands_after_the_sign(field: str, text: str) -> None:
+def test_a_path_is_everything_after_the_equals_sign(field: str, text: str) -> None:
     (word,) = CommandLine.parse([f"{field}={text}"]).quoted().words()
     assert value_of(word) == text
     sweep = CommandLine.parse(["-m", f"{field}={text}" if "," not in text else f'{field}="{text}"'])
@@ -72,12 +72,12 @@ def test_any_text_is_a_path(text: str) -> None:
         ("hydra.run.dir=${now:%Y} (1)", "${now:%Y} (1)"),
     ],
 )
-def test_quotes_null_and_references_mean_what_they_do_elsewhere(word: str, value: Any) -> None:
+def test_quotes_null_and_interpolations_keep_their_meaning(word: str, value: Any) -> None:
     (quoted,) = CommandLine.parse([word]).quoted().words()
     assert value_of(quoted) == value
 
 
-def test_a_sweep_takes_paths_between_commas() -> None:
+def test_a_sweep_accepts_paths_separated_by_commas() -> None:
     words = ["checkpoint=a (1).x, it's,'b,c'", "-m", "agent=orca,straight"]
     command = CommandLine.parse(words).quoted()
     cells = [[value_of(word) for word in cell] for cell in command.cells(None)]  # type: ignore[arg-type]
@@ -89,8 +89,8 @@ def test_a_sweep_takes_paths_between_commas() -> None:
     assert value_of(word) == "a,b"
 
 
-def test_every_text_that_is_a_path_is_taken_as_one() -> None:
-    """A new field of text must be put among those that are paths, or here."""
+def test_every_path_field_is_known() -> None:
+    """A new string field must be added to PATH_FIELDS or to the exceptions here."""
     owners = [Config, Bench, Export, Predictor, Render, Report, Train, Scenario, Reward, Learned,
               ModelPredictive, Shield, TrainerConfig]  # fmt: skip
     texts = {
@@ -105,15 +105,15 @@ def test_every_text_that_is_a_path_is_taken_as_one() -> None:
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--agent=orca"], "'--agent=orca' is no option"),
+        (["--agent=orca"], "'--agent=orca' is not an option"),
         (["--config-dir"], "--config-dir has no value"),
-        (["orca"], "'orca' is no setting"),
-        (["=3"], "'=3' is no setting"),
-        (["agent=orca,straight"], "agent is 'orca,straight'; it takes one value"),
-        (["agents=[orca"], "agents is '[orca'; a list is written [a,b]"),
+        (["orca"], "'orca' is not a setting"),
+        (["=3"], "'=3' is not a setting"),
+        (["agent=orca,straight"], "agent is 'orca,straight'; it must be a single value"),
+        (["agents=[orca"], "agents is '[orca'; it must be a list [a,b]"),
     ],
 )
-def test_what_is_no_setting_is_refused(words: list[str], message: str) -> None:
+def test_invalid_words_are_refused(words: list[str], message: str) -> None:
     with pytest.raises(ConfigurationError) as error:
         CommandLine.parse(words).quoted()
     assert str(error.value).startswith(message)
@@ -159,7 +159,7 @@ def test_the_closest_name_is_suggested_first(name: str, names: list[str], closes
     assert choice_hint("policy_", many).count("policy") == 3
 
 
-def test_a_recording_is_played_wherever_it_lies(
+def test_recordings_in_folders_with_special_characters_are_played(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -179,4 +179,4 @@ def test_a_recording_is_played_wherever_it_lies(
     evaluate.main()
     again = json.loads(Path("again/row.json").read_text())
     assert again["config"] == saved["config"]
-    assert settings_of(again["row"])[-1].startswith("scenario.recording=")
+    assert row_settings(again["row"])[-1].startswith("scenario.recording=")

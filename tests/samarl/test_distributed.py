@@ -1,4 +1,4 @@
-"""One training in several processes: the same as in one, stopped, killed and resumed."""
+"""Training in several processes: equal to one process, stopped, killed and resumed."""
 
 from __future__ import annotations
 
@@ -20,8 +20,13 @@ from torch.utils._pytree import tree_map
 
 from mrsan import ConfigurationError, Scenario
 from samarl.commands.train import main
-from samarl.distributed import average_gradients, begin, exchanged, joined
-from samarl.launch import launcher, rank, share
+from samarl.distributed import (
+    all_gather_cat,
+    all_gather_object,
+    average_gradients,
+    init_process_group,
+)
+from samarl.launch import launcher, per_process, rank
 from samarl.rollout import Rollout
 from samarl.training.curriculum import CurriculumStage
 from samarl.training.run_dir import LAST, STATE
@@ -42,38 +47,46 @@ CONTEXT.set_forkserver_preload(["samarl.commands.train", "samarl.training.traine
 
 
 def start(folder: Path, work: Callable[..., None], *arguments: Any) -> list[BaseProcess]:
-    """Two processes that train together in `folder`; what they say is in `RANK.out`, `RANK.err`."""
+    """Start two processes of one training in `folder`, with their output in `RANK.{out,err}`."""
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
-    started = []
+    processes = []
     for number in range(2):
-        told = {"RANK": number, "WORLD_SIZE": 2, "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": port}
-        process = CONTEXT.Process(target=child, args=(folder, told, work, *arguments))
+        environment = {
+            "RANK": number,
+            "WORLD_SIZE": 2,
+            "MASTER_ADDR": "127.0.0.1",
+            "MASTER_PORT": port,
+        }
+        process = CONTEXT.Process(target=child, args=(folder, environment, work, *arguments))
         process.start()
-        started.append(process)
-    return started
+        processes.append(process)
+    return processes
 
 
-def child(folder: Path, told: dict[str, Any], work: Callable[..., None], *arguments: Any) -> None:
-    os.environ |= {name: str(value) for name, value in told.items()}
+def child(
+    folder: Path, environment: dict[str, Any], work: Callable[..., None], *arguments: Any
+) -> None:
+    os.environ |= {name: str(value) for name, value in environment.items()}
     os.chdir(folder)
     torch.set_num_threads(1)
     signal.signal(signal.SIGINT, signal.default_int_handler)
     for stream, name in ((sys.stdout, "out"), (sys.stderr, "err")):
-        file = os.open(f"{told['RANK']}.{name}", os.O_CREAT | os.O_TRUNC | os.O_WRONLY)
+        file = os.open(f"{environment['RANK']}.{name}", os.O_CREAT | os.O_TRUNC | os.O_WRONLY)
         os.dup2(file, stream.fileno())
     work(*arguments)
 
 
-def together(folder: Path, work: Callable[..., None], *arguments: Any) -> None:
+def run_two(folder: Path, work: Callable[..., None], *arguments: Any) -> None:
+    """Run `work` in two processes and wait for both."""
     for number, process in enumerate(start(folder, work, *arguments)):
         process.join(240)
         assert process.exitcode == 0, (folder / f"{number}.err").read_text()
 
 
-def exchange() -> None:
-    begin("cpu")
+def check_collectives() -> None:
+    init_process_group("cpu")
     first = rank() == 0
     shared, one_sided, unused = (Parameter(torch.zeros(2)) for _ in range(3))
     shared.grad = torch.tensor([1.0, 2.0] if first else [3.0, -6.0])
@@ -82,17 +95,22 @@ def exchange() -> None:
     assert shared.grad.tolist() == [2.0, -2.0]
     assert one_sided.grad is not None
     assert one_sided.grad.tolist() == [2.0, 4.0]
-    assert unused.grad is None  # an optimiser leaves it alone, as with one process
-    assert joined(torch.arange(3.0) if first else torch.tensor([7.0])).tolist() == [0, 1, 2, 7]
-    assert exchanged("ab"[rank()]) == ["a", "b"]
+    assert unused.grad is None  # optimisers skip it, as with one process
+    assert all_gather_cat(torch.arange(3.0) if first else torch.tensor([7.0])).tolist() == [
+        0,
+        1,
+        2,
+        7,
+    ]
+    assert all_gather_object("ab"[rank()]) == ["a", "b"]
 
 
-def test_gradients_are_averaged_and_numbers_joined(tmp_path: Path) -> None:
-    together(tmp_path, exchange)
+def test_gradients_are_averaged_and_values_gathered(tmp_path: Path) -> None:
+    run_two(tmp_path, check_collectives)
 
 
 def half(rollout: Rollout, number: int) -> Rollout:
-    """The sequences of one of two processes."""
+    """Return the sequences of one of two processes."""
     s = len(rollout.steps) // 2
     which = torch.arange(number * s, (number + 1) * s)
     rows = rollout.rows(which)
@@ -105,23 +123,24 @@ def half(rollout: Rollout, number: int) -> Rollout:
 
 
 def update(which: Callable[[Rollout], Rollout], path: str) -> None:
-    """Two epochs of a policy, each one step over all that it is given."""
-    made = policy("flat")
-    learner = algorithm(made, minibatches=1, epochs=2, advantage_filter_fraction=1.0)
-    long = Scenario(humans=2, robots=2, time_limit=50.0)  # nothing ends: halves are equally long
-    rollout = collector(made, worlds=6, steps=5, scenario=long).collect()
+    """Train a policy for two epochs of one optimiser step each."""
+    actor = policy("flat")
+    learner = algorithm(actor, minibatches=1, epochs=2, advantage_filter_fraction=1.0)
+    # No episode ends, so that the halves have equal length.
+    long = Scenario(humans=2, robots=2, time_limit=50.0)
+    rollout = collector(actor, worlds=6, steps=5, scenario=long).collect()
     assert not rollout.episodes
     learner.update([which(rollout)])
-    torch.save({**made.state_dict(), **learner.state_dict()}, path)
+    torch.save({**actor.state_dict(), **learner.state_dict()}, path)
 
 
 def update_with_half() -> None:
-    begin("cpu")
+    init_process_group("cpu")
     update(lambda rollout: half(rollout, rank()), f"{rank()}.pt")
 
 
-def test_two_processes_with_half_of_the_worlds_learn_what_one_with_all_does(tmp_path: Path) -> None:
-    together(tmp_path, update_with_half)
+def test_two_processes_with_half_of_the_worlds_equal_one_with_all(tmp_path: Path) -> None:
+    run_two(tmp_path, update_with_half)
     update(lambda rollout: rollout, str(tmp_path / "one.pt"))
     before = {**policy("flat").state_dict()}
     one, first, second = (torch.load(tmp_path / f"{name}.pt") for name in ("one", "0", "1"))
@@ -164,24 +183,25 @@ def rounds(of: Trainer, number: int) -> None:
 
 
 def learn() -> None:
-    begin("cpu")
+    init_process_group("cpu")
     for learner in LEARNERS:
-        made = trainer(learner, learner)
-        before = [value.clone() for value in made.policy.state_dict().values()]
-        (collector,) = made.collectors
-        rounds(made, 3)
-        assert made.steps_done == 3 * 10 * 6
-        weights = [*made.policy.state_dict().values(), *made.algorithm.state_dict().values()]
-        first, second = exchanged((weights, set(collector.world.state.case.tolist())))
+        training = trainer(learner, learner)
+        before = [value.clone() for value in training.policy.state_dict().values()]
+        (collector,) = training.collectors
+        rounds(training, 3)
+        assert training.steps_done == 3 * 10 * 6
+        policy_weights = training.policy.state_dict().values()
+        weights = [*policy_weights, *training.algorithm.state_dict().values()]
+        first, second = all_gather_object((weights, set(collector.world.state.case.tolist())))
         assert all(torch.equal(a, b) for a, b in zip(first[0], second[0], strict=True))
         assert any(not torch.equal(a, b) for a, b in zip(weights, before, strict=False))
-        assert len(first[1] | second[1]) == 6  # no world plays the case of another
+        assert len(first[1] | second[1]) == 6  # all worlds have different cases
     rounds(trainer("again", "mappo"), 1)
     rounds(trainer("again", "mappo"), 2)
 
 
-def test_every_algorithm_learns_in_two_processes_and_goes_on_bit_for_bit(tmp_path: Path) -> None:
-    together(tmp_path, learn)
+def test_every_algorithm_trains_in_two_processes_and_resumes_bit_for_bit(tmp_path: Path) -> None:
+    run_two(tmp_path, learn)
     files = [(tmp_path / folder / LAST).read_bytes() for folder in ("mappo", "again")]
     assert files[0] == files[1]
 
@@ -206,7 +226,7 @@ def wait_for(done: Callable[[], bool]) -> None:
         time.sleep(0.02)
 
 
-def test_a_killed_process_ends_the_run_in_one_line_and_the_same_command_goes_on(
+def test_a_killed_process_ends_the_run_in_one_line_and_the_same_command_resumes(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     state = tmp_path / "run" / STATE
@@ -215,44 +235,43 @@ def test_a_killed_process_ends_the_run_in_one_line_and_the_same_command_goes_on(
     second.kill()
     first.join(60)
     assert first.exitcode == 2
-    said = (tmp_path / "0.err").read_text()
-    assert said.count("\n") == 1
-    assert said.startswith("error: training stopped at step ")
-    assert ": another process of the training has ended (" in said
-    assert said.endswith("is kept in run, from which the same command goes on\n")
+    message = (tmp_path / "0.err").read_text()
+    assert message.count("\n") == 1
+    assert message.startswith("error: training stopped at step ")
+    assert ": another process of the training has ended (" in message
 
     saved = state.stat().st_mtime_ns
     first, second = start(tmp_path, command)
     wait_for(lambda: state.stat().st_mtime_ns > saved)
-    os.kill(second.pid or 0, signal.SIGTERM)  # all of them stop, after the same round
+    os.kill(second.pid or 0, signal.SIGTERM)  # both stop after the same round
     for process in (first, second):
         process.join(60)
         assert process.exitcode == 130
-    assert (tmp_path / "0.out").read_text().startswith("going on at step ")
-    again = "torchrun --nproc-per-node 2 --no-python samarl-train resume=run"
-    assert (tmp_path / "0.err").read_text() == f"interrupted; go on with: {again}\n"
+    assert (tmp_path / "0.out").read_text().startswith("resuming at step ")
+    resume_command = "torchrun --nproc-per-node 2 --no-python samarl-train resume=run"
+    assert (tmp_path / "0.err").read_text() == f"interrupted; resume with: {resume_command}\n"
     assert (tmp_path / "1.out").read_text() + (tmp_path / "1.err").read_text() == ""
 
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "argv", COMMAND)
     with pytest.raises(SystemExit):
         main()
-    assert capsys.readouterr().err == (
-        "error: run holds a run of 2 processes; it cannot be resumed with 1\n"
-    )
+    error = capsys.readouterr().err
+    assert error.startswith("error: run holds a run with WORLD_SIZE=2; ")
+    assert error.endswith(" WORLD_SIZE=1\n")
 
 
-def test_what_cannot_be_shared_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_numbers_that_cannot_be_divided_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     assert launcher() == []
     monkeypatch.setenv("RANK", "1")
     monkeypatch.setenv("WORLD_SIZE", "3")
     stage = CurriculumStage(6)
-    assert share(stage, "curriculum.stages[0]", "worlds").worlds == 2
+    assert per_process(stage, "curriculum.stages[0]", "worlds").worlds == 2
     stage.worlds = 8
     with pytest.raises(ConfigurationError) as error:
-        share(stage, "curriculum.stages[0]", "worlds")
+        per_process(stage, "curriculum.stages[0]", "worlds")
     assert str(error.value) == (
         "curriculum.stages[0].worlds is 8; it must be a multiple of 3, the number of processes"
     )
     with pytest.raises(ConfigurationError, match=r"^trainer.device is 'mps'; with several proc"):
-        begin("mps")
+        init_process_group("mps")

@@ -1,4 +1,4 @@
-"""What the documentation prints runs as it is printed."""
+"""Commands, code and facts in the documentation are correct."""
 
 import json
 import re
@@ -6,10 +6,16 @@ import shlex
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
+import yaml
 
+from mrsan import Scenario
 from samarl.evaluation.metrics import metric_fields
+from samarl.evaluation.summary import read_rows
+from samarl.files import find_folder
+from samarl.planning.shield import DIRECTIONS, Shield
 
 DOCS = Path(__file__).parents[2] / "docs"
 SMALL = {
@@ -33,8 +39,8 @@ def block(text: str, language: str) -> str:
 
 
 def run(text: str, folder: Path) -> str:
-    """Run the console block of a section in `folder`; returns what it said."""
-    said = ""
+    """Run the console block of a section in `folder`; return its output."""
+    output = ""
     for line in block(text, "console").splitlines():
         program, *arguments = shlex.split(line.removeprefix("$ "))
         command = [sys.executable, "-m", program.replace("samarl-", "samarl.commands.")]
@@ -45,33 +51,33 @@ def run(text: str, folder: Path) -> str:
             cwd=folder, capture_output=True, text=True, timeout=240,
         )  # fmt: skip
         assert done.returncode == 0, done.stderr
-        said += done.stdout
-    return said
+        output += done.stdout
+    return output
 
 
-def test_a_scenario_of_ones_own(tmp_path: Path) -> None:
+def test_a_scenario_of_your_own(tmp_path: Path) -> None:
     text = section("A scenario")
     (tmp_path / "my_conf/scenario").mkdir(parents=True)
     (tmp_path / "my_conf/scenario/plaza.yaml").write_text(block(text, "yaml"))
-    said = run(text, tmp_path)
-    assert re.search(r"\| model_predictive +\| +360° +\| +20 \| +2 \|", said)
+    output = run(text, tmp_path)
+    assert re.search(r"\| model_predictive +\| +360° +\| +20 \| +2 \|", output)
 
 
-def test_a_predictor_of_ones_own(tmp_path: Path) -> None:
+def test_a_predictor_of_your_own(tmp_path: Path) -> None:
     text = section("A predictor")
     (tmp_path / "my_predictor.py").write_text(block(text, "python"))
-    said = run(text, tmp_path)
-    assert re.search(r"\| orca +\| +\d+ \| +predictor \|", said)
-    assert "| samarl " in said
+    output = run(text, tmp_path)
+    assert re.search(r"\| orca +\| +\d+ \| +predictor \|", output)
+    assert "| samarl " in output
 
 
-def test_a_crowd_model_of_ones_own(tmp_path: Path) -> None:
+def test_a_crowd_model_of_your_own(tmp_path: Path) -> None:
     text = section("A crowd model")
     (tmp_path / "my_crowd.py").write_text(block(text, "python"))
     assert "crowd stroll crowd settings.pace 0.8" in run(text, tmp_path)
 
 
-def test_an_encoder_of_ones_own(tmp_path: Path) -> None:
+def test_an_encoder_of_your_own(tmp_path: Path) -> None:
     text = section("An encoder")
     (tmp_path / "my_conf/encoder").mkdir(parents=True)
     (tmp_path / "my_conf/encoder/deep_sets.yaml").write_text(block(text, "yaml"))
@@ -82,9 +88,9 @@ def test_an_encoder_of_ones_own(tmp_path: Path) -> None:
         [sys.executable, "-m", "samarl.commands.evaluate", "agent=samarl", checkpoint],
         cwd=tmp_path, capture_output=True, text=True,
     )  # fmt: skip
-    assert done.returncode == 2  # nothing of mine is imported unless I say so
+    assert done.returncode == 2  # plugins are imported only on request
     assert (
-        "encoder.name is 'deep_sets'; it must be among gru, pairwise, social_attention"
+        "encoder.name is 'deep_sets'; it must be one of gru, pairwise, social_attention"
         in done.stderr
     )
 
@@ -95,18 +101,18 @@ def test_an_algorithm_in_samarl_train(tmp_path: Path) -> None:
     (tmp_path / "my_conf/algorithm/sharing.yaml").write_text(block(text, "yaml"))
     (tmp_path / "my_mappo.py").write_text(block(text, "python"))
     assert "| samarl " in run(text, tmp_path)
-    made = json.loads((tmp_path / "outputs/sharing/last.json").read_text())["made"]
-    assert made["configuration"]["algorithm"]["name"] == "sharing"
+    provenance = json.loads((tmp_path / "outputs/sharing/last.json").read_text())["provenance"]
+    assert provenance["configuration"]["algorithm"]["name"] == "sharing"
 
 
-def test_an_algorithm_of_ones_own(tmp_path: Path) -> None:
+def test_an_algorithm_of_your_own(tmp_path: Path) -> None:
     text = section("A separate program").replace("2000000", "4096")
     (tmp_path / "my_conf/agent").mkdir(parents=True)
     (tmp_path / "my_conf/agent/my_ppo.yaml").write_text(block(text, "yaml"))
     (tmp_path / "my_ppo.py").write_text(block(text, "python"))
-    said = run(text, tmp_path)
-    assert len(re.findall(r"mean reward -?\d", said)) == 2
-    assert "| my_ppo " in said
+    output = run(text, tmp_path)
+    assert len(re.findall(r"mean reward -?\d", output)) == 2
+    assert "| my_ppo " in output
 
 
 @pytest.mark.parametrize("page", ["docs/runtime.md", "README.md"])
@@ -124,7 +130,7 @@ def test_an_exported_policy_drives(page: str, exported: Path) -> None:
 
 @pytest.fixture(scope="module")
 def exported(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Where the command of the page has written its file."""
+    """The folder with the file written by the command of the page."""
     folder = tmp_path_factory.mktemp("exported")
     run((DOCS / "runtime.md").read_text(), folder)
     assert [path.name for path in folder.iterdir()] == ["policy.onnx"]
@@ -132,7 +138,7 @@ def exported(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize("page", sorted(DOCS.glob("*.md")), ids=lambda page: page.stem)
-def test_links_lead_somewhere(page: Path) -> None:
+def test_links_have_targets(page: Path) -> None:
     for target in re.findall(r"\]\(([^)#]+)", page.read_text()):
         assert (page.parent / target).exists(), target
 
@@ -142,7 +148,7 @@ def test_every_metric_is_defined() -> None:
     assert [name for name in metric_fields() if f"`{name}`" not in text] == []
 
 
-def test_a_metric_of_ones_own(tmp_path: Path) -> None:
+def test_a_metric_of_your_own(tmp_path: Path) -> None:
     text = section("A metric")
     (tmp_path / "my_metric.py").write_text(block(text, "python"))
     header, _, row = re.findall(r"^\|.*\|$", run(text, tmp_path), re.MULTILINE)
@@ -150,3 +156,56 @@ def test_a_metric_of_ones_own(tmp_path: Path) -> None:
     assert re.fullmatch(r"\d+\.\d", row.split("|")[column].strip())
     written = json.loads(next((tmp_path / "outputs").rglob("row.json")).read_text())["row"]
     assert written["longest_time"] > 0
+
+
+def config(path: str) -> dict[str, Any]:
+    content: dict[str, Any] = yaml.safe_load((find_folder("conf") / path).read_text())
+    return content
+
+
+MACRO_STEPS = config("policy/hierarchical.yaml")["macro_steps"]
+MACRO_SECONDS = MACRO_STEPS * Scenario().time_step
+RADII = [config(f"scenario/{name}.yaml")["circle_radius"] for name in ("5p3r", "10p3r", "20p3r")]
+
+
+@pytest.mark.parametrize(
+    ("page", "pattern", "numbers"),
+    [
+        ("concepts.md", r"K = (\d+) steps \(([\d.]+) s\)", [MACRO_STEPS, MACRO_SECONDS]),
+        ("decisions.md", r"every (\d+) steps \(([\d.]+) s, `policy.macro_steps`\)",
+         [MACRO_STEPS, MACRO_SECONDS]),
+        ("concepts.md", r"in \[-1, 1\], every ([\d.]+) s", [Scenario().time_step]),
+        ("concepts.md", r"radius (\d+), (\d+) and (\d+) m", RADII),
+        ("concepts.md", r"(\d+) directions, at full speed", [DIRECTIONS]),
+        ("concepts.md", r"for (\w+) seconds of everybody the robot sees", [Shield().horizon]),
+    ],
+)  # fmt: skip
+def test_numbers_in_the_docs_agree_with_the_configuration(
+    page: str, pattern: str, numbers: list[float]
+) -> None:
+    match = re.search(pattern, (DOCS / page).read_text())
+    assert match, pattern
+    assert [float(WORDS.get(text, text)) for text in match.groups()] == numbers
+
+
+WORDS = {"two": "2"}
+
+
+def test_seed_means_and_ranges_in_the_docs_are_those_of_the_table() -> None:
+    rows = read_rows(find_folder("results") / "table1.json") or []
+    committed = {
+        "{:.1f} [{:.1f}, {:.1f}]".format(
+            *(row[f"success_seed_{k}"] for k in ("mean", "min", "max"))
+        )
+        for row in rows
+        if "training_seeds" in row
+    }
+    quoted = [
+        text
+        for page in (DOCS / "models.md", DOCS.parent / "README.md")
+        for line in page.read_text().splitlines()
+        if "mean [range]" in line
+        for text in re.findall(r"\d+\.\d \[\d+\.\d, \d+\.\d\]", line)
+    ]
+    assert len(quoted) > 20
+    assert set(quoted) <= committed

@@ -34,7 +34,7 @@ def encoder(name: str, **changes: Any) -> Any:
         flag, _, on = change.partition("=")
         changes[flag] = bool(on)
     config = ENCODERS.config({"name": name, **NUMBERS[name], **changes})
-    return ENCODERS[name].made(config, EGO, OTHER)
+    return ENCODERS[name].cls(config, EGO, OTHER)
 
 
 def frames(b: int = 6, t: int = 11, m: int = 5, n: int = 3) -> Frames:

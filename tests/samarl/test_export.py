@@ -19,7 +19,7 @@ from samarl.agents.shielded import Shielded
 from samarl.configuration import load_agent
 from samarl.encoders import ENCODERS
 from samarl.export import OPSET, export_agent
-from samarl.planning.tracking import motion_after
+from samarl.planning.velocity_control import action_to_motion
 from samarl.policies.checkpoint import save_policy
 from samarl.policies.flat import FlatPolicy
 from samarl.policies.policy import POLICIES, Policy
@@ -52,7 +52,7 @@ def different(
     found = []
     for robot, command in enumerate(commands):
         mine, right = (
-            motion_after(
+            action_to_motion(
                 observation.ego[:, robot : robot + 1], one[None, None], kernel_parameters(scenario)
             )
             for one in (command.action, action[0, robot])

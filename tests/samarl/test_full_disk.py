@@ -1,4 +1,4 @@
-"""A full disk, and a place where nothing can be written, end in one line and leave nothing."""
+"""A full disk or an unwritable folder is reported in one line and leaves no partial files."""
 
 import contextlib
 import importlib
@@ -112,7 +112,7 @@ def test_a_full_disk(
         ("predictor", [*PREDICTOR, "output=taken/there"]),
     ],
 )
-def test_a_place_where_nothing_can_be_written(
+def test_an_unwritable_folder(
     command: str, words: list[str], place: Path, monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:  # fmt: skip

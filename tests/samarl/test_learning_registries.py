@@ -16,7 +16,7 @@ from omegaconf import OmegaConf
 
 from mrsan import ConfigurationError, Scenario, World
 from mrsan.recording import SAMPLE
-from samarl.agents.learned import Deployed
+from samarl.agents.learned import DeployedPolicy
 from samarl.algorithms import ALGORITHMS
 from samarl.commands.train import Train, build_trainer
 from samarl.configuration import first, register_schemas
@@ -118,7 +118,7 @@ def test_every_name_trains_and_its_checkpoint_drives_as_before(choice: str, tmp_
     loaded, card = load_policy(tmp_path / "run" / LAST)
     assert card.policy == trainer.name
     scenario = Scenario(humans=3, robots=2)
-    one, two = (Deployed(p.eval(), scenario) for p in (trainer.mean, loaded))
+    one, two = (DeployedPolicy(p.eval(), scenario) for p in (trainer.mean, loaded))
     worlds = World(scenario, 2)
     observation = worlds.reset([0, 1])
     for _ in range(3):

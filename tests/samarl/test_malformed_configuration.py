@@ -1,4 +1,4 @@
-"""Hundreds of ways to get a configuration wrong end in one line that says so."""
+"""Hundreds of malformed configurations, each reported in one line."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from hydra.core.global_hydra import GlobalHydra
 
 from mrsan import Reward, Scenario
 from samarl.commands import evaluate
-from samarl.configuration import refuse_bombs
+from samarl.configuration import reject_alias_bombs
 from samarl.evaluation.runner import Evaluation
 from samarl.files import find_folder
 
@@ -207,26 +207,26 @@ def run(arguments: list[str], monkeypatch: pytest.MonkeyPatch) -> Any:
 def test_every_malformed_configuration_ends_in_one_line(
     chunk: int, bare: None, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    # What reaches the simulator was valid by accident: do not play it, report it.
+    # A configuration that reaches the simulator is valid by accident and reported as a failure.
     monkeypatch.setattr(evaluate, "run_cases", lambda *_: pytest.fail("valid", pytrace=False))
-    # Hydra composes twice, first to learn whether it sweeps, and that is where the time goes:
-    # nine of ten lines are told.
-    looks_itself = Hydra.get_mode
+    # Hydra composes twice, first to find out whether it sweeps, which takes most of the time.
+    # Nine of ten command lines skip this.
+    get_mode = Hydra.get_mode
     failures = []
     for number, arguments in enumerate(malformed(chunk)):
-        asks = number % 10 == 0
-        monkeypatch.setattr(Hydra, "get_mode", looks_itself if asks else lambda *_, **__: None)
+        skip = number % 10 != 0
+        monkeypatch.setattr(Hydra, "get_mode", (lambda *_, **__: None) if skip else get_mode)
         capsys.readouterr()
         try:
             code = run(arguments, monkeypatch)
         except pytest.fail.Exception:
-            code = "no complaint"
-        said = capsys.readouterr().err
-        lines = said.splitlines()
-        if JARGON.search(said):
-            failures.append(f"{' '.join(arguments)}\n    -> {said.strip()[-300:]}")
+            code = "no error"
+        output = capsys.readouterr().err
+        lines = output.splitlines()
+        if JARGON.search(output):
+            failures.append(f"{' '.join(arguments)}\n    -> {output.strip()[-300:]}")
         if code != 2 or len(lines) != 1 or not lines[0].startswith("error: "):
-            failures.append(f"{' '.join(arguments)}\n    -> {code!r}: {said.strip()[-300:]}")
+            failures.append(f"{' '.join(arguments)}\n    -> {code!r}: {output.strip()[-300:]}")
     assert not failures, f"{len(failures)} of {CHUNK}:\n" + "\n".join(failures)
 
 
@@ -257,7 +257,7 @@ def test_every_malformed_configuration_ends_in_one_line(
         (["scenario.occlusion=maybe"], "scenario.occlusion is 'maybe'; it must be true or false"),
         (["agent.max_neighbors=2.5"], "agent.max_neighbors is 2.5; it must be a whole number in"),
         (["plugins=abc"], "plugins is 'abc'; it must be a list"),
-        (["+scenario.robots=3"], "scenario.robots exists already; write it without +"),
+        (["+scenario.robots=3"], "scenario.robots already exists; write it without +"),
         (["agent.shield=true"], "agent.shield is not in the agent's file; write ++agent.shield="),
         (["robots=3"], "robots is not known; did you mean scenario.robots?"),
         (["scenario.human=5"], "scenario.human is not known; did you mean scenario.humans?"),
@@ -277,7 +277,7 @@ def test_every_malformed_configuration_ends_in_one_line(
         (["scenario.reward.progress=inf"], "scenario.reward.progress is inf; it must lie in"),
     ],
 )
-def test_the_line_names_the_field_the_value_and_what_is_right(
+def test_the_message_names_the_field_the_value_and_the_range(
     arguments: list[str],
     message: str,
     bare: None,
@@ -309,14 +309,14 @@ def test_the_line_names_the_field_the_value_and_what_is_right(
         ),
     ],
 )  # fmt: skip
-def test_a_file_of_the_users_that_is_wrong_is_named(
+def test_the_message_names_the_file_of_the_user(
     name: str, content: bytes, message: str, bare: None, monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:  # fmt: skip
     path = Path("my conf (1)", name)
     path.parent.mkdir(parents=True)
     path.write_bytes(content)
-    other = Path("my conf (1)/agent/unused.yaml")  # is wrong as well, but is not read
+    other = Path("my conf (1)/agent/unused.yaml")  # malformed as well, but not read
     other.parent.mkdir(exist_ok=True)
     other.write_bytes(b"\xff")
     group = path.parent.name
@@ -338,7 +338,7 @@ def test_a_file_of_the_users_that_is_wrong_is_named(
         (["agent=samarl", "checkpoint=samarl_ppo,cadrl"], "checkpoint is 'cadrl', a lookahead"),
     ],
 )
-def test_every_cell_of_a_sweep_is_checked_before_the_first_is_played(
+def test_every_cell_of_a_sweep_is_checked_before_the_first_is_run(
     swept: list[str], message: str, bare: None, monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:  # fmt: skip
@@ -350,34 +350,32 @@ def test_every_cell_of_a_sweep_is_checked_before_the_first_is_played(
     assert list(Path().iterdir()) == []
 
 
-def test_a_method_is_not_played_under_the_name_of_another(
+def test_a_checkpoint_of_another_kind_of_policy_is_refused(
     bare: None, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for setting in ("checkpoint=samarl_flat", "agent.checkpoint=samarl_flat"):
         assert run(["agent=cadrl", setting], monkeypatch) == 2
         said = capsys.readouterr().err
-        assert "checkpoint is 'samarl_flat', a flat policy; agent=cadrl drives lookahead" in said
+        assert "checkpoint is 'samarl_flat', a flat policy; it must be a lookahead policy" in said
         assert "agent=samarl_flat" in said
 
 
-@pytest.mark.parametrize("bomb", ["laughs", "holds itself"])
-def test_a_file_whose_aliases_would_fill_the_memory_is_refused_before_it_is_read(
+@pytest.mark.parametrize("bomb", ["billion laughs", "recursive"])
+def test_files_whose_aliases_would_fill_the_memory_are_rejected(
     bomb: str, bare: None, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Ten lines that stand for 10^9 values; read, they end in a crash after minutes."""
+    """Ten lines that expand to 10^9 values would exhaust the memory."""
     lines = ["a: &a [x, x, x, x, x, x, x, x, x, x]"]
     for above, below in zip("abcdefgh", "bcdefghi", strict=True):
         lines.append(f"{below}: &{below} [{', '.join([f'*{above}'] * 10)}]")
     Path("mine/agent").mkdir(parents=True)
-    Path("mine/agent/bomb.yaml").write_text(
-        "&a [*a]" if bomb == "holds itself" else "\n".join(lines)
-    )
+    Path("mine/agent/bomb.yaml").write_text("&a [*a]" if bomb == "recursive" else "\n".join(lines))
     for extra in ([], ["--help"]):
         assert run(["--config-dir=mine", "agent=bomb", *extra], monkeypatch) == 2
         assert "agent/bomb.yaml has more than 100000 values" in capsys.readouterr().err
 
 
-def test_aliases_as_people_use_them_are_read(tmp_path: Path) -> None:
+def test_common_uses_of_aliases_are_accepted(tmp_path: Path) -> None:
     (tmp_path / "few.yaml").write_text("a: &a {x: 1}\nb: [*a, *a]\nc: {<<: *a}\n")
-    refuse_bombs(tmp_path)
-    refuse_bombs(find_folder("conf"))
+    reject_alias_bombs(tmp_path)
+    reject_alias_bombs(find_folder("conf"))

@@ -1,4 +1,4 @@
-"""A share of `benchmarks.malformed`: what is wrong ends in one line, or is taken for good."""
+"""A sample of `benchmarks.malformed`: malformed inputs are refused in one line, or accepted."""
 
 import json
 from pathlib import Path
@@ -12,25 +12,25 @@ from mrsan import ConfigurationError
 from samarl.configuration import scenario_of
 from samarl.policies.checkpoint import load_policy, make_policy, save_policy
 
-SLOW = 22  # of the first numbers, those that go through commands are tried as well
+SLOW = 22  # only the first of these items may run whole commands
 
 
-def test_what_is_malformed_is_refused_in_words(
+def test_malformed_inputs_are_refused_in_one_line(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    valid, kinds, wrong = ValidInputs(tmp_path), list(KINDS), []
+    valid, kinds, failures = ValidInputs(tmp_path), list(KINDS), []
     for number in range(150):
         if number >= SLOW and kinds[number % len(kinds)] in COMMAND_KINDS:
             continue
         item = make_input(number, valid, seed=1)
-        found = outcome(item)
-        if found not in (REFUSED, ACCEPTED):
-            wrong.append(f"{number} {item.kind}: {found}")
-    assert not wrong, "\n".join(wrong)
+        result = outcome(item)
+        if result not in (REFUSED, ACCEPTED):
+            failures.append(f"{number} {item.kind}: {result}")
+    assert not failures, "\n".join(failures)
 
 
-def test_a_policy_that_gives_no_numbers_or_claims_gigabytes_is_refused(tmp_path: Path) -> None:
+def test_policies_with_nan_or_implausible_sizes_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "policy.safetensors"
     policy = make_policy("flat", POLICY, 3)
     with torch.no_grad():
@@ -48,8 +48,8 @@ def test_a_policy_that_gives_no_numbers_or_claims_gigabytes_is_refused(tmp_path:
         ),
         ({"hidden": 10**9}, "policy.hidden is 1000000000; it must be a whole number in"),
         ({"hidden": 10**400}, "policy.hidden is 1000"),
-        ({"round_radius": 10**400}, "policy has a number that is too large for a float"),
-        ({"encoder": "${nowhere}"}, "encoder is '.*'; it must be names with their values"),
+        ({"round_radius": 10**400}, "policy contains a number too large"),
+        ({"encoder": "${nowhere}"}, "encoder is '.*'; it must map names to values"),
     ):
         spoiled = {**card, "config": {**card["config"], **sizes}}
         path.with_suffix(".json").write_text(json.dumps(spoiled))
@@ -60,12 +60,12 @@ def test_a_policy_that_gives_no_numbers_or_claims_gigabytes_is_refused(tmp_path:
 @pytest.mark.parametrize(
     ("column", "message"),
     [
-        (float("inf"), "crowds has inf; it must be fields of a scenario"),
-        ("0x10", "crowds has '0x10'; it must be fields of a scenario"),
-        ({"sensing_range": 10**400}, "crowds has .*too large"),
+        (float("inf"), "crowds has inf; it must map fields of a scenario"),
+        ("0x10", "crowds has '0x10'; it must map fields of a scenario"),
+        ({"sensing_range": 10**400}, "crowds contains .*too large"),
         ({"scenario": [1]}, r"crowds: there is no scenario '\[1\]'; it must be one of 10p3r,"),
     ],
 )
-def test_a_column_that_is_no_scenario_is_refused(column: object, message: str) -> None:
+def test_invalid_columns_are_refused(column: object, message: str) -> None:
     with pytest.raises(ConfigurationError, match=message):
         scenario_of(column, "crowds")

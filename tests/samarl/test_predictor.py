@@ -1,4 +1,4 @@
-"""The predictor of people: how it learns, what it is worth, and the shield that uses it."""
+"""The predictor of people: its training data, its training, and its use by shield and planner."""
 
 import json
 from dataclasses import replace
@@ -16,11 +16,11 @@ from mrsan.prediction import PREDICTORS, ConstantVelocity, find_predictor, own_f
 from samarl.agents import build_agent
 from samarl.configuration import load_agent
 from samarl.observations.tracker import Tracker
-from samarl.planning.foresight import Foresight
+from samarl.planning.track_predictor import OffsetPredictor
 from samarl.prediction.learner import Learner, Network, save_predictor
 from samarl.prediction.table import displacement
 from samarl.prediction.training import Training
-from samarl.prediction.windows import watch, watch_recording
+from samarl.prediction.windows import recorded_windows, simulate_windows
 
 SMALL = Training(
     hidden=6, history=5, steps=4, rounds=20, worlds=2, duration=20, batch=64,
@@ -29,49 +29,49 @@ SMALL = Training(
 DT = 0.25
 
 
-def test_a_window_is_what_the_world_was() -> None:
-    """Among people who stand still everything is where it was."""
-    windows = watch(Scenario(crowd=Crowd.still, humans=3), np.arange(2), SMALL)
-    assert windows.past.shape == (6 * 6, 5, 2)  # from step 4 on every second one, to step 14
+def test_windows_hold_the_positions_of_the_world() -> None:
+    """People who stand still keep their positions."""
+    windows = simulate_windows(Scenario(crowd=Crowd.still, humans=3), np.arange(2), SMALL)
+    assert windows.past.shape == (6 * 6, 5, 2)  # every second step from 4 to 14
     np.testing.assert_array_equal(windows.future, windows.past[:, :4])
     assert not windows.velocity.any()
     assert windows.known.all()
 
 
-def test_nobody_is_in_the_way_of_those_who_are_watched() -> None:
-    """The people of a case walk as they do when the robots of the benchmark stand aside."""
+def test_windows_are_recorded_without_robots_nearby() -> None:
+    """People walk as in a world whose robot is far away."""
     scenario = Scenario(humans=4)
-    windows = watch(scenario, np.arange(3), SMALL)
+    windows = simulate_windows(scenario, np.arange(3), SMALL)
     world = World(replace(scenario, robots=1), 3)
     world.reset(np.arange(3))
     world.state.robot_position[:] = 500.0
     for _ in range(5):
         world.step(np.zeros((3, 1, 3)))
-    now = world.state.human_position.reshape(-1, 2)
-    np.testing.assert_array_equal(windows.past[: len(now), -1], now)
+    position = world.state.human_position.reshape(-1, 2)
+    np.testing.assert_array_equal(windows.past[: len(position), -1], position)
 
 
-def test_a_recording_counts_only_where_people_were_seen(tmp_path: Path) -> None:
-    """A person who walks at 1 m/s and turns; others are seen once, long before and after."""
-    ways = [(20 + k, 1, 0.25 * min(k, 6), 0.25 * max(k - 6, 0)) for k in range(12)]
+def test_windows_of_a_recording_lie_within_the_recorded_tracks(tmp_path: Path) -> None:
+    """One person walks at 1 m/s and turns; two others appear in a single frame each."""
+    rows = [(20 + k, 1, 0.25 * min(k, 6), 0.25 * max(k - 6, 0)) for k in range(12)]
     path = tmp_path / "people.txt"
-    path.write_text("\n".join(" ".join(map(str, row)) for row in ways) + "\n0 2 9 9\n60 3 9 9\n")
-    windows = watch_recording(path, 0.25, 0.25, SMALL)
+    path.write_text("\n".join(" ".join(map(str, row)) for row in rows) + "\n0 2 9 9\n60 3 9 9\n")
+    windows = recorded_windows(path, 0.25, 0.25, SMALL)
     assert len(windows.past) == 2  # of eleven moments with a velocity, at the fifth and seventh
     np.testing.assert_allclose(windows.velocity[0], [1, 0], atol=1e-5)
     np.testing.assert_allclose(windows.future[0] - windows.past[0, -1], [
         [0.25, 0], [0.25, 0.25], [0.25, 0.5], [0.25, 0.75]], atol=1e-5)  # fmt: skip
     with pytest.raises(
-        ConfigurationError, match=r"recordings: nobody in .* is there for 109 steps"
+        ConfigurationError, match=r"recordings: .* has no track of at least 109 steps"
     ):
-        watch_recording(path, 0.25, 0.25, replace(SMALL, steps=104, duration=200))
+        recorded_windows(path, 0.25, 0.25, replace(SMALL, steps=104, duration=200))
 
 
-def test_the_network_that_learns_is_the_one_that_runs() -> None:
+def test_trained_and_simulated_network_agree() -> None:
     torch.manual_seed(0)
     network = Network(6)
     torch.nn.init.normal_(network.w_output)
-    windows = watch(Scenario(), np.arange(4), SMALL)
+    windows = simulate_windows(Scenario(), np.arange(4), SMALL)
     known = windows.known & (np.arange(5) >= np.arange(len(windows.known))[:, None] % 5)
     velocities, readable, ahead = own_frame(windows.past, known, windows.velocity, np.float32(DT))
     aside = network(torch.from_numpy(velocities), torch.from_numpy(readable), 4, DT)
@@ -83,7 +83,7 @@ def test_the_network_that_learns_is_the_one_that_runs() -> None:
     np.testing.assert_allclose(found, expected, atol=1e-5)
 
 
-def test_it_learns_and_goes_on_where_it_was_interrupted(tmp_path: Path) -> None:
+def test_training_reduces_the_error_and_resumes(tmp_path: Path) -> None:
     crowds = {"orca": Scenario(human_speed_max=1.5), "force": Scenario(crowd=Crowd.social_force)}
     whole = Learner(SMALL, crowds, tmp_path / "whole.safetensors")
     before = [weight.clone() for weight in whole.network.parameters()]
@@ -99,22 +99,22 @@ def test_it_learns_and_goes_on_where_it_was_interrupted(tmp_path: Path) -> None:
         assert torch.equal(a, b)
         assert not torch.equal(a, c)
     assert Learner(SMALL, crowds, tmp_path / "whole.safetensors").round == 20
-    with pytest.raises(ConfigurationError, match=r"whole\.safetensors is of another training"):
+    with pytest.raises(ConfigurationError, match=r"whole\.safetensors belongs to another training"):
         Learner(replace(SMALL, seed=4), crowds, tmp_path / "whole.safetensors")
-    windows = watch(crowds["force"], Split.validation.case(0) + np.arange(20), SMALL)
+    windows = simulate_windows(crowds["force"], Split.validation.case(0) + np.arange(20), SMALL)
     plain = displacement(ConstantVelocity(DT), windows, 4)
     assert displacement(again.predictor(), windows, 4)[-1] < plain[-1]
 
 
-def test_what_was_learned_is_saved_as_the_simulator_reads_it(tmp_path: Path) -> None:
+def test_saved_predictors_are_read_by_the_simulator(tmp_path: Path) -> None:
     torch.manual_seed(0)
     network = Network(6)
     torch.nn.init.normal_(network.w_output)
     save_predictor(tmp_path / "mine.safetensors", network.predictor(5, DT), {"command": "mine"})
     found = find_predictor(str(tmp_path / "mine.safetensors"), DT)
-    windows = watch(Scenario(), np.arange(4), SMALL)
+    windows = simulate_windows(Scenario(), np.arange(4), SMALL)
     assert displacement(found, windows, 4) == displacement(network.predictor(5, DT), windows, 4)
-    assert json.loads((tmp_path / "mine.json").read_text())["made"] == {"command": "mine"}
+    assert json.loads((tmp_path / "mine.json").read_text())["provenance"] == {"command": "mine"}
 
 
 @pytest.mark.parametrize(
@@ -125,7 +125,7 @@ def test_the_shipped_predictor_is_better_than_constant_velocity(
 ) -> None:
     """In cases that it was neither trained nor measured on, after five steps."""
     cases = Split.validation.case(5000) + np.arange(30)
-    windows = watch(crowd, cases, replace(SMALL, history=8, steps=5, duration=60))
+    windows = simulate_windows(crowd, cases, replace(SMALL, history=8, steps=5, duration=60))
     plain = displacement(ConstantVelocity(DT), windows, 5)[-1]
     assert displacement(find_predictor("recurrent", DT), windows, 5)[-1] < (1 - gain) * plain
 
@@ -133,7 +133,7 @@ def test_the_shipped_predictor_is_better_than_constant_velocity(
 SCENARIO = Scenario(robots=3, humans=16, fov_degrees=200.0)
 
 
-def foreseeing(who: str, predictor: str) -> dict[str, Any]:
+def predicting_agent(who: str, predictor: str) -> dict[str, Any]:
     """A planner that foresees, or the blind walk straight ahead under a shield that does."""
     of = {"shield": {"predictor": predictor}} if who == "shield" else {"predictor": predictor}
     return load_agent("straight" if who == "shield" else who) | of
@@ -151,7 +151,7 @@ def driven(config: dict[str, Any], scenario: Scenario = SCENARIO) -> list[np.nda
 
 
 @pytest.mark.parametrize("who", ["shield", "model_predictive"])
-def test_constant_velocity_is_what_one_does_by_default(
+def test_the_default_predictor_is_constant_velocity(
     who: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """To the bit: as by default, through the interface of predictors, with weights of zero."""
@@ -161,12 +161,12 @@ def test_constant_velocity_is_what_one_does_by_default(
     monkeypatch.setitem(PREDICTORS, "straight", ConstantVelocity)
     names = ("constant_velocity", "straight", str(tmp_path / "zero.safetensors"))
     for name in names:
-        np.testing.assert_array_equal(driven(foreseeing(who, name)), expected)
-    otherwise = driven(foreseeing(who, "recurrent"))
+        np.testing.assert_array_equal(driven(predicting_agent(who, name)), expected)
+    otherwise = driven(predicting_agent(who, "recurrent"))
     assert any((a != b).any() for a, b in zip(otherwise, expected, strict=True))
 
 
-def test_a_predictor_that_does_not_fit_is_named() -> None:
+def test_invalid_predictors_are_refused() -> None:
     for scenario, name, message in (
         (SCENARIO, "crystal_ball", "'crystal_ball'; it must be"),
         (replace(SCENARIO, time_step=0.1), "recurrent", "predicts in steps of 0.25 s"),
@@ -176,50 +176,50 @@ def test_a_predictor_that_does_not_fit_is_named() -> None:
             ("model_predictive", r"agent\.predictor"),
         ):
             with pytest.raises(ConfigurationError, match=f"{field}.*{message}"):
-                build_agent(foreseeing(who, name), scenario)
+                build_agent(predicting_agent(who, name), scenario)
 
 
 class Sideways(ConstantVelocity):
-    """Everybody goes to the world's +y as well, at 1 m/s."""
+    """Adds a velocity of 1 m/s in the world's +y direction."""
 
     history = 3
 
     def predict(self, past, known, velocity, steps):  # type: ignore[no-untyped-def]
-        self.asked = past.copy(), known.copy()
-        found = super().predict(past, known, velocity, steps)
-        found[..., 1] += DT * np.arange(1, steps + 1, dtype=np.float32)
-        return found
+        self.inputs = past.copy(), known.copy()
+        position = super().predict(past, known, velocity, steps)
+        position[..., 1] += DT * np.arange(1, steps + 1, dtype=np.float32)
+        return position
 
 
-def test_what_is_foreseen_is_in_the_body_frame_and_of_those_in_view() -> None:
+def test_predicted_offsets_are_in_the_body_frame_and_only_of_visible_people() -> None:
     scenario = Scenario(robots=2, humans=6, fov_degrees=180.0)
-    world, foresight = World(scenario, 4), Foresight(Sideways(DT), 5)
+    world, offsets = World(scenario, 4), OffsetPredictor(Sideways(DT), 5)
     tracker = Tracker(24 * DT, DT)
     memory = tracker.initial(4, 2, 6)
-    foresight.begin(4, 2, 6)
+    offsets.initialize(4, 2, 6)
     observation, is_init = world.reset(np.arange(4)), np.ones(4, np.bool_)
     for t in range(6):
         tracker.update(observation, memory, is_init)
-        aside = foresight.update(observation.ego, memory, is_init)
-        seen, is_init = observation.humans_visible, np.zeros(4, np.bool_)
+        offset = offsets.update(observation.ego, memory, is_init)
+        visible, is_init = observation.humans_visible, np.zeros(4, np.bool_)
         heading = world.state.robot_heading[:, :, None, None]
         along = DT * np.arange(6) * np.stack([np.sin(heading), np.cos(heading)])
-        expected = np.where(seen[..., None, None], np.moveaxis(along, 0, -1), 0.0)
-        np.testing.assert_allclose(aside, expected, atol=1e-5)
-        past, known = foresight.predictor.asked
-        np.testing.assert_array_equal(known[..., -1], seen)
-        places = np.broadcast_to(world.state.human_position[:, None], (4, 2, 6, 2))
-        np.testing.assert_allclose(past[..., -1, :][seen], places[seen], atol=1e-4)
+        expected = np.where(visible[..., None, None], np.moveaxis(along, 0, -1), 0.0)
+        np.testing.assert_allclose(offset, expected, atol=1e-5)
+        past, known = offsets.predictor.inputs
+        np.testing.assert_array_equal(known[..., -1], visible)
+        position = np.broadcast_to(world.state.human_position[:, None], (4, 2, 6, 2))
+        np.testing.assert_allclose(past[..., -1, :][visible], position[visible], atol=1e-4)
         assert not known[..., : max(2 - t, 0)].any()
         observation = world.step(np.full((4, 2, 3), 0.3)).observation
-    assert 0 < seen.sum() < seen.size
+    assert 0 < visible.sum() < visible.size
 
 
-def test_who_foresees_a_turn_acts_on_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Somebody walks past beside the robot; foreseen to turn into it, it is avoided."""
+def test_agents_react_to_a_predicted_turn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A person walks beside the robot and is predicted to turn towards it."""
     monkeypatch.setitem(PREDICTORS, "sideways", Sideways)
     scenario = Scenario(robots=1, humans=1)
-    found = {}
+    actions = {}
     for who, name in product(("shield", "model_predictive"), ("constant_velocity", "sideways")):
         world = World(scenario)
         world.reset([0])
@@ -228,16 +228,16 @@ def test_who_foresees_a_turn_acts_on_it(monkeypatch: pytest.MonkeyPatch) -> None
         state.robot_heading[0, 0], state.robot_velocity[0, 0] = 0, (1, 0)
         state.human_position[0, 0], state.human_velocity[0, 0] = (0.0, -0.7), (1, 0)
         state.human_radius[0, 0] = 0.3
-        action = build_agent(foreseeing(who, name), scenario).act(world.observe())
+        action = build_agent(predicting_agent(who, name), scenario).act(world.observe())
         assert np.isfinite(action).all()
-        found[who, name] = action[0, 0]
+        actions[who, name] = action[0, 0]
     straight = build_agent(load_agent("straight"), scenario).act(world.observe())[0, 0]
-    np.testing.assert_array_equal(found["shield", "constant_velocity"], straight)
+    np.testing.assert_array_equal(actions["shield", "constant_velocity"], straight)
     for who in ("shield", "model_predictive"):
-        assert (found[who, "sideways"] != found[who, "constant_velocity"]).any()
+        assert (actions[who, "sideways"] != actions[who, "constant_velocity"]).any()
 
 
-def test_the_command_trains_measures_and_says_what_is_wrong(
+def test_the_command_trains_evaluates_and_reports_errors(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     from samarl.commands import predictor as command
@@ -259,12 +259,12 @@ def test_the_command_trains_measures_and_says_what_is_wrong(
         return capsys.readouterr().out
 
     assert "| street" in said("recordings=recordings", "+frame_seconds.street=0.25")
-    made = json.loads((tmp_path / "mine/recurrent.json").read_text())["made"]
-    assert set(made["errors"]) == {"orca", "social_force", "mixed", "street"}
-    assert made["errors"]["street"]["constant_velocity"] == pytest.approx([0.0] * 5, abs=1e-4)
-    assert made["command"].startswith("samarl-predictor training.rounds=2")
+    provenance = json.loads((tmp_path / "mine/recurrent.json").read_text())["provenance"]
+    assert set(provenance["errors"]) == {"orca", "social_force", "mixed", "street"}
+    assert provenance["errors"]["street"]["constant_velocity"] == pytest.approx([0.0] * 5, abs=1e-4)
+    assert provenance["command"].startswith("samarl-predictor training.rounds=2")
     result = json.loads((tmp_path / "mine/prediction.json").read_text())
-    assert result["errors"] == made["errors"]
+    assert result["errors"] == provenance["errors"]
     said("recordings=recordings", "+frame_seconds.street=0.25",
          "predictor=mine/recurrent.safetensors", "output=again")  # fmt: skip
     again = json.loads((tmp_path / "again/prediction.json").read_text())

@@ -1,4 +1,4 @@
-"""`samarl-recording`: a user looks at a file, draws it and converts it."""
+"""`samarl-recording` summarises, draws and converts a file."""
 
 import re
 from pathlib import Path
@@ -85,7 +85,7 @@ def test_any_path_is_a_path(run, name: str) -> None:
     ],
 )
 @pytest.mark.parametrize("ending", ["txt", "csv"])
-def test_what_is_converted_needs_no_settings(
+def test_converted_files_need_no_settings(
     run, name: str, frame_seconds: float | None, scale: float | None, ending: str
 ) -> None:
     options = [f"--frame-seconds={frame_seconds}"] * (frame_seconds is not None)
@@ -99,7 +99,7 @@ def test_what_is_converted_needs_no_settings(
     np.testing.assert_allclose(again.position, truth.position, atol=2e-5)
 
 
-def test_what_is_converted_is_plain(run) -> None:
+def test_converted_files_are_plain_tables(run) -> None:
     run(CASES / "pedpy_id_first.txt", "--output", "new.txt")
     rows = np.loadtxt("new.txt")
     truth = np.loadtxt(CASES / "plain.txt")
@@ -108,7 +108,7 @@ def test_what_is_converted_is_plain(run) -> None:
     assert Path("new.csv").read_text().splitlines()[:2] == ["frame,id,x,y", "0,6,6.8002,12.4359"]
 
 
-def test_what_is_implausible_is_drawn_but_not_converted(run) -> None:
+def test_implausible_recordings_are_drawn_but_not_converted(run) -> None:
     words = [CASES / "renumbered_2_5_fps.txt", "--figure", "new.png", "--output", "new.txt"]
     code, printed, error = run(*words)
     assert code == 2
@@ -142,7 +142,7 @@ def test_what_is_implausible_is_drawn_but_not_converted(run) -> None:
         ([CASES / "plain.txt", "--nothing"], "--nothing"),
     ],
 )
-def test_a_mistake_ends_in_one_line(run, words: list, message: str) -> None:
+def test_user_errors_end_in_one_line(run, words: list, message: str) -> None:
     code, _, error = run(*words)
     assert code == 2
     assert re.fullmatch(f"error: .*{message}.*\n", error)

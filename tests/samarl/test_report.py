@@ -1,4 +1,4 @@
-"""The report: whole pages from whatever there is."""
+"""The report: complete pages of whatever a results folder contains."""
 
 import html
 import json
@@ -14,9 +14,9 @@ from mrsan import Scenario, TeamPerception
 from samarl.agents import build_agent
 from samarl.commands.report import _methods
 from samarl.configuration import available_agents, load_agent
-from samarl.evaluation.metrics import METRICS, Metric, Shown
-from samarl.evaluation.recording import record_episode
+from samarl.evaluation.metrics import METRICS, Metric, Tables
 from samarl.evaluation.summary import Column, Row, column_of
+from samarl.evaluation.trajectory import record_episode
 from samarl.files import find_folder
 from samarl.report.build import build_site, slug
 from samarl.report.figures import (
@@ -29,13 +29,13 @@ from samarl.report.figures import (
 )
 from samarl.report.leaderboard import GROUPS, is_best, ranked
 from samarl.report.replays import as_replay
-from tests.reporting import STRAIGHT, recorded, report
+from tests.reporting import STRAIGHT, report, straight_trajectory
 
 VOID = {"meta", "link", "input", "img", "br", "wbr", "circle", "path", "rect"}
 
 
 class Reader(HTMLParser):
-    """Collects addresses and ids and demands that every element is closed in order."""
+    """Collects addresses and ids and checks that every element is closed in order."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -57,9 +57,9 @@ class Reader(HTMLParser):
             assert self.open.pop() == tag
 
 
-def test_the_pages_are_whole_light_and_need_no_network(site: Path) -> None:
+def test_pages_are_valid_small_and_need_no_network(site: Path) -> None:
     pages = sorted(page.stem for page in site.glob("*.html"))
-    assert pages == ["curves", "elsewhere", "index", "replays", "sweeps"]
+    assert pages == ["curves", "index", "replays", "sweeps", "transfer"]
     for page in site.glob("*.html"):
         reader = Reader()
         reader.feed(page.read_text())
@@ -80,7 +80,7 @@ def test_the_pages_are_whole_light_and_need_no_network(site: Path) -> None:
     assert not list(site.parent.glob("*.part"))
 
 
-def test_whatever_is_in_the_results_is_shown(site: Path) -> None:
+def test_all_results_are_shown(site: Path) -> None:
     index = (site / "index.html").read_text()
     assert "Table 1" in index
     assert "Not rows" not in index
@@ -100,73 +100,73 @@ def test_whatever_is_in_the_results_is_shown(site: Path) -> None:
     assert figures == {figure.stem for figure in (site / "figures").glob("*.png")}
     assert figures == {
         "curve-charts-success", "curve-validation-success-90-10h-3r", "curve-losses-macro-critic",
-        "noise-90-10h-3r", "table-1", "places-other-places", "places-recorded-people",
+        "noise-90-10h-3r", "table-1", "places-other-layouts", "places-recorded-people",
         *(slug(f"views {row['method']}") for row in rows),
     }  # fmt: skip
     assert len(list((site / "replays").glob("mine-*.js"))) == 4 * 2
     assert "position noise" in (site / "figures/noise-90-10h-3r.svg").read_text()
 
 
-def test_tables_of_several_kinds_of_places_have_a_page_of_their_own(site: Path) -> None:
-    page, index = ((site / name).read_text() for name in ("elsewhere.html", "index.html"))
-    assert "Places: other places" in page
+def test_tables_of_several_kinds_of_columns_are_on_the_transfer_page(site: Path) -> None:
+    page, index = ((site / name).read_text() for name in ("transfer.html", "index.html"))
+    assert "Places: other layouts" in page
     assert "Places: recorded people" in page
     assert "Places:" not in index
     assert page.count("90° view, 10 people, 3 robots, square</button>") == 1
     assert page.count("90° view, 3 robots, zara</button>") == 1
-    assert 'aria-current="page">Elsewhere</a>' in page
-    assert "Elsewhere than" not in index
+    assert 'aria-current="page">Transfer</a>' in page
+    assert "Transfer to" not in index
 
 
-def test_methods_stand_in_groups_best_first_and_say_what_they_are(site: Path) -> None:
+def test_methods_are_in_groups_best_first_with_a_description(site: Path) -> None:
     index = (site / "index.html").read_text()
     rows = json.loads((find_folder("results") / "table1.json").read_text())
-    entries = ranked(rows)
+    ranking = ranked(rows)
     shown = re.findall(r'<tr data-name="([^"]+)"><th scope="row">(?!paper)', index)
-    assert shown == [entry.name for entry in entries]
-    groups = {entry.name: entry.group for entry in entries}
+    assert shown == [line.name for line in ranking]
+    groups = {line.name: line.group for line in ranking}
     assert [*dict.fromkeys(groups.values())] == ["learned", "ablation", "planner"]
     assert (groups["samarl"], groups["orca"], groups["samarl_flat"]) == (
         "learned", "planner", "ablation",
     )  # fmt: skip
     for group in GROUPS:
-        means = [entry.success for entry in entries if entry.group == group]
+        means = [line.success for line in ranking if line.group == group]
         assert means == sorted(means, reverse=True)
     best = {(column_of(row), row["success_rate"]) for row in rows if is_best(row, rows)}
     assert len(best) == 4
     assert index.count('class="best"') >= 4
-    named = {entry.name: entry for entry in entries}
+    named = {line.name: line for line in ranking}
     assert named["samarl_unshielded"].checkpoint == "samarl"
     assert named["samarl_narrow"].checkpoint == "samarl_narrow"
-    assert html.escape(named["perimeter"].about, quote=False) in index
+    assert html.escape(named["perimeter"].description, quote=False) in index
     assert rows[0]["command"] in index
     assert f"{rows[0]['episodes']} cases" in index
 
 
-def test_all_that_is_measured_has_a_column(site: Path) -> None:
+def test_every_metric_of_the_report_has_a_column(site: Path) -> None:
     index = (site / "index.html").read_text()
-    for known in METRICS.values():
-        if Shown.report in known.shown:
-            assert f'<th scope="col">{known.heading}</th>' in index
+    for metric in METRICS.values():
+        if Tables.report in metric.tables:
+            assert f'<th scope="col">{metric.heading}</th>' in index
 
 
-def test_how_they_drive_is_a_table_of_its_own_where_it_is_known(tmp_path: Path) -> None:
+def test_driving_behaviour_has_its_own_table_if_measured(tmp_path: Path) -> None:
     rows = json.loads((find_folder("results") / "table1.json").read_text())[:3]
-    driving = [known for known in METRICS.values() if known.shown is Shown.driving]
-    for known in driving:
+    driving = [metric for metric in METRICS.values() if metric.tables is Tables.driving]
+    for metric in driving:
         for row in rows:
-            row.pop(known.fields[0], None)
+            row.pop(metric.fields[0], None)
     (tmp_path / "results").mkdir()
     table = tmp_path / "results/table1.json"
     table.write_text(json.dumps(rows))
     before = index_of(tmp_path / "results", tmp_path / "site")
-    assert "How they drive" not in before
+    assert "Driving behaviour" not in before
     table.write_text(json.dumps([rows[0] | {"standing_share": 12.34}, *rows[1:]]))
     index = index_of(tmp_path / "results", tmp_path / "site")
-    first, found, second = html.unescape(index).partition("<summary>How they drive</summary>")
-    assert found
-    for known in driving:
-        heading = f'<th scope="col">{known.heading}</th>'
+    first, summary, second = html.unescape(index).partition("<summary>Driving behaviour</summary>")
+    assert summary
+    for metric in driving:
+        heading = f'<th scope="col">{metric.heading}</th>'
         assert heading not in first
         assert heading in second
     assert second.count("<td>12.3</td>") == 1
@@ -200,7 +200,7 @@ def test_a_validation_curve_has_the_planners_of_its_column(site: Path) -> None:
     assert page.index("curve-charts-success") < page.index("<summary>Losses</summary>")
 
 
-def test_settings_tell_rows_apart() -> None:
+def test_settings_labels_distinguish_rows() -> None:
     shared = "samarl-evaluate agent=orca scenario.humans=5 evaluation.cases=9"
     rows = [{"command": shared}, {"command": f"{shared} scenario.occlusion=true"}]
     assert settings_labels(rows) == ["default", "occlusion=true"]  # type: ignore[arg-type]
@@ -210,7 +210,7 @@ def drawn(rows: list[Row]) -> dict[str, Axes]:
     return {title: figure.axes[0] for title, figure in sweep_figures(rows)}
 
 
-def test_what_a_sweep_varies_says_how_it_is_drawn() -> None:
+def test_the_figure_of_a_sweep_depends_on_what_it_varies() -> None:
     table = json.loads((find_folder("results") / "table1.json").read_text())
     one = next(row for row in table if row["method"] == "orca")
 
@@ -242,7 +242,7 @@ def index_of(results: Path, output: Path) -> str:
 
 
 def test_rows_of_another_version_are_shown(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Older than a metric, or with one that is not known here."""
+    """Rows that lack a metric or have an unknown one."""
     rows = json.loads((find_folder("results") / "table1.json").read_text())[:3]
     (tmp_path / "results").mkdir()
     table = tmp_path / "results/table1.json"
@@ -261,51 +261,54 @@ def test_rows_of_another_version_are_shown(tmp_path: Path, monkeypatch: pytest.M
     assert after.replace(column, "").replace("<td></td>", "") == shown.replace("<td></td>", "")
 
 
-def test_a_replay_says_what_the_recording_says() -> None:
-    recording = recorded()
-    replay = as_replay(recording)
+def test_a_replay_reproduces_the_trajectory() -> None:
+    trajectory = straight_trajectory()
+    replay = as_replay(trajectory)
     position = np.cumsum(replay["robots"], axis=-1).transpose(2, 0, 1) / 100
-    np.testing.assert_allclose(position, recording.robot_position, atol=0.0051)
+    np.testing.assert_allclose(position, trajectory.robot_position, atol=0.0051)
     heading = np.radians(np.cumsum(replay["headings"], axis=-1)).T
-    np.testing.assert_allclose(np.cos(heading), np.cos(recording.robot_heading), atol=0.01)
+    np.testing.assert_allclose(np.cos(heading), np.cos(trajectory.robot_heading), atol=0.01)
     for t in range(len(position)):
-        for i, of_robot in enumerate(replay["humansSeen"]):
-            seen = [sum(step <= t for step in switches) % 2 == 1 for switches in of_robot]
-            assert seen == recording.humans_seen[t, i].tolist()
+        for i, of_robot in enumerate(replay["humansVisible"]):
+            visible = [sum(step <= t for step in switches) % 2 == 1 for switches in of_robot]
+            assert visible == trajectory.humans_visible[t, i].tolist()
     assert replay["waypoints"] is replay["humanAttention"] is replay["shielded"] is None
 
 
-def test_a_replay_says_who_was_only_told() -> None:
+def test_a_replay_marks_agents_shared_by_team_mates() -> None:
     scenario = Scenario(fov_degrees=90.0, team_perception=TeamPerception.tracks)
-    recording = record_episode(build_agent(STRAIGHT, scenario), scenario, 3)
-    assert recording.humans_reported.any()
-    assert not (recording.humans_reported & ~recording.humans_seen).any()
-    replay = as_replay(recording)
-    for t in range(len(recording.robot_position)):
-        for name, told in (
-            ("humans", recording.humans_reported),
-            ("robots", recording.robots_reported),
+    trajectory = record_episode(build_agent(STRAIGHT, scenario), scenario, 3)
+    assert trajectory.humans_reported.any()
+    assert not (trajectory.humans_reported & ~trajectory.humans_visible).any()
+    replay = as_replay(trajectory)
+    for t in range(len(trajectory.robot_position)):
+        for name, reported in (
+            ("humans", trajectory.humans_reported),
+            ("robots", trajectory.robots_reported),
         ):
             for i, of_robot in enumerate(replay[f"{name}Reported"]):
                 now = [sum(step <= t for step in switches) % 2 == 1 for switches in of_robot]
-                assert now == told[t, i].tolist()
-    alone = as_replay(recorded())
+                assert now == reported[t, i].tolist()
+    alone = as_replay(straight_trajectory())
     assert alone["humansReported"] is alone["robotsReported"] is None
 
 
-def test_a_replay_says_when_the_shield_stepped_in() -> None:
+def test_a_replay_marks_the_steps_with_a_replaced_action() -> None:
     scenario = Scenario()
-    guarded = record_episode(build_agent({**STRAIGHT, "shield": True}, scenario), scenario, 2**41)
-    assert guarded.shielded is not None
-    assert guarded.shielded.any()
-    assert not guarded.shielded.all()
-    steps = as_replay(guarded)["shielded"]
+    trajectory = record_episode(
+        build_agent({**STRAIGHT, "shield": True}, scenario), scenario, 2**41
+    )
+    assert trajectory.shielded is not None
+    assert trajectory.shielded.any()
+    assert not trajectory.shielded.all()
+    steps = as_replay(trajectory)["shielded"]
     assert [(i, t) for i, at in enumerate(steps) for t in at] == [
-        (i, t) for t, i in sorted(zip(*guarded.shielded.nonzero(), strict=True), key=lambda p: p[1])
+        (i, t)
+        for t, i in sorted(zip(*trajectory.shielded.nonzero(), strict=True), key=lambda p: p[1])
     ]
 
 
-def test_a_policy_is_shown_as_its_own_agent_drives_it() -> None:
+def test_a_policy_is_shown_with_its_own_agent() -> None:
     methods = _methods(None, find_folder("results"))
     assert set(available_agents()) <= set(methods)
     for name in available_agents():
@@ -314,21 +317,21 @@ def test_a_policy_is_shown_as_its_own_agent_drives_it() -> None:
         assert shown == {**config, "checkpoint": config.get("checkpoint", "")}
 
 
-def test_an_agent_without_its_checkpoint_is_left_out(tmp_path: Path) -> None:
+def test_an_agent_without_its_checkpoint_is_skipped(tmp_path: Path) -> None:
     (tmp_path / "results").mkdir()
     (tmp_path / "conf/agent").mkdir(parents=True)
     (tmp_path / "conf/agent/mine.yaml").write_text("defaults:\n  - samarl\ncheckpoint: nowhere\n")
     done = report("--config-dir", "conf", "results=results", "agents=[mine]", "cases=[0]",
                   "output=site", "columns=[{robots: 2}]", cwd=tmp_path)  # fmt: skip
-    assert done.stdout.startswith("left out: mine, 360° view: checkpoint is 'nowhere'")
+    assert done.stdout.startswith("skipped: mine, 360° view: checkpoint is 'nowhere'")
     assert [page.name for page in (tmp_path / "site").glob("*.html")] == ["index.html"]
-    assert "There is no table in the results yet." in (tmp_path / "site/index.html").read_text()
+    assert "The results folder contains no table." in (tmp_path / "site/index.html").read_text()
 
 
 @pytest.mark.parametrize(
     ("argument", "message"),
     [
-        ("output=full", "output is 'full'; it must be a new folder or that of an earlier report"),
+        ("output=full", "output is 'full'; it must be a new folder or contain an earlier report"),
         ("results=none", "results is 'none'; it must be a folder"),
         ("results=broken", "broken/table.json is not JSON"),
         ("results=partial", "partial/table.json has no success_low in row 1; every row must have"),
@@ -336,7 +339,7 @@ def test_an_agent_without_its_checkpoint_is_left_out(tmp_path: Path) -> None:
         ("agents=[nobody]", "agents: there is no agent 'nobody'; "),
     ],
 )
-def test_a_mistake_is_one_line(tmp_path: Path, argument: str, message: str) -> None:
+def test_user_errors_are_one_line(tmp_path: Path, argument: str, message: str) -> None:
     for name in ("full", "broken", "partial"):
         (tmp_path / name).mkdir()
     (tmp_path / "full/mine.txt").write_text("mine")

@@ -1,4 +1,4 @@
-"""The pages of the report in a real browser: they open, fit, play and obey the keyboard."""
+"""The report in a browser: layout, playback and keyboard control."""
 
 import shutil
 import time
@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser, ConsoleMessage, Page, sync_playwright
 
-from tests.reporting import recorded
+from tests.reporting import straight_trajectory
 
 FLAGS = [
     "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
@@ -148,15 +148,15 @@ def test_a_replay_plays_pauses_scrubs_and_ends(page: Page, site: Path) -> None:
     assert steps(page) == [f"{last}.000"] * 2
 
 
-def test_the_chosen_robot_sees_what_was_recorded(page: Page, site: Path) -> None:
-    recording = recorded()
+def test_the_viewer_shows_what_the_selected_robot_sees(page: Page, site: Path) -> None:
+    trajectory = straight_trajectory()
     show(page, site, "column=90°+view,+10+humans,+3+robots&case=test+case+0&left=straight&right=")
     assert len(steps(page)) == 1
-    for t in range(len(recording.robot_position)):
+    for t in range(len(trajectory.robot_position)):
         for robot in range(3):
             page.keyboard.press(str(robot))
-            humans = recording.humans_seen[t, robot].sum()
-            others = recording.robots_seen[t, robot].sum()
+            humans = trajectory.humans_visible[t, robot].sum()
+            others = trajectory.robots_visible[t, robot].sum()
             said = page.inner_text(".sight >> nth=0")
             assert said == f"Robot {robot} sees {humans} of 10 humans, {others} of 2 robots."
         page.keyboard.press("ArrowRight")

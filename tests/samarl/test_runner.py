@@ -1,4 +1,4 @@
-"""Every case once, in order, whatever the batch."""
+"""Every case is run once, in order, for any batch size."""
 
 from dataclasses import dataclass
 
@@ -8,8 +8,8 @@ import pytest
 from mrsan import Observation, Outcome, Scenario, Split
 from samarl.agents import Agent
 from samarl.agents.planners.straight import Straight
-from samarl.evaluation.recording import record_episode
 from samarl.evaluation.runner import Evaluation, run_cases
+from samarl.evaluation.trajectory import record_episode
 
 SCENARIO = Scenario(robots=2, humans=6, humans_min=0, missed_detection=0.1)
 CASES = Split.test.case(5) + np.random.default_rng(0).permutation(50)
@@ -28,7 +28,7 @@ def test_the_records_do_not_depend_on_the_batch(alone, batch: int) -> None:
         np.testing.assert_array_equal(getattr(together, name), getattr(alone, name), err_msg=name)
 
 
-def test_every_case_is_played_once_in_the_order_given(alone) -> None:
+def test_every_case_is_run_once_in_order(alone) -> None:
     assert alone.case.tolist() == CASES.tolist()
     assert not alone.episode.any()
     assert len(np.unique(alone.straight_line[:, 0])) == len(CASES)
@@ -72,18 +72,18 @@ def test_memories_are_reset_with_their_episodes() -> None:
     assert agent.begun == 12
 
 
-def test_a_recording_is_the_case_that_was_evaluated(alone) -> None:
+def test_a_trajectory_is_that_of_the_evaluated_case(alone) -> None:
     case = int(CASES[3])
-    recording = record_episode(Straight(SCENARIO), SCENARIO, case)
+    trajectory = record_episode(Straight(SCENARIO), SCENARIO, case)
     steps = round(float(alone.duration[3]) / SCENARIO.time_step)
-    assert recording.robot_position.shape == (steps + 1, 2, 2)
-    assert recording.episodes.outcome[0].tolist() == alone.outcome[3].tolist()
-    driven = np.linalg.norm(np.diff(recording.robot_position, axis=0), axis=-1)
-    moving = recording.driving[:-1]
+    assert trajectory.robot_position.shape == (steps + 1, 2, 2)
+    assert trajectory.episodes.outcome[0].tolist() == alone.outcome[3].tolist()
+    driven = np.linalg.norm(np.diff(trajectory.robot_position, axis=0), axis=-1)
+    moving = trajectory.driving[:-1]
     np.testing.assert_allclose((driven * moving).sum(0), alone.path_length[3], atol=1e-4)
 
 
 def test_the_default_cases_are_the_first_500_of_the_test_split() -> None:
-    numbers = Evaluation().numbers()
+    numbers = Evaluation().case_numbers()
     assert numbers.tolist() == list(range(2**41, 2**41 + 500))
-    assert Evaluation(split=Split.training, first_case=3, cases=2).numbers().tolist() == [3, 4]
+    assert Evaluation(split=Split.training, first_case=3, cases=2).case_numbers().tolist() == [3, 4]

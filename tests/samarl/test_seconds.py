@@ -8,7 +8,7 @@ from mrsan.parameters import kernel_parameters
 from samarl.agents import build_agent
 from samarl.configuration import load_agent
 from samarl.observations.tracker import Tracker
-from samarl.planning.shield import Shield, shielded
+from samarl.planning.shield import Shield, apply_shield
 from tests.scenes import scene_of
 from tests.staging import stage
 
@@ -50,7 +50,7 @@ def test_the_shield_looks_two_seconds_ahead(time_step: float, gap: float, replac
     distance = 0.3 + 0.3 + gap
     ring = [[distance * np.cos(b), distance * np.sin(b), -1.0, 0.0, 0.3] for b in bearings]
     action = np.float32([[[0.0, 0.0, 0.0]]])
-    checked = shielded(scene_of(ring, (9.0, 0.0), 1.0, scenario), action, scenario, Shield())
+    checked = apply_shield(scene_of(ring, (9.0, 0.0), 1.0, scenario), action, scenario, Shield())
     assert bool((checked != action).any()) == replaced
 
 

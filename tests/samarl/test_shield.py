@@ -1,4 +1,4 @@
-"""The safety shield: it lets actions pass as long as a collision can still be avoided."""
+"""The safety shield replaces only actions after which a collision can hardly be avoided."""
 
 import numpy as np
 import pytest
@@ -8,48 +8,48 @@ from mrsan.features import GOAL
 from samarl.agents import Agent, build_agent
 from samarl.configuration import load_agent
 from samarl.evaluation.runner import run_cases
-from samarl.planning.shield import Shield, shielded
+from samarl.planning.shield import Shield, apply_shield
 
 CASES = Split.test.case(0) + np.arange(40)
 
 
-def shield_over(name: str, scenario: Scenario) -> Agent:
+def shielded_agent(name: str, scenario: Scenario) -> Agent:
     return build_agent({**load_agent(name), "shield": True}, scenario)
 
 
 @pytest.mark.parametrize("kinematics", Kinematics)
-def test_with_nobody_near_every_action_passes(kinematics: Kinematics) -> None:
+def test_every_action_passes_in_an_empty_world(kinematics: Kinematics) -> None:
     scenario = Scenario(robots=1, humans=0, kinematics=kinematics)
     world = World(scenario, 30)
     observation = world.reset(CASES[:30])
     rng = np.random.default_rng(0)
     for _ in range(10):
         action = rng.uniform(-1, 1, (30, 1, scenario.action_size)).astype(np.float32)
-        np.testing.assert_array_equal(shielded(observation, action, scenario, Shield()), action)
+        np.testing.assert_array_equal(apply_shield(observation, action, scenario, Shield()), action)
         observation = world.step(action).observation
 
 
 @pytest.mark.parametrize("kinematics", Kinematics)
-def test_who_stands_still_is_never_hit(kinematics: Kinematics) -> None:
-    """Predictions are exact then, so one safe action follows another for ever."""
+def test_people_who_stand_still_are_never_hit(kinematics: Kinematics) -> None:
+    """Predictions are exact then, so a safe action always has a safe successor."""
     scenario = Scenario(robots=1, crowd=Crowd.still, kinematics=kinematics, spawn_jitter=2.0)
     blind = run_cases(build_agent(load_agent("straight"), scenario), scenario, CASES, batch=40)
-    safe = run_cases(shield_over("straight", scenario), scenario, CASES, batch=40)
+    safe = run_cases(shielded_agent("straight", scenario), scenario, CASES, batch=40)
     assert blind.hit_human.mean() > 0.2
     assert not safe.hit_human.any()
 
 
 @pytest.mark.parametrize("fov", [90.0, 360.0])
-def test_most_collisions_of_the_blind_walk_do_not_happen(fov: float) -> None:
+def test_the_shield_prevents_most_collisions_of_a_blind_planner(fov: float) -> None:
     scenario = Scenario(fov_degrees=fov, robots=5)
     agent = build_agent(load_agent("perimeter"), scenario)
     blind = run_cases(agent, scenario, CASES, batch=40)
-    safe = run_cases(shield_over("perimeter", scenario), scenario, CASES, batch=40)
+    safe = run_cases(shielded_agent("perimeter", scenario), scenario, CASES, batch=40)
     assert blind.hit_human.sum() > 2 * safe.hit_human.sum()
     assert not safe.hit_robot.any()
 
 
-def test_who_has_arrived_is_left_alone() -> None:
+def test_actions_of_arrived_robots_are_not_replaced() -> None:
     scenario = Scenario(robots=1, humans=1)
     world = World(scenario, 1)
     world.reset(CASES[:1])
@@ -57,9 +57,9 @@ def test_who_has_arrived_is_left_alone() -> None:
     state.human_position[0, 0] = state.robot_position[0, 0] + [0.7, 0.0]
     state.human_velocity[0, 0] = [-1.0, 0.0]
     action = np.zeros((1, 1, 3), np.float32)
-    assert (shielded(world.observe(), action, scenario, Shield()) != action).any()
+    assert (apply_shield(world.observe(), action, scenario, Shield()) != action).any()
     state.robot_goal[0, 0] = state.robot_position[0, 0]
-    np.testing.assert_array_equal(shielded(world.observe(), action, scenario, Shield()), action)
+    np.testing.assert_array_equal(apply_shield(world.observe(), action, scenario, Shield()), action)
 
 
 @pytest.mark.parametrize(
@@ -67,20 +67,20 @@ def test_who_has_arrived_is_left_alone() -> None:
     [
         ({"horizon": 0.0}, r"agent.shield.horizon is 0.0; .* in \(0, 100\]"),
         ({"step": 4}, r"agent\.shield\.step is not known; .*horizon"),
-        ("yes", r"agent.shield is 'yes'; it must be true, false or the numbers"),
+        ("yes", r"agent.shield is 'yes'; it must be true, false or"),
     ],
 )
-def test_what_is_wrong_with_its_numbers_is_said(shield: object, message: str) -> None:
+def test_invalid_shield_fields_are_reported(shield: object, message: str) -> None:
     with pytest.raises(ConfigurationError, match=message):
         build_agent({**load_agent("straight"), "shield": shield}, Scenario())
 
 
 @pytest.mark.parametrize("name", ["samarl", "samarl_narrow"])
-def test_a_policy_is_shielded_as_any_other_agent(name: str) -> None:
+def test_a_configured_shield_equals_a_wrapped_agent(name: str) -> None:
     scenario = Scenario(humans=16, fov_degrees=120.0)
     policy = build_agent(load_agent(name), scenario)
     free = build_agent(load_agent(f"{name}_unshielded"), scenario)
-    wrapped = shield_over(f"{name}_unshielded", scenario)
+    wrapped = shielded_agent(f"{name}_unshielded", scenario)
     world = World(scenario, 30)
     observation = world.reset(CASES[:30])
     replaced = 0
@@ -92,7 +92,7 @@ def test_a_policy_is_shielded_as_any_other_agent(name: str) -> None:
     assert 0 < replaced < 30 * 30 * 3 / 4
 
 
-STANDOFFS = {  # starts and goals of each robot, m; who starts at its goal has parked
+STANDOFFS = {  # starts and goals of each robot, m; a robot that starts at its goal is parked
     "behind somebody parked": ([[0.0, 0.0], [0.75, 0.05]], [[2.4, 0.0], [0.75, 0.05]]),
     "right behind somebody parked": ([[0.0, 0.0], [0.75, 0.0]], [[2.4, 0.0], [0.75, 0.0]]),
     "nearer than the margin": ([[0.0, 0.0], [0.65, 0.0]], [[2.4, 0.0], [0.65, 0.0]]),
@@ -109,8 +109,8 @@ STANDOFFS = {  # starts and goals of each robot, m; who starts at its goal has p
 MEETINGS = ("face to face", "three that want to cross")
 
 
-def pushing(observation: Observation, scenario: Scenario) -> np.ndarray:
-    """Full speed ahead while turning to the goal, whoever is in the way."""
+def full_speed_to_goal(observation: Observation, scenario: Scenario) -> np.ndarray:
+    """Drive at full speed while turning to the goal, ignoring everybody."""
     goal = observation.ego[..., GOAL]
     if scenario.kinematics is Kinematics.holonomic:
         return goal / np.maximum(np.linalg.norm(goal, axis=-1, keepdims=True), np.float32(1e-6))
@@ -123,11 +123,11 @@ def pushing(observation: Observation, scenario: Scenario) -> np.ndarray:
 
 @pytest.mark.parametrize("standoff", STANDOFFS)
 @pytest.mark.parametrize("kinematics", Kinematics)
-def test_robots_that_stand_before_each_other_get_on(kinematics: Kinematics, standoff: str) -> None:
-    """None stands for ever in front of another, and none hits another."""
-    starts, goals = (np.array(places) for places in STANDOFFS[standoff])
+def test_robots_that_block_each_other_arrive(kinematics: Kinematics, standoff: str) -> None:
+    """No robot waits forever in front of another, and none hits another."""
+    starts, goals = (np.array(points) for points in STANDOFFS[standoff])
     scales = np.ones(1)
-    # From any distance; but three whose velocities change at once may still touch.
+    # Meetings are tried at 50 distances; three holonomic robots may touch at some of them.
     if standoff in MEETINGS[: 1 if kinematics is Kinematics.holonomic else 2]:
         scales = np.linspace(0.61, 1.1, 50) / np.linalg.norm(starts[0] - starts[1])
     scenario = Scenario(robots=len(starts), humans=0, kinematics=kinematics)
@@ -138,13 +138,15 @@ def test_robots_that_stand_before_each_other_get_on(kinematics: Kinematics, stan
     state.robot_heading[:] = np.arctan2(*(goals - starts).T[::-1])
     observation = world.observe()
     while not (state.terminated | state.truncated).all():
-        action = shielded(observation, pushing(observation, scenario), scenario, Shield())
+        action = apply_shield(
+            observation, full_speed_to_goal(observation, scenario), scenario, Shield()
+        )
         observation = world.step(action).observation
     assert state.arrived.all()
 
 
 @pytest.mark.parametrize("name", ["samarl", "samarl_flat", "perimeter_shielded"])
-def test_robots_alone_in_an_empty_hall_arrive(name: str) -> None:
+def test_robots_without_people_arrive(name: str) -> None:
     scenario = Scenario(robots=5, humans=0)
     cases = Split.validation.case(0) + np.arange(40)
     episodes = run_cases(build_agent(load_agent(name), scenario), scenario, cases, batch=40)

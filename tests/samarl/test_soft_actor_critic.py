@@ -14,7 +14,7 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from mrsan import ConfigurationError, Kinematics, Scenario, World
-from samarl.agents.learned import Deployed, Learned
+from samarl.agents.learned import DeployedPolicy, Learned
 from samarl.algorithms import ALGORITHMS
 from samarl.algorithms.action_values import AttentionCritic, ConcatenationCritic
 from samarl.algorithms.soft_actor_critic import SoftActorCritic, features, sequences_of
@@ -43,7 +43,7 @@ def squashed(
 
 def learner(of: SquashedPolicy, **changes: Any) -> SoftActorCritic:
     numbers = {"name": "soft_actor_critic", **SOFT_NUMBERS, **changes}
-    made = ALGORITHMS["soft_actor_critic"].made(of, ALGORITHMS.config(numbers))
+    made = ALGORITHMS["soft_actor_critic"].cls(of, ALGORITHMS.config(numbers))
     assert isinstance(made, SoftActorCritic)
     return made
 
@@ -93,7 +93,7 @@ def test_it_is_deployed_with_the_tanh_of_the_mean(action_size: int) -> None:
     with torch.no_grad():
         policy.networks[0].heads["local"].body[-1].bias[:action_size] = 3.0
     world = World(scenario, 4)
-    action = Deployed(policy, scenario).act(world.reset([0, 1, 2, 3]))
+    action = DeployedPolicy(policy, scenario).act(world.reset([0, 1, 2, 3]))
     assert action == pytest.approx(np.full((4, 2, action_size), math.tanh(3.0)), abs=0.01)
     with pytest.raises(ConfigurationError, match=rf"kinematics .* {action_size}\b"):
         squashed(action_size).check(

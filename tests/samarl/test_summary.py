@@ -12,7 +12,7 @@ from samarl.commands.bench import merged
 from samarl.evaluation.metrics import (
     METRICS,
     Metric,
-    Shown,
+    Tables,
     metric,
     metric_fields,
     wilson_interval,
@@ -21,22 +21,22 @@ from samarl.evaluation.page import page
 from samarl.evaluation.regression import compare
 from samarl.evaluation.seeds import across_seeds
 from samarl.evaluation.summary import (
-    NEEDED,
+    REQUIRED_FIELDS,
     Row,
+    case_successes,
     column_of,
     first_cases,
-    passed,
-    place_of,
     read_rows,
     row_fields,
+    scenario_column,
     summarise,
 )
 from samarl.evaluation.table import (
     column_name,
     grids_as_markdown,
+    has_driving_metrics,
     rows_as_cells,
     rows_as_markdown,
-    tells_of_driving,
 )
 from samarl.files import find_folder
 
@@ -58,7 +58,7 @@ def test_wilson_interval(successes: int, trials: int, low: float, high: float) -
 
 
 @pytest.mark.parametrize("trials", [1, 7, 500])
-def test_the_interval_holds_the_rate_and_mirrors(trials: int) -> None:
+def test_the_interval_contains_the_rate_and_is_symmetric(trials: int) -> None:
     for successes in range(trials + 1):
         low, high = wilson_interval(successes, trials)
         assert 0 <= low <= successes / trials <= high <= 1
@@ -113,7 +113,7 @@ def test_a_row_by_hand() -> None:
         # 0.3 of 10, 0.5 of 2 and 0.1 of 50.
         "csr": 25.0, "cr": 50.0, "apl": 30.0, "ntc": 40.0, "cir": 9.68,
         "close_share": 12.5, "personal_share": 25.0, "social_share": 25.0,
-        "soonest_collision": 4.0,  # the middle of 0, 2, 3, 4, 5, 6 and 10
+        "soonest_collision": 4.0,  # the median of 0, 2, 3, 4, 5, 6 and 10
         "jerk": 2.0, "standing_share": 5.0, "heading_change": 2.0,
         "path_irregularity": 0.15,  # of 1 rad on 10 m, 2 on 20 and 3 on 12
         "command": "command", "commit": "abc", "seed": 7,
@@ -138,31 +138,30 @@ def test_a_row_of_failures_has_no_lengths() -> None:
 
 
 def row(**fields: Any) -> Row:
-    made = summarise(four_episodes(), Scenario(robots=2), "mine", "command", "abc", 7)
-    return {**made, **fields}
+    return summarise(four_episodes(), Scenario(robots=2), "mine", "command", "abc", 7) | fields
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "status"),
     [
         ({}, "same "),
-        ({"commit": "other", "path_length": 3.0}, "same "),  # provenance is no difference
+        ({"commit": "other", "path_length": 3.0}, "same "),  # provenance does not matter
         ({"success_rate": 30.0}, "close "),
         ({"social_score": 31.0}, "close "),
         ({"success_rate": 69.94}, "close "),
         ({"success_rate": 70.0}, "DIFFERS "),
         ({"success_rate": 4.0}, "DIFFERS "),
-        ({"success_rate": 0.0}, "close "),  # one episode of the four ends otherwise
+        ({"success_rate": 0.0}, "close "),  # one of the four episodes has another outcome
         ({"success_rate": 75.0}, "DIFFERS "),  # two
         ({"method": "other"}, "new "),
         ({"fov_degrees": 90.0}, "new "),
         ({"robots": 3}, "new "),
     ],
 )
-def test_compare_with_the_committed_row(change: dict[str, Any], said: str) -> None:
+def test_compare_with_the_committed_row(change: dict[str, Any], status: str) -> None:
     others = [row(method="elsewhere", success_rate=99.0), row(humans=3, success_rate=99.0)]
     line = compare(row(**change), [*others, row()])
-    assert line.startswith(said)
+    assert line.startswith(status)
     assert len(line.splitlines()) == 1
 
 
@@ -195,11 +194,11 @@ def test_a_table_of_several_kinds_of_columns() -> None:
         ["360° 10h 2r occlusion position noise 0.1"],
     ]
     header, lines = rows_as_cells(rows)
-    place = header.index("place")
-    assert [line[place] for line in lines] == [
+    setting = header.index("setting")
+    assert [line[setting] for line in lines] == [
         "", "square", "-30°", "team", "zara", "occlusion position noise 0.1"
     ]  # fmt: skip
-    assert "place" not in rows_as_cells(rows[:1])[0]
+    assert "setting" not in rows_as_cells(rows[:1])[0]
     many = column_of(row(changes="a=1 b=2 c=3 d=4"))
     assert column_name(many) == "360° 10h 2r a 1 b 2 ..."
     assert compare(row(layout="square"), rows).startswith(
@@ -207,27 +206,29 @@ def test_a_table_of_several_kinds_of_columns() -> None:
     )
 
 
-def test_a_column_tells_all_that_is_not_as_by_default() -> None:
-    assert place_of(Scenario(fov_degrees=90.0, humans=3, layout=Layout.square)).changes == ""
+def test_a_column_lists_all_changed_fields() -> None:
+    assert scenario_column(Scenario(fov_degrees=90.0, humans=3, layout=Layout.square)).changes == ""
     changed = Scenario(position_noise=0.1, crowd=Crowd.social_force, occlusion=True, humans_min=2)
-    assert place_of(changed).changes == (
+    assert scenario_column(changed).changes == (
         "humans_min=2 occlusion=True position_noise=0.1 crowd=social_force"
     )
-    among = Scenario(crowd=Crowd.recorded, robot_way_max=9.0, frame_seconds=0.1, missed_detection=1)
-    assert place_of(among).changes == "missed_detection=1"
+    recorded = Scenario(
+        crowd=Crowd.recorded, robot_way_max=9.0, frame_seconds=0.1, missed_detection=1
+    )
+    assert scenario_column(recorded).changes == "missed_detection=1"
 
 
-def test_rows_of_older_tables_are_of_table_1(tmp_path: Path) -> None:
+def test_rows_of_older_tables_belong_to_table_1(tmp_path: Path) -> None:
     old = row()
     for field in ("layout", "goal_turn_degrees", "team_perception", "recording", "changes"):
         del old[field]
     (tmp_path / "old.json").write_text(json.dumps([old]))
-    found = read_rows(tmp_path / "old.json")
-    assert found is not None
-    assert compare(row(), found).startswith("same ")
+    rows = read_rows(tmp_path / "old.json")
+    assert rows is not None
+    assert compare(row(), rows).startswith("same ")
 
 
-def test_tables_line_up_and_show_the_papers_figures() -> None:
+def test_tables_are_aligned_and_show_the_results_of_the_papers() -> None:
     rows = [row(method="orca", fov_degrees=90.0, robots=3), row(method="perimeter")]
     for table in (rows_as_markdown(rows), grids_as_markdown(rows)):
         lines = table.splitlines()
@@ -243,13 +244,13 @@ def test_tables_line_up_and_show_the_papers_figures() -> None:
     assert cells["paper: SAMARL"] == "93 / -"
 
 
-def test_other_cases_are_not_held_against_the_committed_row() -> None:
+def test_rows_of_other_cases_are_not_compared() -> None:
     line = compare(row(success_rate=80.0, command="command evaluation.split=other"), [row()])
     assert line.startswith("other    mine 360° 10h 2r: success 25.0 -> 80.0 %")
 
 
 def test_the_first_cases_of_a_row_by_hand() -> None:
-    assert passed(row()).tolist() == [True, False, False, False]
+    assert case_successes(row()).tolist() == [True, False, False, False]
     first = first_cases(row(), 2)
     low, high = wilson_interval(1, 2)
     assert first["success_rate"] == 50
@@ -260,7 +261,7 @@ def test_the_first_cases_of_a_row_by_hand() -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "status"),
     [
         ({}, "same     mine 360° 10h 2r: success 33.3 -> 33.3 %, social score 25.0 -> 25.0"),
         ({"case_social_score": "4b0100"}, "close "),
@@ -270,34 +271,34 @@ def test_the_first_cases_of_a_row_by_hand() -> None:
         ({"command": "command occlusion=True evaluation.cases=3", "case_success": "c0"}, "other "),
     ],
 )
-def test_fewer_cases_are_compared_with_the_first_of_the_committed_row(
-    change: dict[str, Any], said: str
+def test_fewer_cases_are_compared_with_the_first_cases_of_the_committed_row(
+    change: dict[str, Any], status: str
 ) -> None:
     fewer = first_cases(row(), 3) | {"command": "command evaluation.cases=3"} | change
-    assert compare(fewer, [row()]).startswith(said)
+    assert compare(fewer, [row()]).startswith(status)
 
 
-def test_rows_that_are_not_played_again_are_kept() -> None:
+def test_merging_keeps_the_other_rows() -> None:
     earlier = [row(), row(method="other"), row(robots=3)]
     rows = merged([row(success_rate=80.0), row(method="a", robots=3)], earlier)
-    found = [(r["method"], r["robots"], r["success_rate"]) for r in rows]
-    assert found == [("mine", 2, 80.0), ("other", 2, 25.0), ("mine", 3, 25.0), ("a", 3, 25.0)]
+    merged_rows = [(r["method"], r["robots"], r["success_rate"]) for r in rows]
+    assert merged_rows == [("mine", 2, 80.0), ("other", 2, 25.0), ("mine", 3, 25.0), ("a", 3, 25.0)]
 
 
-def test_the_page_says_which_cases_nobody_passed() -> None:
-    among = {"recording": "zara.txt", "humans": 64}
-    rows = [row(**among), row(method="other", case_success="c0", **among)]
-    assert "passes: 360° 2r zara 50.0 %." in page("transfer", "Title", rows)
+def test_the_page_gives_the_share_of_unsolved_cases() -> None:
+    recorded = {"recording": "zara.txt", "humans": 64}
+    rows = [row(**recorded), row(method="other", case_success="c0", **recorded)]
+    assert "solves: 360° 2r zara 50.0 %." in page("transfer", "Title", rows)
     for change in ({"seed": 8}, {"episodes": 3}):  # other cases
-        assert "passes" not in page("transfer", "Title", [rows[0], rows[1] | change])
+        assert "solves" not in page("transfer", "Title", [rows[0], rows[1] | change])
     older = {name: value for name, value in rows[1].items() if name != "case_success"}
-    assert "passes" not in page("transfer", "Title", [rows[0], older])
+    assert "solves" not in page("transfer", "Title", [rows[0], older])
 
 
 def test_the_page_compares_training_seeds() -> None:
     def seeds(method: str, *rates: float) -> Row:
-        found = [row(method=method, success_rate=rate) for rate in rates]
-        return found[0] | across_seeds(found)
+        rows = [row(method=method, success_rate=rate) for rate in rates]
+        return rows[0] | across_seeds(rows)
 
     rows = [seeds("samarl", 90.0, 80.0), seeds("ppo", 70.0, 85.0), row(method="one")]
     text = page("table1", "Title", rows, ["samarl"])
@@ -311,67 +312,69 @@ def test_the_page_compares_training_seeds() -> None:
 def test_the_page_begins_with_a_short_table() -> None:
     rows = [row(method=name) for name in ("one", "two", "three")]
     text = page("table1", "Title", rows, headline=["three", "one", "absent"])
-    short, every = text.split("## Every method\n")
+    short, every = text.split("## All methods\n")
     names = [line.split("|")[1].strip() for line in short.splitlines() if line.startswith("|")]
     assert names[2:] == ["three", "one"]
     assert "| two" in every
-    assert "Every method" not in page("table1", "Title", rows)
+    assert "All methods" not in page("table1", "Title", rows)
 
 
 COMMITTED = find_folder("results") / "table1.json"
 
 
 @pytest.mark.parametrize("name", METRICS)
-def test_every_metric_gives_its_fields(name: str) -> None:
-    """Numbers, rounded; with robots that all fail and no humans, a number or nothing."""
-    known, episodes = METRICS[name], four_episodes()
-    found = known.of(episodes)
-    assert tuple(found) == known.fields
-    for value in found.values():
+def test_every_metric_returns_its_fields(name: str) -> None:
+    """Rounded numbers; None is allowed if all robots fail and there are no humans."""
+    metric, episodes = METRICS[name], four_episodes()
+    fields = metric.row_fields(episodes)
+    assert tuple(fields) == metric.fields
+    for value in fields.values():
         assert isinstance(value, float)
-        assert value == round(value, known.decimals)
+        assert value == round(value, metric.decimals)
     failed = episodes._replace(
         outcome=np.full((4, 2), Outcome.timeout, np.int8),
         closest_human=np.full((4, 2), np.inf),
     )
-    assert all(value is None or np.isfinite(value) for value in known.of(failed).values())
+    assert all(value is None or np.isfinite(value) for value in metric.row_fields(failed).values())
     one = row()
-    assert known.cell(one)[0].isdigit()
-    assert known.cell({**one, **dict.fromkeys(known.fields)}) == "-"
-    assert known.cell({}) == ""
-    for table in Shown:
+    assert metric.cell(one)[0].isdigit()
+    assert metric.cell({**one, **dict.fromkeys(metric.fields)}) == "-"
+    assert metric.cell({}) == ""
+    for table in Tables:
         header, lines = rows_as_cells([one], table=table)
-        assert (known.heading in header) == (bool(known.heading) and table in known.shown)
-        if known.heading in header:
-            assert lines[0][header.index(known.heading)] == known.cell(one)
+        assert (metric.heading in header) == (bool(metric.heading) and table in metric.tables)
+        if metric.heading in header:
+            assert lines[0][header.index(metric.heading)] == metric.cell(one)
 
 
 def test_committed_rows_have_every_metric_of_the_printed_table() -> None:
-    """Those of how the robots drive and of MSA3C came later; all stand in their order."""
+    """The metrics of driving and of MSA3C were added later; all are in the order of the fields."""
     rows = read_rows(COMMITTED)
     assert rows is not None
-    shown = Shown.driving, Shown.counted
-    later = {f for known in METRICS.values() if known.shown in shown for f in known.fields}
+    added = Tables.driving, Tables.counted
+    later = {f for metric in METRICS.values() if metric.tables in added for f in metric.fields}
     later |= {"scenario", "collisions_end"}
-    of_seeds = list(across_seeds(rows[:2]))
-    aside = {*of_seeds, "from_training", "training_commit", "training_commands"}
+    seed_fields = list(across_seeds(rows[:2]))
+    optional = {*seed_fields, "from_training", "training_commit", "training_commands"}
     for one in rows:
         assert set(row_fields()) - later <= one.keys()
-        assert [name for name in one if name not in aside] == [
+        assert [name for name in one if name not in optional] == [
             name for name in row_fields() if name in one
         ]
-    assert {tuple(name for name in one if name in of_seeds) for one in rows} == {
-        (), tuple(of_seeds)
+    assert {tuple(name for name in one if name in seed_fields) for one in rows} == {
+        (), tuple(seed_fields)
     }  # fmt: skip
 
 
-def test_a_row_older_than_how_the_robots_drive_has_empty_cells() -> None:
-    """The shares of closeness and collisions between robots are older, and known."""
-    later = {f for known in METRICS.values() if known.shown is Shown.driving for f in known.fields}
+def test_a_row_without_driving_metrics_has_empty_cells() -> None:
+    """Only the close share and collisions between robots were measured before."""
+    later = {
+        f for metric in METRICS.values() if metric.tables is Tables.driving for f in metric.fields
+    }
     old = {name: value for name, value in row().items() if name not in later}
-    assert not tells_of_driving([old])
-    assert tells_of_driving([old, row()])
-    header, (line, of_now) = rows_as_cells([old, row()], table=Shown.driving)
+    assert not has_driving_metrics([old])
+    assert has_driving_metrics([old, row()])
+    header, (line, of_now) = rows_as_cells([old, row()], table=Tables.driving)
     assert header[4:] == (
         "success % [95 %]", "robots' success %", "robot on person %", "person on robot %",
         "hit robot %", "close %", "personal %", "social %", "soonest collision s", "not moving %",
@@ -387,7 +390,7 @@ def test_a_row_older_than_how_the_robots_drive_has_empty_cells() -> None:
 
 @pytest.fixture
 def longest(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A metric more, for the time of a test."""
+    """Register another metric during a test."""
     monkeypatch.setitem(METRICS, "longest", Metric(
         ("longest",), "longest s", "{:.1f}", 2, lambda episodes: episodes.duration.max()
     ))  # fmt: skip
@@ -402,17 +405,17 @@ def test_a_new_metric_is_in_the_row_and_in_the_table() -> None:
     assert compare(row(), [old]).startswith("same ")
 
 
-def test_names_of_metrics_are_their_own() -> None:
-    with pytest.raises(ValueError, match="metric field 'success_low' is there already"):
+def test_invalid_metrics_are_refused() -> None:
+    with pytest.raises(ValueError, match="metric field 'success_low' is already registered"):
         metric("mine", "success_low", heading="mine")(lambda episodes: (0.0, 0.0))
     assert "mine" not in metric_fields()
     wrong = Metric(("a", "b"), "", "", 2, lambda episodes: 1.0)
-    with pytest.raises(ValueError, match="metric a gives 1 values; it must give 2: a, b"):
-        wrong.of(four_episodes())
+    with pytest.raises(ValueError, match=r"metric a returns 1 values; .* 2: a, b"):
+        wrong.row_fields(four_episodes())
 
 
-@pytest.mark.parametrize("name", NEEDED)
-def test_a_row_that_lacks_what_it_needs_is_refused(tmp_path: Path, name: str) -> None:
+@pytest.mark.parametrize("name", REQUIRED_FIELDS)
+def test_a_row_without_a_required_field_is_refused(tmp_path: Path, name: str) -> None:
     rows = json.loads(COMMITTED.read_text())
     del rows[3][name]
     path = tmp_path / "table.json"
@@ -423,7 +426,7 @@ def test_a_row_that_lacks_what_it_needs_is_refused(tmp_path: Path, name: str) ->
 
 
 @pytest.mark.parametrize("content", ["{}", "[]", "[1, 2]", '[{"worlds": 1}]', '"text"'])
-def test_what_is_not_meant_as_rows_is_none(tmp_path: Path, content: str) -> None:
+def test_files_without_rows_are_ignored(tmp_path: Path, content: str) -> None:
     path = tmp_path / "other.json"
     path.write_text(content)
     assert read_rows(path) is None

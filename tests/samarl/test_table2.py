@@ -1,4 +1,4 @@
-"""MSA3C's scenarios and its Table 2: what its columns are called, and the papers' lines."""
+"""MSA3C's scenarios and its Table 2 with the results of the paper."""
 
 import re
 import shlex
@@ -14,7 +14,7 @@ from samarl.commands.bench import _command, main
 from samarl.configuration import load_scenario, scenario_of
 from samarl.evaluation.papers import PAPER_CO_PLANNING
 from samarl.evaluation.runner import Evaluation
-from samarl.evaluation.summary import Row, place_of, read_rows
+from samarl.evaluation.summary import Row, read_rows, scenario_column
 from samarl.evaluation.table import column_name, rows_as_cells
 from samarl.files import find_folder
 
@@ -29,7 +29,7 @@ def table2() -> list[dict]:
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_the_scenarios_are_msa3cs(name: str) -> None:
+def test_the_scenarios_are_those_of_msa3c(name: str) -> None:
     s = load_scenario(name)
     assert (s.humans, s.circle_radius) == SCENES[name]
     assert (s.robots, s.time_step, s.time_limit_steps, s.collisions_end) == (3, 0.25, 150, False)
@@ -67,14 +67,15 @@ def test_samarl_is_trained_in_10p3r_too() -> None:
         assert played == replace(load_scenario("10p3r"), humans_min=least, **own)
 
 
-def test_a_file_that_names_its_scenario_names_itself() -> None:
+def test_scenario_files_have_their_own_name() -> None:
     for path in (CONF / "scenario").glob("*.yaml"):
         assert load_scenario(path.stem).name in (path.stem, Scenario.name)
 
 
-def test_the_papers_have_figures_of_every_column() -> None:
+def test_every_column_has_results_of_the_paper() -> None:
     places = [
-        place_of(scenario_of(column), load_scenario(column["scenario"])) for column in table2()
+        scenario_column(scenario_of(column), load_scenario(column["scenario"]))
+        for column in table2()
     ]
     assert {(place.scenario, place.changes) for place in places} == set(PAPER_CO_PLANNING)
     assert [column_name(place) for place in places] == [
@@ -83,7 +84,7 @@ def test_the_papers_have_figures_of_every_column() -> None:
     assert len({place.kind for place in places}) == 1
 
 
-def test_a_command_of_a_named_scenario_says_only_what_is_changed() -> None:
+def test_the_command_of_a_named_scenario_has_only_its_changes() -> None:
     named = load_scenario("10p3r")
     stage_two = replace(named, humans=7, reward=replace(named.reward, collision=-5.0))
     words = shlex.split(_command("orca", stage_two, named, Evaluation()))
@@ -91,7 +92,7 @@ def test_a_command_of_a_named_scenario_says_only_what_is_changed() -> None:
         "samarl-evaluate", "agent=orca", "scenario=10p3r", "scenario.fov_degrees=360",
         "scenario.humans=7", "scenario.robots=3", "scenario.reward.collision=-5.0",
     ]  # fmt: skip
-    assert place_of(stage_two, named).changes == "humans=7"
+    assert scenario_column(stage_two, named).changes == "humans=7"
 
 
 @pytest.mark.parametrize(
@@ -104,7 +105,7 @@ def test_a_command_of_a_named_scenario_says_only_what_is_changed() -> None:
         ("{scenario: 5p3r, humens: 3}", "humens is not known; did you mean humans?"),
     ],
 )
-def test_a_column_that_cannot_be_is_refused(
+def test_invalid_columns_are_refused(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], column: str, message: str
 ) -> None:
     monkeypatch.setattr(sys, "argv", ["samarl-bench", "agents=[straight]", f"columns=[{column}]"])
@@ -126,9 +127,9 @@ def played(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, list[Row]]:
     return (Path(folder) / "table2.md").read_text(), rows
 
 
-def test_the_papers_lines_stand_below_ours(played: tuple[str, list[Row]]) -> None:
+def test_the_results_of_the_paper_are_below_ours(played: tuple[str, list[Row]]) -> None:
     text, rows = played
-    grid = text.split("## Every row")[0]
+    grid = text.split("## All rows")[0]
     lines = [re.split(r" *\| *", line)[1:-1] for line in grid.splitlines() if line[:1] == "|"]
     header, _, *cells = lines
     assert header == [
@@ -147,7 +148,7 @@ def test_the_papers_lines_stand_below_ours(played: tuple[str, list[Row]]) -> Non
     assert [row["scenario"] for row in rows] == ["5p3r", "5p3r", "20p3r", "20p3r"]
 
 
-def test_every_row_shows_them_only_where_collisions_are_counted(
+def test_rows_have_these_metrics_only_if_collisions_do_not_end_the_episode(
     played: tuple[str, list[Row]],
 ) -> None:
     _, rows = played

@@ -7,7 +7,7 @@ import numpy as np
 import torch
 
 from samarl.algorithms.advantages import streams
-from samarl.planning.shield import Shield, shielded
+from samarl.planning.shield import Shield, apply_shield
 from samarl.policies.policy import LOCAL
 from samarl.training.collector import RolloutCollector
 from samarl.training.curriculum import CurriculumStage
@@ -29,7 +29,9 @@ def test_the_shield_is_asked_about_what_the_policy_would_do_without_noise() -> N
         wanted = decision.step.mean.clamp(-1.0, 1.0).numpy()
         steps = going.collect().steps
         safe = steps["agents", "safe_action"][:, 0].numpy()
-        np.testing.assert_array_equal(safe, shielded(decision.tracks, wanted, scenario, Shield()))
+        np.testing.assert_array_equal(
+            safe, apply_shield(decision.tracks, wanted, scenario, Shield())
+        )
         unsafe = steps["agents", "unsafe"][:, 0].numpy()
         np.testing.assert_array_equal(safe[~unsafe], wanted[~unsafe])
         if unsafe.any():

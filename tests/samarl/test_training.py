@@ -81,7 +81,7 @@ def test_a_killed_run_goes_on_bit_for_bit(tmp_path: Path) -> None:
             name = f"run/{which}.safetensors"
             assert (whole / name).read_bytes() == (folder / name).read_bytes()
             cards = [(made / name).with_suffix(".json") for made in (whole, folder)]
-            commands = [json.loads(card.read_text())["made"]["command"] for card in cards]
+            commands = [json.loads(card.read_text())["provenance"]["command"] for card in cards]
             assert commands[0] == commands[1]
         assert [path.name for path in folder.iterdir()] == ["run"]
     header = (cut / "run/progress.csv").read_text().splitlines()[0].split(",")
@@ -142,7 +142,7 @@ def test_a_stopped_run_saves_and_says_so_in_one_line(how: signal.Signals, tmp_pa
     process.send_signal(how)
     _, errors = process.communicate(timeout=60)
     assert process.returncode == 130
-    assert errors == "interrupted; go on with: samarl-train resume=run\n"
+    assert errors == "interrupted; resume with: samarl-train resume=run\n"
     assert (tmp_path / "run/state.safetensors").exists()
     assert (tmp_path / "run/last.safetensors").exists()
 
@@ -219,8 +219,8 @@ def test_a_saved_policy_drives_as_the_one_that_was_saved(tmp_path: Path) -> None
     found, card = load_policy(path)
     original = policy().state_dict()
     assert all(torch.equal(value, original[key]) for key, value in found.state_dict().items())
-    assert card.made == {"command": "test"}
-    scenario, cases = Scenario(humans=2), Evaluation(cases=5).numbers()
+    assert card.provenance == {"command": "test"}
+    scenario, cases = Scenario(humans=2), Evaluation(cases=5).case_numbers()
     first = run_cases(build_agent(learned(path), scenario), scenario, cases, 5)
     again = run_cases(build_agent(learned(path), scenario), scenario, cases, 2)
     assert first.outcome.tolist() == again.outcome.tolist()
@@ -324,7 +324,7 @@ def test_a_curriculum_with_a_mistake_is_refused(
 def test_without_its_waypoints_it_drives_otherwise(plan: str, tmp_path: Path) -> None:
     path = tmp_path / "policy.safetensors"
     save_policy(path, policy(gain=100.0), "hierarchical", {})
-    scenario, cases = Scenario(humans=2), Evaluation(cases=3).numbers()
+    scenario, cases = Scenario(humans=2), Evaluation(cases=3).case_numbers()
     with_waypoints = run_cases(build_agent(learned(path), scenario), scenario, cases, 3)
     agent = build_agent({**learned(path), "waypoints": plan}, scenario)
     without = run_cases(agent, scenario, cases, 3)

@@ -10,7 +10,7 @@ import torch
 
 from mrsan import ConfigurationError, World
 from mrsan.features import GOAL
-from samarl.agents.learned import Deployed
+from samarl.agents.learned import DeployedPolicy
 from samarl.algorithms.action_limits import excess
 from samarl.encoders import ENCODERS
 from samarl.observations.features import to_body
@@ -28,7 +28,7 @@ def test_a_robot_decides_from_its_own_observations_alone() -> None:
     model = policy(gain=50.0)  # far from the small initial outputs
     one, other = World(SCENARIO, 3), World(SCENARIO, 3)
     observations = [world.reset([1, 2, 3]) for world in (one, other)]
-    agents = [Deployed(model, SCENARIO) for _ in range(2)]
+    agents = [DeployedPolicy(model, SCENARIO) for _ in range(2)]
     for agent in agents:
         agent.reset(np.ones(3, np.bool_))
     other.state.robot_goal[:, 1] += 3.0  # robot 1's private state
@@ -44,7 +44,7 @@ def test_a_robot_decides_from_its_own_observations_alone() -> None:
 def test_the_batch_does_not_change_a_decision() -> None:
     model, scenario = policy(), replace(SCENARIO, time_limit=50.0)
     world = World(scenario, 5)
-    agent, alone = Deployed(model, scenario), Deployed(model, scenario)
+    agent, alone = DeployedPolicy(model, scenario), DeployedPolicy(model, scenario)
     agent.reset(np.ones(5, np.bool_))
     alone.reset(np.ones(1, np.bool_))
     observation = world.reset([0, 1, 2, 3, 4])
@@ -163,18 +163,18 @@ def test_robots_with_parameters_of_their_own_act_alone() -> None:
     assert all(np.isfinite(value) for value in statistics.values())
     # What robot 0 does depends on its own parameters alone.
     observation = World(SCENARIO).reset([0])
-    before = Deployed(model, SCENARIO).act(observation)
+    before = DeployedPolicy(model, SCENARIO).act(observation)
     with torch.no_grad():
         for parameter in model.networks[1].parameters():
             parameter.add_(0.1)
-    after = Deployed(model, SCENARIO).act(observation)
+    after = DeployedPolicy(model, SCENARIO).act(observation)
     np.testing.assert_array_equal(after[:, 0], before[:, 0])
     assert (after[:, 1] != before[:, 1]).any()
 
 
 def test_robots_with_parameters_of_their_own_must_be_so_many() -> None:
     with pytest.raises(ConfigurationError, match=r"scenario\.robots .*3.* 2\b"):
-        Deployed(policy(num_parameter_sets=2), replace(SCENARIO, robots=3))
+        DeployedPolicy(policy(num_parameter_sets=2), replace(SCENARIO, robots=3))
 
 
 def test_low_precision_is_close_and_learns() -> None:

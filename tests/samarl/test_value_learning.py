@@ -15,14 +15,14 @@ from tensordict import TensorDict
 from mrsan import ConfigurationError, Scenario, World
 from mrsan.fields import required
 from samarl.agents import build_agent
-from samarl.agents.learned import Deployed, Learned
+from samarl.agents.learned import DeployedPolicy, Learned
 from samarl.algorithms import ALGORITHMS
 from samarl.algorithms.value_learning import OTHERS, ValueLearning, samples_of, widened
 from samarl.configuration import load_agent
 from samarl.encoders import ENCODERS, Encoder
 from samarl.observations.features import frames_of
 from samarl.observations.frames import Frames
-from samarl.planning.lookahead import command_set
+from samarl.planning.one_step import command_set
 from samarl.policies.checkpoint import make_policy
 from samarl.policies.lookahead import LookaheadPolicy
 from samarl.registry import Entry
@@ -45,7 +45,7 @@ def lookahead(action_size: int = 3, encoder: str = "pairwise", **changes: Any) -
 
 def learner(of: LookaheadPolicy, **changes: Any) -> ValueLearning:
     numbers = {"name": "value_learning", **VALUE_NUMBERS, **changes}
-    made = ALGORITHMS["value_learning"].made(of, ALGORITHMS.config(numbers))
+    made = ALGORITHMS["value_learning"].cls(of, ALGORITHMS.config(numbers))
     assert isinstance(made, ValueLearning)
     return made
 
@@ -120,7 +120,7 @@ def test_what_does_not_fit_together_is_refused() -> None:
         with pytest.raises(ConfigurationError, match=rf"policy\.encoder .*{encoder}"):
             lookahead(encoder=encoder)
     with pytest.raises(ConfigurationError, match=r"policy.*lookahead"):
-        ALGORITHMS["value_learning"].made(
+        ALGORITHMS["value_learning"].cls(
             make_policy(**_flat(), action_size=3),
             ALGORITHMS.config({"name": "value_learning", **VALUE_NUMBERS}),
         )
@@ -201,7 +201,7 @@ def test_attention_instead_of_the_minimum_needs_an_encoder_alone(
     assert policy.networks[0].heads["local"][-1].out_features == 1
     scenario = Scenario(robots=2, humans=4, sensing_range=20.0)
     observation = World(scenario, 2).reset([0, 1])
-    deployed = Deployed(policy, scenario)
+    deployed = DeployedPolicy(policy, scenario)
     deployed.act(observation)
     explanation = deployed.explain()
     assert explanation is not None
@@ -407,7 +407,7 @@ def test_a_run_learns_goes_on_and_its_policy_drives(tmp_path: Path) -> None:
     world = World(scenario, 2)
     observation = world.reset([0, 1])
     commands = command_set(COMMANDS, scenario.kinematics)
-    deployed = Deployed(last.mean, scenario)
+    deployed = DeployedPolicy(last.mean, scenario)
     for _ in range(4):
         action = agent.act(observation)
         assert (action[:, :, None] == commands).all(-1).any(-1).all()

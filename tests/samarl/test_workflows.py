@@ -1,4 +1,4 @@
-"""What users do, as they do it: in a folder of their own, from the command line."""
+"""Workflows of users: commands run in a folder of their own."""
 
 import json
 import os
@@ -21,7 +21,7 @@ COMMANDS = ("evaluate", "bench", "render", "report", "predictor", "export")
 def run(
     command: str, *arguments: str, cwd: Path, code: int = 0, **variables: str
 ) -> subprocess.CompletedProcess[str]:
-    """`python -m samarl.commands.<command> <arguments>`, which must end with `code`."""
+    """Run `python -m samarl.commands.<command> <arguments>` and check its exit code."""
     environment = os.environ | {"NUMBA_NUM_THREADS": "1", "COLUMNS": "200", **variables}
     environment.pop("HYDRA_FULL_ERROR", None)
     done = subprocess.run(
@@ -49,7 +49,7 @@ def test_one_evaluation_writes_its_row_and_its_episodes(tmp_path: Path) -> None:
     assert row["social_score"] == pytest.approx(sum(scores) / 12, abs=0.01)
     assert "| straight | 360° |" in done.stdout
 
-    # The row's command is all it takes to make it again.
+    # The command in the row reproduces it.
     words = row["command"].split()
     assert words[0] == "samarl-evaluate"
     run("evaluate", *words[1:], "hydra.run.dir=again", cwd=tmp_path)
@@ -60,7 +60,7 @@ def test_one_evaluation_writes_its_row_and_its_episodes(tmp_path: Path) -> None:
     ).read_text()
 
 
-def test_a_sweep_gathers_a_table_and_goes_on_where_it_stopped(tmp_path: Path) -> None:
+def test_a_sweep_writes_a_table_and_resumes(tmp_path: Path) -> None:
     sweep = ["-m", "agent=straight", "scenario.fov_degrees=90,360", "scenario.robots=2,3",
              "evaluation.cases=4"]  # fmt: skip
     first = run("evaluate", *sweep, cwd=tmp_path)
@@ -68,7 +68,7 @@ def test_a_sweep_gathers_a_table_and_goes_on_where_it_stopped(tmp_path: Path) ->
     assert folder.name.startswith("fov_degrees-robots-")
     cells = sorted(folder.glob("**/row.json"))
     assert len(cells) == 4
-    assert "finished before" not in first.stdout
+    assert "already finished" not in first.stdout
     rows = json.loads((folder / "table.json").read_text())
     columns = [(row["fov_degrees"], row["robots"]) for row in rows]
     assert columns == [(90.0, 2), (90.0, 3), (360.0, 2), (360.0, 3)]
@@ -76,36 +76,36 @@ def test_a_sweep_gathers_a_table_and_goes_on_where_it_stopped(tmp_path: Path) ->
     assert len(table.splitlines()) == 2 + 4
 
     again = run("evaluate", *sweep, cwd=tmp_path)
-    assert again.stdout.count("finished before") == 4
+    assert again.stdout.count("already finished") == 4
     assert (folder / "table.md").read_text() == table
 
     cells[2].unlink()
     last = run("evaluate", *sweep, cwd=tmp_path)
-    assert last.stdout.count("finished before") == 3
+    assert last.stdout.count("already finished") == 3
     assert cells[2].exists()
     assert json.loads((folder / "table.json").read_text()) == rows
 
-    # Other cases are another question: nothing that was finished answers it.
+    # Other cases belong to another sweep.
     other = run("evaluate", *sweep[:-1], "evaluation.cases=5", cwd=tmp_path)
-    assert "finished before" not in other.stdout
-    assert len(list((tmp_path / "outputs/sweep").iterdir())) == 2  # a table of its own
+    assert "already finished" not in other.stdout
+    assert len(list((tmp_path / "outputs/sweep").iterdir())) == 2  # with its own table
     assert (folder / "table.md").read_text() == table
 
 
-def test_a_sweep_of_a_clusters_launcher_goes_on_on_one_machine(tmp_path: Path) -> None:
+def test_a_sweep_of_a_cluster_resumes_on_one_machine(tmp_path: Path) -> None:
     sweep = ["-m", "agent=straight", "scenario.fov_degrees=90,360", "scenario.robots=2,3",
              "evaluation.cases=4"]  # fmt: skip
     run("evaluate", *sweep, "hydra/launcher=submitit_local", cwd=tmp_path)
     (folder,) = (tmp_path / "outputs/sweep").iterdir()
     assert len(list(folder.glob("*/row.json"))) == 4
-    assert len(list(folder.glob(".submitit/*/*_result.pkl"))) == 4  # a job each
+    assert len(list(folder.glob(".submitit/*/*_result.pkl"))) == 4  # one job per cell
     table = (folder / "table.md").read_text()
     rows = json.loads((folder / "table.json").read_text())
     columns = [(row["fov_degrees"], row["robots"]) for row in rows]
     assert columns == [(90.0, 2), (90.0, 3), (360.0, 2), (360.0, 3)]
 
     again = run("evaluate", *sweep, cwd=tmp_path)
-    assert again.stdout.count("finished before") == 4
+    assert again.stdout.count("already finished") == 4
     assert (folder / "table.md").read_text() == table
 
 
@@ -116,8 +116,8 @@ def test_the_bench_writes_table_1_in_the_documented_form(tmp_path: Path) -> None
     assert [list(row) for row in rows] == [row_fields()] * len(rows)
     columns = [(90.0, 10, 3), (90.0, 10, 5), (360.0, 10, 5), (360.0, 10, 3)]
     expected = [(method, *column) for column in columns for method in ("orca", "perimeter")]
-    found = [(r["method"], r["fov_degrees"], r["humans"], r["robots"]) for r in rows]
-    assert sorted(found) == sorted(expected)
+    actual = [(r["method"], r["fov_degrees"], r["humans"], r["robots"]) for r in rows]
+    assert sorted(actual) == sorted(expected)
     assert {row["episodes"] for row in rows} == {2}
     page = (tmp_path / "mine/table1.md").read_text()
     assert "paper: SAMARL" in page
@@ -128,18 +128,18 @@ def test_the_bench_writes_table_1_in_the_documented_form(tmp_path: Path) -> None
     assert len(verdicts) == len(rows)
 
 
-def test_the_bench_plays_elsewhere_and_among_recorded_people(tmp_path: Path) -> None:
+def test_the_bench_evaluates_other_layouts_and_recordings(tmp_path: Path) -> None:
     shipped = Path(mrsan.__file__).parent / "recording"
     words = ["table=transfer", "agents=[orca,straight]", "evaluation.cases=2", "output=mine"]
     columns = "columns=[{layout: square}, {fov_degrees: 90, team_perception: tracks}]"
     done = run("bench", *words, columns, f"recordings={shipped}", cwd=tmp_path)
     rows = json.loads((tmp_path / "mine/transfer.json").read_text())
-    places = {(r["layout"], r["team_perception"], r["recording"]) for r in rows}
-    assert places == {("square", "none", None), ("circle", "tracks", None),
-                      ("circle", "none", "synthetic.txt")}  # fmt: skip
+    settings = {(r["layout"], r["team_perception"], r["recording"]) for r in rows}
+    assert settings == {("square", "none", None), ("circle", "tracks", None),
+                        ("circle", "none", "synthetic.txt")}  # fmt: skip
     assert len(rows) == 6
     page = (tmp_path / "mine/transfer.md").read_text()
-    assert "Cases that none of these agents passes: 360° 3r synthetic " in page
+    assert "Cases that no agent solves: 360° 3r synthetic " in page
     assert str(tmp_path) not in page
     assert str(shipped) not in json.dumps(rows)
     assert done.stdout.count("new ") >= 6
@@ -156,13 +156,13 @@ def test_the_bench_plays_elsewhere_and_among_recorded_people(tmp_path: Path) -> 
         ["colums=[]"],
     ],
 )
-def test_the_bench_refuses_what_it_cannot_play(tmp_path: Path, arguments: list[str]) -> None:
+def test_the_bench_refuses_invalid_settings(tmp_path: Path, arguments: list[str]) -> None:
     done = run("bench", *arguments, cwd=tmp_path, code=2)
     assert done.stderr.startswith("error: ")
     assert len(done.stderr.splitlines()) == 1
 
 
-def test_the_bench_plays_a_policy_in_its_own_views(tmp_path: Path) -> None:
+def test_the_bench_evaluates_policies_only_in_their_views(tmp_path: Path) -> None:
     words = ["agents=[samarl_narrow]", "evaluation.cases=1", "output=mine"]
     columns = "[{fov_degrees: 90, robots: 1}, {fov_degrees: 360, robots: 1}]"
     done = run("bench", *words, f"columns={columns}", cwd=tmp_path)
@@ -170,16 +170,18 @@ def test_the_bench_plays_a_policy_in_its_own_views(tmp_path: Path) -> None:
     assert {row["fov_degrees"] for row in rows} == {90.0}
     assert "samarl_narrow: samarl_narrow was trained for a view of 90 degrees; here" in done.stdout
     done = run("bench", *words, "columns=[{fov_degrees: 120}]", cwd=tmp_path, code=2)
-    assert done.stderr.startswith("error: columns has nothing to play: samarl_narrow was trained")
+    assert done.stderr.startswith(
+        "error: columns has no column that an agent can play: samarl_narrow was trained"
+    )
 
 
-def test_a_mistake_is_one_line_and_exit_code_2(tmp_path: Path) -> None:
+def test_user_errors_are_one_line_with_exit_code_2(tmp_path: Path) -> None:
     done = run("evaluate", "scenario.fov_degrees=400", cwd=tmp_path, code=2)
     assert done.stderr == "error: scenario.fov_degrees is 400.0; it must lie in (0, 360]\n"
     assert done.stdout == ""
 
 
-def test_a_reader_who_leaves_early_is_no_error(tmp_path: Path) -> None:
+def test_a_closed_pipe_is_not_an_error(tmp_path: Path) -> None:
     words = ["agent=straight", "evaluation.cases=2", "hydra.run.dir=here"]
     with subprocess.Popen(
         [sys.executable, "-m", "samarl.commands.evaluate", *words],
@@ -203,10 +205,10 @@ def test_render_draws_a_case(tmp_path: Path) -> None:
     assert (tmp_path / "case.gif").read_bytes().startswith(b"GIF89a")
     run("render", "agent=straight", f"case={2**41 + 3}", "scenario.robots=2", "output=same.png",
         cwd=tmp_path)  # fmt: skip
-    assert (tmp_path / "same.png").read_bytes() == picture  # the number of episodes.jsonl
+    assert (tmp_path / "same.png").read_bytes() == picture  # a case number as in episodes.jsonl
     run("render", "agent=straight", "against=straight", "case=3", "output=two.png", cwd=tmp_path)
     with Image.open(tmp_path / "two.png") as two, Image.open(tmp_path / "case.png") as one:
-        assert two.width > 1.7 * one.width  # the same agent twice, of one perhaps another policy
+        assert two.width > 1.7 * one.width  # the same agent twice, for example with two checkpoints
     done = run("render", "output=case.txt", cwd=tmp_path, code=2)
     assert (
         done.stderr
@@ -236,24 +238,24 @@ class Slow(Agent):
 '''
 
 
-def test_an_agent_of_ones_own_is_one_class_and_one_yaml(tmp_path: Path) -> None:
+def test_a_custom_agent_is_one_class_and_one_yaml_file(tmp_path: Path) -> None:
     (tmp_path / "my_planner.py").write_text(OWN_AGENT)
     (tmp_path / "conf/agent").mkdir(parents=True)
     (tmp_path / "conf/agent/slow.yaml").write_text("_target_: my_planner.Slow\nthrottle: 0.5\n")
-    mine = ["--config-dir", "conf", "agent=slow", "scenario.humans=0", "scenario.robots=1",
-            "evaluation.cases=3", "hydra.run.dir=here"]  # fmt: skip
-    run("evaluate", *mine, cwd=tmp_path)
+    words = ["--config-dir", "conf", "agent=slow", "scenario.humans=0", "scenario.robots=1",
+             "evaluation.cases=3", "hydra.run.dir=here"]  # fmt: skip
+    run("evaluate", *words, cwd=tmp_path)
     row = json.loads((tmp_path / "here/row.json").read_text())["row"]
     assert (row["method"], row["success_rate"]) == ("slow", 100.0)
-    done = run("evaluate", *mine, "agent.throttle=2", cwd=tmp_path, code=2)
+    done = run("evaluate", *words, "agent.throttle=2", cwd=tmp_path, code=2)
     assert done.stderr == "error: agent.throttle is 2.0; it must lie in [0, 1]\n"
 
 
 @pytest.mark.parametrize("command", [*COMMANDS, "train"])
-def test_help_is_quick_to_say(command: str, tmp_path: Path) -> None:
-    """Every number is shown with its range, and nothing that takes seconds to import is imported.
+def test_help_is_fast(command: str, tmp_path: Path) -> None:
+    """Help shows ranges and imports nothing slow.
 
-    But by those of training and of the export, which have settings of what needs torch.
+    Training and export are exceptions, since some of their settings need torch.
     """
     code = (
         "import sys\nfrom runpy import run_module\n"
@@ -273,10 +275,10 @@ def test_help_is_quick_to_say(command: str, tmp_path: Path) -> None:
     expected = {
         "export": ("robot_radius: 0.3", "m [0.05, 2]"),
         "evaluate": ("fov_degrees: 360.0", "centred on the heading, degrees (0, 360]"),
-        "render": ("time_horizon: 5.0", "be safe, s [0.01, 100]"),
-        "report": ("agents: null", "# a list of names to record; null: all of conf/agent/"),
-        "predictor": ("history: 8", "reads: 1.75 s [2, 200]"),
-        "bench": ("cases: 500", "[1, 1e+06]"),
+        "render": ("time_horizon: 5.0", "must be safe, s [0.01, 100]"),
+        "report": ("agents: null", "# list of agents in the replays; null: all of conf/agent/"),
+        "predictor": ("history: 8", "which cover 1.75 s [2, 200]"),
+        "bench": ("cases: 500", "number of cases [1, 1e+06]"),
         "train": ("waypoint_range: 1.5", "may move it from there, m [0.1, 100]"),
     }
     setting, meaning = expected[command]
@@ -298,40 +300,40 @@ evaluate()
 """
 
 
-def test_a_command_stopped_while_it_loads_says_so_in_one_line() -> None:
+def test_an_interrupt_during_imports_is_reported_in_one_line() -> None:
     done = subprocess.run(
         [sys.executable, "-c", INTERRUPTED_IMPORT], capture_output=True, text=True
     )
     assert (done.returncode, done.stderr) == (130, "interrupted\n")
 
 
-def test_help_is_of_what_is_chosen(tmp_path: Path) -> None:
+def test_help_describes_the_selected_configuration(tmp_path: Path) -> None:
     done = run("train", "algorithm=ippo", "encoder=gru", "--help", cwd=tmp_path)
     assert "name: ippo" in done.stdout
     assert "# of the embeddings and of the hidden state [8, 1024]" in done.stdout
     (tmp_path / "conf/agent").mkdir(parents=True)
     (tmp_path / "conf/agent/slow.yaml").write_text(
-        "_target_: samarl.agents.planners.perimeter.Perimeter\nradius: 7.0  # of mine\n"
+        "_target_: samarl.agents.planners.perimeter.Perimeter\nradius: 7.0  # smaller\n"
     )
     done = run("evaluate", "--config-dir", "conf", "agent=slow", "--help", cwd=tmp_path)
     assert "  radius: 7.0  " in done.stdout
     assert run("bench", "--version", cwd=tmp_path).stdout == f"samarl {samarl.__version__}\n"
 
 
-def test_what_cannot_be_written_is_refused_before_anything_is_played(tmp_path: Path) -> None:
-    (tmp_path / "taken").write_text("a file")
-    for command, output in (("render", "taken/case.png"), ("bench", "taken"), ("report", "taken")):
+def test_unwritable_outputs_are_refused_before_anything_is_run(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("a file")
+    for command, output in (("render", "file/case.png"), ("bench", "file"), ("report", "file")):
         done = run(command, f"output={output}", cwd=tmp_path, code=2)
-        assert "where nothing can be written" in done.stderr
-        assert done.stderr.startswith("error: output is 'taken")
+        assert "which cannot be written" in done.stderr
+        assert done.stderr.startswith("error: output is 'file")
         assert len(done.stderr.splitlines()) == 1
 
 
-def test_a_policy_outside_of_its_views_says_so(tmp_path: Path) -> None:
+def test_a_policy_outside_of_its_views_prints_a_warning(tmp_path: Path) -> None:
     words = ["agent=samarl_narrow", "evaluation.cases=1", "scenario.time_limit=1"]
     done = run("evaluate", *words, "scenario.fov_degrees=120", cwd=tmp_path)
-    said = "note: samarl_narrow was trained for a view of 90 degrees; here it is 120 degrees\n"
-    assert said in done.stderr
+    note = "note: samarl_narrow was trained for a view of 90 degrees; here it is 120 degrees\n"
+    assert note in done.stderr
     done = run("evaluate", *words, "scenario.fov_degrees=90", cwd=tmp_path)
     assert "note:" not in done.stderr
 
@@ -344,11 +346,11 @@ def test_an_ascii_terminal_is_enough(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_every_command_is_installed(command: str) -> None:
-    found = shutil.which(f"samarl-{command}", path=str(Path(sys.executable).parent))
-    assert found is not None
+    folder = str(Path(sys.executable).parent)
+    assert shutil.which(f"samarl-{command}", path=folder) is not None
 
 
-def test_the_planner_of_the_readme_runs_as_it_is_printed(tmp_path: Path) -> None:
+def test_the_planner_in_the_readme_runs(tmp_path: Path) -> None:
     text = (Path(__file__).parents[2] / "README.md").read_text().split("## Your own planner")[1]
     python = text.split("```python\n")[1].split("```")[0]
     yaml = text.split("```yaml\n")[1].split("```")[0]

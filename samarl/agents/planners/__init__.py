@@ -1,1 +1,1 @@
-"""Planners that need no learning."""
+"""Planners without learned components."""

@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 
 from mrsan import Observation
 from samarl.agents.agent import Agent
-from samarl.planning.orca import Avoidance, avoid
+from samarl.planning.orca import OrcaParameters, orca_actions
 
 
 @dataclass
-class Orca(Avoidance, Agent):
-    """Optimal reciprocal collision avoidance (van den Berg et al., 2011) of visible agents."""
+class Orca(OrcaParameters, Agent):
+    """Optimal reciprocal collision avoidance (van den Berg et al., 2011) of everybody in view."""
 
     def act(self, observation: Observation) -> NDArray[np.float32]:
-        """The ORCA velocity, as far as the robot's limits allow it."""
-        return avoid(self, observation, self.scenario)
+        """Return the actions that track the ORCA velocity within the robot's limits."""
+        return orca_actions(self, observation, self.scenario)

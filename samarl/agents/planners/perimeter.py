@@ -1,4 +1,4 @@
-"""Round the crowd, blind: out to a circle, along it, and in to the goal."""
+"""Planner that drives around the crowd without looking: to a circle, along it, to the goal."""
 
 from __future__ import annotations
 
@@ -16,15 +16,17 @@ from samarl.observations.route import way_round
 
 @dataclass
 class Perimeter(Agent):
-    """Uses nothing but the robot's own position and goal; all robots go round the same way."""
+    """Uses only the robot's position and goal; all robots drive around in the same direction."""
 
-    radius: float = required(0.5, 1000.0, unit="m", help="radius of the circle round the crowd")
-    lookahead: float = required(0.01, 3.0, unit="rad", help="how far ahead on the circle it aims")
+    radius: float = required(0.5, 1000.0, unit="m", help="radius of the circle around the crowd")
+    lookahead: float = required(
+        0.01, 3.0, unit="rad", help="angle on the circle to the target point"
+    )
     entry_angle: float = required(
-        0.01, 3.0, unit="rad", help="angle to the goal's bearing at which it turns in"
+        0.01, 3.0, unit="rad", help="angle to the goal's bearing below which it turns in"
     )
 
     def act(self, observation: Observation) -> NDArray[np.float32]:
-        """Towards the next point of the way round."""
+        """Drive towards the next point of the route around the crowd."""
         targets = way_round(observation.ego, self.radius, self.lookahead, self.entry_angle)
         return drive_towards(observation, targets, self.scenario)

@@ -1,4 +1,4 @@
-"""Social force as a robot planner."""
+"""The social force model as a robot planner."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from mrsan.kernels import kernel
 from mrsan.kernels.social_force import social_force_velocity
 from mrsan.parameters import kernel_parameters
 from samarl.agents.agent import Agent
-from samarl.planning.tracking import gather, preferred_velocity, track_velocity
+from samarl.planning.velocity_control import gather_rows, preferred_velocity, track_velocity
 
 
 @dataclass
 class SocialForce(Agent):
-    """Pulled to the goal, pushed by everybody in view (Helbing and Molnar, 1995)."""
+    """Social force model (Helbing and Molnar, 1995): attracted by the goal, repelled by others."""
 
     relaxation_time: float = required(
         0.01, 10.0, unit="s", help="time to reach the preferred velocity"
@@ -29,7 +29,7 @@ class SocialForce(Agent):
     reach: float = required(0.01, 10.0, unit="m", help="distance over which repulsion falls by 1/e")
 
     def act(self, observation: Observation) -> NDArray[np.float32]:
-        """The velocity that the forces lead to, as far as the robot's limits allow it."""
+        """Return the actions that track the social-force velocity within the robot's limits."""
         worlds, robots = observation.ego.shape[:2]
         action = np.empty((worlds, robots, self.scenario.action_size), np.float32)
         forces = (np.float32(x) for x in (self.relaxation_time, self.strength, self.reach))
@@ -53,28 +53,28 @@ def _social_force(
     reach,
     action,
 ):
-    total, none = ego.shape[0], np.float32(0.0)
+    total, no_margin = ego.shape[0], np.float32(0.0)
     for chunk in prange(chunks):
         rows = np.empty((1 + humans.shape[2] + robots.shape[2], 5), np.float32)
         for e in range(chunk * total // chunks, (chunk + 1) * total // chunks):
             for i in range(ego.shape[1]):
-                count = gather(
+                count = gather_rows(
                     ego[e, i],
                     humans[e, i],
                     humans_visible[e, i],
                     robots[e, i],
                     robots_visible[e, i],
-                    none,
-                    none,
+                    no_margin,
+                    no_margin,
                     rows,
                 )
-                wanted_x, wanted_y = preferred_velocity(ego[e, i], p)
+                preferred_x, preferred_y = preferred_velocity(ego[e, i], p)
                 vx, vy = social_force_velocity(
                     rows,
                     count,
                     0,
-                    wanted_x,
-                    wanted_y,
+                    preferred_x,
+                    preferred_y,
                     p.robot_speed,
                     relaxation_time,
                     strength,

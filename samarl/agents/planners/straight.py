@@ -1,4 +1,4 @@
-"""Straight to the goal, whoever is in the way."""
+"""Planner that drives straight to the goal and ignores everybody."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ from mrsan.features import GOAL, VELOCITY_X, VELOCITY_Y
 from mrsan.kernels import kernel
 from mrsan.parameters import kernel_parameters
 from samarl.agents.agent import Agent
-from samarl.planning.tracking import track_velocity
+from samarl.planning.velocity_control import track_velocity
 
 
 @dataclass
 class Straight(Agent):
-    """Turns to the goal and drives there at the preferred speed."""
+    """Turns to the goal and drives there at full speed."""
 
     def act(self, observation: Observation) -> NDArray[np.float32]:
-        """Towards the goal."""
+        """Drive towards the goal."""
         return drive_towards(observation, observation.ego[..., GOAL], self.scenario)
 
 
 def drive_towards(
     observation: Observation, targets: NDArray[np.float32], scenario: Scenario
 ) -> NDArray[np.float32]:
-    """The actions [E, N, A] that drive each robot at full speed towards a point.
+    """Return the actions [E, N, A] that drive each robot at full speed towards a point.
 
     Args:
-        observation: of all robots.
+        observation: of all worlds.
         targets: [E, N, 2] in the body frame (m).
         scenario: the task.
     """

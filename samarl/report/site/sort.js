@@ -1,4 +1,4 @@
-// Headings of a leaderboard sort the lines of every group: best first, again: worst first.
+// Clicking a heading of a leaderboard sorts every group: best first, on a second click worst first.
 "use strict";
 
 for (const table of document.querySelectorAll("table.grid")) {

@@ -1,10 +1,10 @@
-// Plays recorded episodes: one clock, one or two methods on the same case.
+// Viewer of replays: one or two methods on the same case, with a shared clock.
 "use strict";
 
 const element = (id) => document.getElementById(id);
 const entries = JSON.parse(element("entries").textContent);
-const replays = new Map(); // key: episode
-const state = { time: 0, playing: false, robot: 0, steps: 0, shown: [] }; // time in steps
+const replays = new Map(); // episodes by key
+const state = { time: 0, playing: false, robot: 0, steps: 0, shown: [] }; // time in steps, shown: episodes
 const sides = [...document.querySelectorAll(".side")].map((section) => ({
   section,
   canvas: section.querySelector("canvas"),
@@ -39,15 +39,15 @@ function load(key) {
     const script = document.createElement("script");
     script.src = `replays/${key}.js`;
     script.onload = () => resolve(replays.get(key));
-    script.onerror = () => reject(new Error(`replays/${key}.js cannot be read`));
+    script.onerror = () => reject(new Error(`replays/${key}.js could not be loaded`));
     document.head.append(script);
   });
 }
 
 const distance = (a, b) => Math.hypot(a[0] - b[0], a[1] - b[1]);
-const isSeen = (switches, t) => switches.filter((step) => step <= t).length % 2 === 1;
+const isOn = (switches, t) => switches.filter((step) => step <= t).length % 2 === 1;
 
-const isPresent = (episode, human, t) => isSeen(episode.humansPresent[human], t);
+const isPresent = (episode, human, t) => isOn(episode.humansPresent[human], t);
 
 function between(series, t) {
   const k = Math.min(Math.floor(t), series.length - 1);
@@ -57,21 +57,23 @@ function between(series, t) {
   return series[k].map((value, axis) => value + share * (next[axis] - value));
 }
 
-// What one robot sees and attends to at step k: {kind, number, seen, told, percent of attention};
-// who was told is seen as well, but by team-mates only.
+// The others from the view of one robot at step k: {kind, number, visible, shared, percent of
+// attention}. Those that are shared by team-mates are visible as well.
 function othersOf(episode, robot, k) {
   const at = Math.min(k, episode.last - 1);
   const list = [];
-  for (const [kind, seen, tellings, attention] of [
-    ["human", episode.humansSeen, episode.humansReported, episode.humanAttention],
-    ["robot", episode.robotsSeen, episode.robotsReported, episode.robotAttention],
+  for (const [kind, visible, shared, attention] of [
+    ["human", episode.humansVisible, episode.humansReported, episode.humanAttention],
+    ["robot", episode.robotsVisible, episode.robotsReported, episode.robotAttention],
   ]) {
-    seen[robot].forEach((switches, number) => {
+    visible[robot].forEach((switches, number) => {
       if (kind === "robot" && number === robot) return;
       const percent = attention ? attention[at][robot][number] : null;
       if (kind === "human" && !isPresent(episode, number, k)) return;
-      const told = Boolean(tellings) && isSeen(tellings[robot][number], k);
-      list.push({ kind, number, seen: isSeen(switches, k), told, percent });
+      list.push({
+        kind, number, percent, visible: isOn(switches, k),
+        shared: Boolean(shared) && isOn(shared[robot][number], k),
+      });
     });
   }
   return list;
@@ -84,23 +86,23 @@ const darkness = matchMedia("(prefers-color-scheme: dark)");
 let colours = {};
 
 function readColours() {
-  const found = style();
+  const properties = style();
   colours = {};
   for (const name of ["ink", "muted", "grid", "contact", "attention", "page", "panel"]) {
-    colours[name] = found.getPropertyValue(`--${name}`).trim();
+    colours[name] = properties.getPropertyValue(`--${name}`).trim();
   }
-  colours.robots = [0, 1, 2, 3, 4, 5, 6].map((i) => found.getPropertyValue(`--series-${i}`).trim());
+  colours.robots = [0, 1, 2, 3, 4, 5, 6].map((i) => properties.getPropertyValue(`--series-${i}`).trim());
 }
 
 const colourOf = (robot) => colours.robots[robot % colours.robots.length];
 
-// The square that holds everything of all shown episodes: its middle and half of its side.
+// The square around everything in the shown episodes: its middle and half its side.
 function bounds() {
   const low = [Infinity, Infinity], high = [-Infinity, -Infinity];
   for (const episode of state.shown) {
     const { robots, humans, goals } = episode;
-    const there = humans.flatMap((path, j) => path.filter((_, t) => isPresent(episode, j, t)));
-    for (const point of [...robots.flat(), ...there, ...goals]) {
+    const present = humans.flatMap((path, j) => path.filter((_, t) => isPresent(episode, j, t)));
+    for (const point of [...robots.flat(), ...present, ...goals]) {
       for (const axis of [0, 1]) {
         low[axis] = Math.min(low[axis], point[axis]);
         high[axis] = Math.max(high[axis], point[axis]);
@@ -188,7 +190,7 @@ function drawSide({ canvas, episode }) {
       if (i === me) disc(robot, episode.range, { stroke: colourOf(i), width: 1, dash: [6, 4] });
       return;
     }
-    const reach = i === me ? episode.range : 4 * episode.radius; // of the others the direction only
+    const reach = i === me ? episode.range : 4 * episode.radius; // of the others only the direction
     pen.beginPath();
     pen.moveTo(x, y);
     pen.arc(x, y, reach * scale, -heading - view / 2, -heading + view / 2);
@@ -216,7 +218,7 @@ function drawSide({ canvas, episode }) {
     line([robots[me], towards], colours.attention, 1 + percent / 8);
     pen.globalAlpha = 1;
   });
-  const arrow = (path, colour) => { // where it is in a second, as it moves now
+  const arrow = (path, colour) => { // position in one second at constant velocity
     const from = between(path, t), to = between(path, Math.min(t + 1, episode.last));
     const speed = [0, 1].map((axis) => (to[axis] - from[axis]) / (Math.min(t + 1, episode.last) - t || 1));
     const tip = [0, 1].map((axis) => from[axis] + speed[axis] / episode.step);
@@ -230,11 +232,12 @@ function drawSide({ canvas, episode }) {
   episode.humans.forEach((path, j) => { if (isPresent(episode, j, k)) arrow(path, colours.muted); });
   episode.robots.forEach((path, i) => { if (driving(i)) arrow(path, colourOf(i)); });
 
-  others.filter((o) => o.kind === "human").forEach(({ number, seen, told }) => {
-    disc(humans[number], episode.radii[number], seen && !told
+  others.filter((o) => o.kind === "human").forEach(({ number, visible, shared }) => {
+    const direct = visible && !shared;
+    disc(humans[number], episode.radii[number], direct
       ? { fill: colours.muted, stroke: colours.ink, width: 1 }
-      : { fill: colours.panel, stroke: colours.muted, dash: told ? [] : [3, 3], width: told ? 2.5 : 1.5 });
-    write(String(number), place(humans[number]), seen && !told ? colours.page : colours.muted, 10);
+      : { fill: colours.panel, stroke: colours.muted, dash: shared ? [] : [3, 3], width: shared ? 2.5 : 1.5 });
+    write(String(number), place(humans[number]), direct ? colours.page : colours.muted, 10);
   });
 
   const star = [...Array(10).keys()].map((i) => [i / 10, i % 2 ? 0.42 : 1]);
@@ -253,16 +256,16 @@ function drawSide({ canvas, episode }) {
     }
   });
   robots.forEach((robot, i) => {
-    const known = i === me || others.some((o) => o.kind === "robot" && o.number === i && o.seen);
+    const visible = i === me || others.some((o) => o.kind === "robot" && o.number === i && o.visible);
     const heading = between(episode.headings[i], t), colour = colourOf(i);
     const tip = [0, 1].map((axis) =>
       robot[axis] + 1.9 * episode.radius * [Math.cos(heading), Math.sin(heading)][axis]);
     line([robot, tip], colour, 3);
-    disc(robot, episode.radius, known ? { fill: colour }
+    disc(robot, episode.radius, visible ? { fill: colour }
       : { fill: colours.panel, stroke: colour, dash: [3, 3] });
     if (i === me) disc(robot, episode.radius + 0.12, { stroke: colours.ink, width: 2 });
-    if (steppedIn(episode, i, k)) disc(robot, episode.radius + 0.25, { stroke: colours.contact, width: 3 });
-    write(String(i), place(robot), known ? colours.page : colour);
+    if (isShielded(episode, i, k)) disc(robot, episode.radius + 0.25, { stroke: colours.contact, width: 3 });
+    write(String(i), place(robot), visible ? colours.page : colour);
     if (t === episode.last && episode.outcomes[i].startsWith("hit")) {
       const [x, y] = place(robot), arm = 11;
       for (const [width, ink] of [[6, colours.page], [3.5, colours.contact]]) {
@@ -289,21 +292,21 @@ function drawSide({ canvas, episode }) {
   canvas.dataset.step = k;
 }
 
-const steppedIn = (episode, robot, k) => Boolean(episode.shielded?.[robot].includes(k));
+const isShielded = (episode, robot, k) => Boolean(episode.shielded?.[robot].includes(k));
 
-// How near a robot is to the nearest person at each of its steps, surface to surface, m.
-function nearest(episode, robot) {
-  episode.nearest ??= [];  // kept, as every frame draws it
-  return (episode.nearest[robot] ??= distancesOf(episode, robot));
+// Distance of a robot to the nearest person at each of its steps, between surfaces, m.
+function nearestDistances(episode, robot) {
+  episode.nearestDistances ??= [];  // cached, since every frame draws them
+  return (episode.nearestDistances[robot] ??= computeDistances(episode, robot));
 }
 
-function distancesOf(episode, robot) {
+function computeDistances(episode, robot) {
   const steps = [...Array(Math.min(episode.drivingSteps[robot], episode.last) + 1).keys()];
   return steps.map((t) => Math.min(...episode.humans.map((path, j) => isPresent(episode, j, t)
     ? distance(path[t], episode.robots[robot][t]) - episode.radii[j] - episode.radius : Infinity)));
 }
 
-// Over the slider: that distance, and what happens to the chosen robot.
+// The strip above the slider: these distances and the events of the selected robot.
 const STRIP_METRES = 3;
 
 function drawStrip() {
@@ -325,9 +328,9 @@ function drawStrip() {
   pen.fillRect(0, y(state.shown[0].zone), width, height);
   pen.globalAlpha = 1;
   state.shown.forEach((episode, side) => {
-    const found = nearest(episode, state.robot);
+    const distances = nearestDistances(episode, state.robot);
     pen.beginPath();
-    found.forEach((metres, t) => (t ? pen.lineTo(x(t), y(metres)) : pen.moveTo(x(t), y(metres))));
+    distances.forEach((metres, t) => (t ? pen.lineTo(x(t), y(metres)) : pen.moveTo(x(t), y(metres))));
     pen.strokeStyle = colourOf(state.robot);
     pen.lineWidth = 1.6;
     pen.setLineDash(side ? [4, 3] : []);
@@ -337,7 +340,7 @@ function drawStrip() {
       pen.fillStyle = colours.contact;
       pen.fillRect(x(t) - 1, side ? height - 5 : 0, 2, 5);
     });
-    const end = found.length - 1, mark = episode.outcomes[state.robot];
+    const end = distances.length - 1, mark = episode.outcomes[state.robot];
     pen.fillStyle = mark.startsWith("hit") ? colours.contact : colours.ink;
     pen.font = "12px system-ui, sans-serif";
     pen.textAlign = end > 0.9 * state.steps ? "right" : "left";
@@ -367,11 +370,11 @@ function describe({ episode, outcome, sight, canvas, name }) {
   const others = othersOf(episode, state.robot, k);
   const count = (kind) => {
     const all = others.filter((o) => o.kind === kind);
-    const told = all.filter((o) => o.told).length;
-    return `${all.filter((o) => o.seen && !o.told).length} of ${all.length} ${kind}s`
-      + (told ? ` (and is told of ${told})` : "");
+    const shared = all.filter((o) => o.shared).length;
+    return `${all.filter((o) => o.visible && !o.shared).length} of ${all.length} ${kind}s`
+      + (shared ? ` (and ${shared} through team-mates)` : "");
   };
-  const shield = steppedIn(episode, state.robot, k) ? " The shield steps in." : "";
+  const shield = isShielded(episode, state.robot, k) ? " The shield replaces its action." : "";
   const attended = others.filter((o) => o.percent >= 1).sort((a, b) => b.percent - a.percent);
   const attention = episode.humanAttention
     ? ` Attends to ${attended.slice(0, 3).map((o) => `${o.kind} ${o.number} ${o.percent} %`).join(", ") || "nobody"}.`
@@ -401,14 +404,14 @@ function draw() {
 
 // ---------------------------------------------------------------- playing
 
-let earlier = 0;
+let previous = 0; // time of the previous frame, ms
 
 function tick(now) {
   if (!state.playing) return;
-  // A frame may have begun before the key was pressed; a hidden page has no frames at all.
-  const passed = Math.max(0, Math.min((now - earlier) / 1000, 0.25));
-  earlier = now;
-  const time = state.time + (passed * Number(element("speed").value)) / state.shown[0].step;
+  // A frame may have started before the key was pressed; a hidden page has no frames at all.
+  const elapsed = Math.max(0, Math.min((now - previous) / 1000, 0.25));
+  previous = now;
+  const time = state.time + (elapsed * Number(element("speed").value)) / state.shown[0].step;
   state.time = Math.min(time, state.steps);
   if (state.time === state.steps) play(false);
   draw();
@@ -420,10 +423,10 @@ function play(on) {
   state.playing = on;
   element("play").textContent = on ? "Pause" : "Play";
   if (on) {
-    earlier = performance.now();
+    previous = performance.now();
     requestAnimationFrame(tick);
   } else {
-    remember();
+    updateAddress();
   }
 }
 
@@ -431,53 +434,53 @@ function seek(time) {
   play(false);
   state.time = Math.max(0, Math.min(time, state.steps));
   draw();
-  remember();
+  updateAddress();
 }
 
 const step = (by) => seek(by < 0 ? Math.ceil(state.time) + by : Math.floor(state.time) + by);
 
-function look(robot) {
+function selectRobot(robot) {
   const buttons = [...element("robots").children];
   if (robot >= buttons.length) return;
   state.robot = robot;
   buttons.forEach((button, i) => button.setAttribute("aria-pressed", String(i === robot)));
   draw();
-  remember();
+  updateAddress();
 }
 
-// ---------------------------------------------------------------- choosing
+// ---------------------------------------------------------------- selection
 
-const chosen = () => ({
+const selection = () => ({
   column: element("column").value, case: element("case").value,
   left: element("left").value, right: element("right").value,
 });
 
-function fill(id, values, wanted, label = (value) => value) {
-  const select = element(id), kept = wanted ?? select.value;
+function fill(id, values, preferred, label = (value) => value) {
+  const select = element(id), current = preferred ?? select.value;
   select.replaceChildren(...values.map((value) => new Option(label(value), value)));
-  select.value = values.includes(kept) ? kept : values[0];
+  select.value = values.includes(current) ? current : values[0];
 }
 
-const different = (list, key) => [...new Set(list.map((entry) => entry[key]))];
+const distinct = (list, key) => [...new Set(list.map((entry) => entry[key]))];
 
-// Offer what there is; keep what was chosen where it still exists.
-function offer(wanted = {}) {
-  fill("column", different(entries, "column"), wanted.column);
-  const inColumn = entries.filter((entry) => entry.column === chosen().column);
-  fill("case", different(inColumn, "case"), wanted.case);
-  const inCase = inColumn.filter((entry) => entry.case === chosen().case);
+// Update the options; keep the selection where it still exists.
+function updateOptions(preferred = {}) {
+  fill("column", distinct(entries, "column"), preferred.column);
+  const inColumn = entries.filter((entry) => entry.column === selection().column);
+  fill("case", distinct(inColumn, "case"), preferred.case);
+  const inCase = inColumn.filter((entry) => entry.case === selection().case);
   const label = (method) => {
     const entry = inCase.find((one) => one.method === method);
     return entry ? `${entry.success ? "✓" : "✗"} ${method}` : "nothing";
   };
-  fill("left", different(inCase, "method"), wanted.left, label);
-  fill("right", ["", ...different(inCase, "method")], wanted.right, label);
+  fill("left", distinct(inCase, "method"), preferred.left, label);
+  fill("right", ["", ...distinct(inCase, "method")], preferred.right, label);
 }
 
 let loading = 0;
 
 async function show() {
-  const choice = chosen(), ticket = ++loading;
+  const choice = selection(), ticket = ++loading;
   const keys = [choice.left, choice.right].map((method) => entries.find((entry) =>
     entry.column === choice.column && entry.case === choice.case && entry.method === method)?.key);
   let episodes;
@@ -488,7 +491,7 @@ async function show() {
     element("failure").hidden = false;
     return;
   }
-  if (ticket !== loading) return; // something else was chosen meanwhile
+  if (ticket !== loading) return; // the selection has changed meanwhile
   sides.forEach((side, i) => {
     side.episode = episodes[i] || null;
     side.section.hidden = !side.episode;
@@ -508,17 +511,17 @@ async function show() {
       button.textContent = i;
       button.setAttribute("aria-label", `robot ${i}`);
       button.style.cssText = `--robot: var(--series-${i % 7}); border-color: var(--robot)`;
-      button.onclick = () => look(i);
+      button.onclick = () => selectRobot(i);
       return button;
     }));
   }
-  look(Math.min(state.robot, count - 1));
+  selectRobot(Math.min(state.robot, count - 1));
 }
 
-// The address says what is shown, so that it can be passed on.
-function remember() {
+// Keep the selection in the address, so that it can be shared.
+function updateAddress() {
   const address = new URLSearchParams({
-    ...chosen(), robot: state.robot, step: Math.floor(state.time),
+    ...selection(), robot: state.robot, step: Math.floor(state.time),
   });
   history.replaceState(null, "", `#${address}`);
 }
@@ -544,7 +547,7 @@ function key(event) {
   };
   const onButton = event.target.tagName === "BUTTON" || event.target.tagName === "SUMMARY";
   if (event.key === " " && onButton) return; // it presses the button
-  const action = actions[event.key] || (/^\d$/.test(event.key) && (() => look(Number(event.key))));
+  const action = actions[event.key] || (/^\d$/.test(event.key) && (() => selectRobot(Number(event.key))));
   if (!action || !state.shown.length) return;
   event.preventDefault();
   action();
@@ -557,30 +560,30 @@ element("strip").onclick = (event) =>
   seek(Math.round((event.offsetX / event.target.clientWidth) * state.steps));
 element("time").oninput = (event) => seek(Number(event.target.value));
 element("choice").onsubmit = (event) => event.preventDefault();
-element("choice").onchange = () => { offer(); show(); };
+element("choice").onchange = () => { updateOptions(); show(); };
 document.addEventListener("keydown", key);
 sides.forEach((side) => {
   side.canvas.onclick = (event) => {
     const { middle, half } = state.bounds, size = side.canvas.clientWidth;
     const at = [middle[0] + (event.offsetX / size) * 2 * half - half,
       middle[1] - (event.offsetY / size) * 2 * half + half];
-    const away = side.episode.robots.map((path) =>
+    const distances = side.episode.robots.map((path) =>
       distance(at, between(path, Math.min(state.time, side.episode.last))));
-    look(away.indexOf(Math.min(...away)));
+    selectRobot(distances.indexOf(Math.min(...distances)));
   };
 });
 darkness.addEventListener("change", () => { readColours(); draw(); });
 new ResizeObserver(draw).observe(element("stage"));
 
 readColours();
-const wanted = Object.fromEntries(new URLSearchParams(location.hash.slice(1)));
-state.time = Math.max(0, Math.trunc(wanted.step)) || 0;
-state.robot = Math.max(0, Math.trunc(wanted.robot)) || 0;
-// At first SAMARL beside ORCA where both see all round; or the two that succeed most often.
+const initial = Object.fromEntries(new URLSearchParams(location.hash.slice(1)));
+state.time = Math.max(0, Math.trunc(initial.step)) || 0;
+state.robot = Math.max(0, Math.trunc(initial.robot)) || 0;
+// By default SAMARL and ORCA with a view of 360°, or the two methods that succeed most often.
 const successes = (method) => entries.filter((e) => e.method === method && e.success).length;
-const ranking = different(entries, "method").sort((a, b) => successes(b) - successes(a));
+const ranking = distinct(entries, "method").sort((a, b) => successes(b) - successes(a));
 const [best, second = ""] = [...["samarl", "orca"].filter((m) => ranking.includes(m)),
   ...ranking.filter((m) => !["samarl", "orca"].includes(m))];
-const column = different(entries, "column").find((name) => name.startsWith("360°"));
-offer({ column, left: best, right: second, ...wanted });
+const column = distinct(entries, "column").find((name) => name.startsWith("360°"));
+updateOptions({ column, left: best, right: second, ...initial });
 show();

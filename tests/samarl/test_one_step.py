@@ -1,4 +1,4 @@
-"""What a command leads to: the lookahead against the world, and paper and pencil."""
+"""Predicted outcomes of commands, against the simulator and by hand."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 from mrsan import Crowd, Kinematics, Reward, Scenario, World
 from mrsan.features import GOAL, HEADING_COS, HEADING_SIN
 from samarl.observations.tracker import AGE, Tracks
-from samarl.planning.lookahead import command_set, look_ahead
+from samarl.planning.one_step import command_set, predict_outcomes
 from tests.scenes import COMMANDS, known, scene_of
 
 
@@ -28,13 +28,13 @@ def test_the_commands_of_each_kind_of_robot() -> None:
 
 
 @pytest.mark.parametrize("kinematics", Kinematics)
-def test_a_robot_alone_is_foreseen_as_the_world_moves_it(kinematics: Kinematics) -> None:
+def test_outcomes_of_a_single_robot_match_the_simulator(kinematics: Kinematics) -> None:
     scenario = Scenario(robots=1, humans=0, kinematics=kinematics)
     commands = command_set(COMMANDS, kinematics)
     world = World(scenario, len(commands))
     world.reset(np.full(len(commands), 3))
-    for way in (22, 13, 14):  # it moves, and looks somewhere else than to its goal
-        observation = world.step(np.tile(commands[way], (len(commands), 1, 1))).observation
+    for index in (22, 13, 14):  # it moves and turns away from its goal
+        observation = world.step(np.tile(commands[index], (len(commands), 1, 1))).observation
     for ahead in (5.0, 0.45):  # far from the goal, and just before it
         ego = observation.ego[0, 0]
         heading = math.atan2(ego[HEADING_SIN], ego[HEADING_COS])
@@ -45,7 +45,7 @@ def test_a_robot_alone_is_foreseen_as_the_world_moves_it(kinematics: Kinematics)
         active = np.zeros((len(commands), 1), np.bool_)
         active[0] = True
         tracks = known(observation, scenario)
-        outcomes = look_ahead(tracks, active, observation.ego[..., GOAL], commands, scenario)
+        outcomes = predict_outcomes(tracks, active, observation.ego[..., GOAL], commands, scenario)
         before = world.snapshot()
         step = world.step(commands[:, None])
         np.testing.assert_allclose(outcomes.tracks.ego, step.observation.ego, atol=1e-5)
@@ -59,10 +59,10 @@ def test_a_robot_alone_is_foreseen_as_the_world_moves_it(kinematics: Kinematics)
 
 @pytest.mark.parametrize("collisions_end", [True, False])
 @pytest.mark.parametrize("kinematics", Kinematics)
-def test_where_all_others_keep_their_velocity_the_world_does_as_foreseen(
+def test_outcomes_match_the_simulator_if_others_keep_their_velocity(
     kinematics: Kinematics, collisions_end: bool
 ) -> None:
-    """Contacts, discomfort, arrivals and everybody's next place, in random crowds."""
+    """Contacts, discomfort, arrivals and next positions in random crowds."""
     scenario = Scenario(
         robots=3, humans=4, kinematics=kinematics, crowd=Crowd.still,
         collisions_end=collisions_end, reward=Reward(goal_distance=7.0, time=-0.5),
@@ -92,15 +92,15 @@ def test_where_all_others_keep_their_velocity_the_world_does_as_foreseen(
     observation = world.observe()
     active = np.zeros((e, 3), np.bool_)
     active[:, 0] = True
-    outcomes = look_ahead(
+    outcomes = predict_outcomes(
         known(observation, scenario), active, observation.ego[..., GOAL], commands, scenario
     )
     step = world.step(action)
     rows, after = np.arange(e), step.observation
-    tracks = Tracks(*(kept[chosen, rows] for kept in outcomes.tracks))
+    tracks = Tracks(*(array[chosen, rows] for array in outcomes.tracks))
     np.testing.assert_allclose(tracks.ego, after.ego[:, 0], atol=1e-5)
-    for foreseen, there in ((tracks.humans, after.humans), (tracks.robots, after.robots)):
-        np.testing.assert_allclose(foreseen[..., :AGE], there[:, 0], atol=1e-5)
+    for predicted, actual in ((tracks.humans, after.humans), (tracks.robots, after.robots)):
+        np.testing.assert_allclose(predicted[..., :AGE], actual[:, 0], atol=1e-5)
     assert tracks.humans_known.all()
     assert tracks.robots_known.all()
     hit, arrived = state.collision[:, 0] != 0, state.arrived[:, 0]
@@ -116,7 +116,7 @@ def test_a_person_in_constant_motion_is_where_paper_and_pencil_say() -> None:
     tracks = scene_of([[2.0, 1.0, -1.5, 0.0, 0.3, 0.25]], (4.0, 0.0), 0.5, scenario)
     command = np.array([[0.0, 0.0, 1.0]], np.float32)
     active = np.ones((1, 1), np.bool_)
-    outcomes = look_ahead(tracks, active, tracks.ego[..., GOAL], command, scenario)
+    outcomes = predict_outcomes(tracks, active, tracks.ego[..., GOAL], command, scenario)
     turn = 0.25 * 0.5 / 1.0  # Eq. 3: speed over the turning radius of 1 m, less than 15 degrees
     vx, vy = 0.5 * math.cos(turn), 0.5 * math.sin(turn)
     x, y = 0.25 * (0.5 + vx) / 2, 0.25 * vy / 2
@@ -139,7 +139,7 @@ def test_a_collision_between_two_moments_is_foreseen() -> None:
     active = np.ones((1, 1), np.bool_)
     for aside, hit in ((0.0, True), (0.55, True), (0.65, False)):
         tracks = scene_of([[1.0, aside, -8.0, 0.0, 0.3]], (4.0, 0.0), 0.0, scenario)
-        outcomes = look_ahead(tracks, active, tracks.ego[..., GOAL], still, scenario)
+        outcomes = predict_outcomes(tracks, active, tracks.ego[..., GOAL], still, scenario)
         assert outcomes.tracks.humans[0, 0, 0, 0] == -1.0
         assert outcomes.ended[0, 0] == hit
         assert outcomes.reward[0, 0] == (scenario.reward.collision if hit else 0.0)
@@ -161,6 +161,8 @@ def test_who_is_not_known_is_not_foreseen() -> None:
     assert (garbage.humans != tracks.humans).any()
     commands, active = command_set(COMMANDS, scenario.kinematics), np.ones((4, 3), np.bool_)
     target = observation.ego[..., GOAL]
-    one, other = (look_ahead(t, active, target, commands, scenario) for t in (tracks, garbage))
+    one, other = (
+        predict_outcomes(t, active, target, commands, scenario) for t in (tracks, garbage)
+    )
     for a, b in zip((*one.tracks, *one[1:]), (*other.tracks, *other[1:]), strict=True):
         np.testing.assert_array_equal(a, b)

@@ -1,4 +1,4 @@
-"""What a recording says of an episode, and the pictures made of it."""
+"""Trajectories of episodes, and the figures and animations drawn from them."""
 
 import sys
 from dataclasses import dataclass, replace
@@ -14,10 +14,10 @@ from PIL import Image, ImageColor
 
 from mrsan import ConfigurationError, Observation, Scenario, World
 from samarl.agents import Agent, build_agent
-from samarl.agents.learned import Deployed
+from samarl.agents.learned import DeployedPolicy
 from samarl.commands.render import picture_writer
 from samarl.encoders.spatio_temporal import Pool
-from samarl.evaluation.recording import record_episode
+from samarl.evaluation.trajectory import record_episode
 from samarl.policies.checkpoint import save_policy
 from samarl.report.animation import _draw_state, frame_times, save_animation
 from samarl.report.replays import as_replay
@@ -30,26 +30,29 @@ SHORT = Scenario(humans=1, robots=1, time_limit=0.5)
 STRAIGHT = {"_target_": "samarl.agents.planners.straight.Straight"}
 
 
-def test_what_is_seen_lies_in_the_field_of_view() -> None:
-    recording = record_episode(build_agent(STRAIGHT, SCENARIO), SCENARIO, 3)
-    humans = recording.human_position[:, None] - recording.robot_position[:, :, None]
-    robots = recording.robot_position[:, None] - recording.robot_position[:, :, None]
-    ahead = recording.robot_heading[..., None]
-    for away, seen in ((humans, recording.humans_seen), (robots, recording.robots_seen)):
-        bearing = np.arctan2(away[..., 1], away[..., 0]) - ahead
-        off = np.abs(np.degrees((bearing + np.pi) % (2 * np.pi) - np.pi))
-        distance = np.linalg.norm(away, axis=-1)
-        expected = (off < 60) & (distance < 10) & (distance > 0)
-        unclear = (np.abs(off - 60) < 0.01) | (np.abs(distance - 10) < 1e-4)
-        assert (seen == expected)[~unclear].all()
-        assert seen.any()
-        assert not seen.all()
-    assert recording.waypoint is recording.human_attention is recording.robot_attention is None
+def test_visible_agents_are_in_the_field_of_view() -> None:
+    trajectory = record_episode(build_agent(STRAIGHT, SCENARIO), SCENARIO, 3)
+    humans = trajectory.human_position[:, None] - trajectory.robot_position[:, :, None]
+    robots = trajectory.robot_position[:, None] - trajectory.robot_position[:, :, None]
+    ahead = trajectory.robot_heading[..., None]
+    for offset, visible in (
+        (humans, trajectory.humans_visible),
+        (robots, trajectory.robots_visible),
+    ):
+        bearing = np.arctan2(offset[..., 1], offset[..., 0]) - ahead
+        angle = np.abs(np.degrees((bearing + np.pi) % (2 * np.pi) - np.pi))
+        distance = np.linalg.norm(offset, axis=-1)
+        expected = (angle < 60) & (distance < 10) & (distance > 0)
+        borderline = (np.abs(angle - 60) < 0.01) | (np.abs(distance - 10) < 1e-4)
+        assert (visible == expected)[~borderline].all()
+        assert visible.any()
+        assert not visible.all()
+    assert trajectory.waypoint is trajectory.human_attention is trajectory.robot_attention is None
 
 
 @dataclass
 class Doorman(Agent):
-    """Stands, and lets person 1 leave after three steps; person 0 comes only then."""
+    """Stands still; person 1 leaves and person 0 arrives after three steps."""
 
     world: World | None = None
 
@@ -62,59 +65,59 @@ class Doorman(Agent):
 
 
 def test_people_come_and_go(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """Person 2 is never there, so it does not come up; who is absent is not drawn."""
+    """Person 2 is never present and thus left out; absent people are not drawn."""
     world, agent = World(SCENARIO), Doorman(SCENARIO)
     agent.world = world
-    begin = world.reset
+    original_reset = world.reset
 
     def reset(cases: list[int]) -> Observation:
-        begin(cases)
+        original_reset(cases)
         world.state.human_present[0] = [False, True, False, True]
         return world.observe()
 
     monkeypatch.setattr(world, "reset", reset)
-    monkeypatch.setattr("samarl.evaluation.recording.World", lambda scenario: world)
-    recording = record_episode(agent, SCENARIO, 3)
-    steps = np.arange(len(recording.human_position))
-    assert recording.human_present.T.tolist() == [
+    monkeypatch.setattr("samarl.evaluation.trajectory.World", lambda scenario: world)
+    trajectory = record_episode(agent, SCENARIO, 3)
+    steps = np.arange(len(trajectory.human_position))
+    assert trajectory.human_present.T.tolist() == [
         (steps >= 4).tolist(), (steps < 4).tolist(), [True] * len(steps)
     ]  # fmt: skip
-    assert recording.human_position.shape[1:] == (3, 2)
-    assert not recording.humans_seen[~recording.human_present[:, None].repeat(3, 1)].any()
-    assert as_replay(recording)["humansPresent"] == [[4], [0, 4], [0]]
-    save_trajectories([(recording, "paths")], tmp_path / "paths.png")
+    assert trajectory.human_position.shape[1:] == (3, 2)
+    assert not trajectory.humans_visible[~trajectory.human_present[:, None].repeat(3, 1)].any()
+    assert as_replay(trajectory)["humansPresent"] == [[4], [0, 4], [0]]
+    save_trajectories([(trajectory, "paths")], tmp_path / "paths.png")
     figure = Figure()
     axes = figure.add_subplot()
-    drawn = _draw_state(axes, recording, 0)
+    drawn = _draw_state(axes, trajectory, 0)
     radii = [artist.radius for artist in drawn if isinstance(artist, Circle)]
     assert len(radii) == 2 * 2 + SCENARIO.robots  # two people with their personal space
 
 
 @pytest.mark.parametrize("actors", [1, 3])
-def test_a_policy_tells_its_waypoints_and_its_attention(tmp_path: Path, actors: int) -> None:
+def test_a_policy_explains_its_waypoints_and_attention(tmp_path: Path, actors: int) -> None:
     path = tmp_path / "policy.safetensors"
     save_policy(path, small_policy(num_parameter_sets=actors), "hierarchical", {})
     config = {"_target_": "samarl.agents.learned.Learned", "checkpoint": str(path)}
-    recording = record_episode(build_agent(config, SCENARIO), SCENARIO, 3)
-    steps = len(recording.robot_position) - 1
-    assert recording.waypoint is not None
-    assert recording.human_attention is not None
-    assert recording.robot_attention is not None
-    assert recording.waypoint.shape == (steps, 3, 2)
-    # Kept for four steps, so there are as many as seconds that have begun, or a few more.
-    changes = (np.diff(recording.waypoint, axis=0) != 0).any(-1).sum(0)
+    trajectory = record_episode(build_agent(config, SCENARIO), SCENARIO, 3)
+    steps = len(trajectory.robot_position) - 1
+    assert trajectory.waypoint is not None
+    assert trajectory.human_attention is not None
+    assert trajectory.robot_attention is not None
+    assert trajectory.waypoint.shape == (steps, 3, 2)
+    # A waypoint is kept for at most four steps, which is `macro_steps` of the small policy.
+    changes = (np.diff(trajectory.waypoint, axis=0) != 0).any(-1).sum(0)
     assert (changes >= (steps - 1) // 4).all()
-    for share in (recording.human_attention, recording.robot_attention):
+    for share in (trajectory.human_attention, trajectory.robot_attention):
         assert (share >= 0).all()
         assert (share.sum(-1) < 1).all()  # "nobody" has a share too
-    first = recording.human_attention[0]
-    assert ((first > 0) == recording.humans_seen[0]).all()  # nobody is remembered yet
-    assert (np.diagonal(recording.robot_attention, axis1=1, axis2=2) == 0).all()
+    first = trajectory.human_attention[0]
+    assert ((first > 0) == trajectory.humans_visible[0]).all()  # no tracks yet
+    assert (np.diagonal(trajectory.robot_attention, axis1=1, axis2=2) == 0).all()
 
 
 def test_explaining_changes_nothing_and_a_flat_agent_has_no_waypoint() -> None:
     model = small_policy("flat")
-    agents = [Deployed(model, SCENARIO) for _ in range(2)]
+    agents = [DeployedPolicy(model, SCENARIO) for _ in range(2)]
     world = World(SCENARIO, 2)
     observation = world.reset([1, 2])
     assert agents[0].explain() is None
@@ -127,7 +130,7 @@ def test_explaining_changes_nothing_and_a_flat_agent_has_no_waypoint() -> None:
         observation = world.step(action).observation
 
 
-def test_the_shares_are_those_that_the_pool_uses() -> None:
+def test_attention_weights_reproduce_the_pooled_features() -> None:
     torch.manual_seed(0)
     pool = Pool(8, heads=1)
     torch.nn.init.normal_(pool.nobody)
@@ -143,10 +146,10 @@ def test_the_shares_are_those_that_the_pool_uses() -> None:
 
 def test_animations_are_smooth_and_as_fast_as_the_episode(tmp_path: Path) -> None:
     scenario = replace(SCENARIO, time_limit=1.5)
-    recording = record_episode(build_agent(STRAIGHT, scenario), scenario, 3)
-    steps = len(recording.robot_position) - 1
-    shorter = replace(recording, robot_position=recording.robot_position[:-3])
-    save_animation([(recording, "one"), (shorter, "two")], tmp_path / "case.gif")
+    trajectory = record_episode(build_agent(STRAIGHT, scenario), scenario, 3)
+    steps = len(trajectory.robot_position) - 1
+    shorter = replace(trajectory, robot_position=trajectory.robot_position[:-3])
+    save_animation([(trajectory, "one"), (shorter, "two")], tmp_path / "case.gif")
     with Image.open(tmp_path / "case.gif") as picture:
         assert picture.n_frames == 3 * steps + 1  # type: ignore[attr-defined]
         seconds = 0.0
@@ -155,9 +158,9 @@ def test_animations_are_smooth_and_as_fast_as_the_episode(tmp_path: Path) -> Non
             seconds += picture.info["duration"] / 1000
         assert seconds == pytest.approx(0.25 * steps, abs=0.01)
         pixels = np.asarray(picture.convert("RGB"), int).reshape(-1, 3)
-        for colour in COLOURS[: SCENARIO.robots]:  # of all robots, in so few colours
+        for colour in COLOURS[: SCENARIO.robots]:  # every robot keeps its colour in the palette
             assert np.abs(pixels - ImageColor.getrgb(colour)).max(1).min() < 8
-    save_animation([(recording, "a title")], tmp_path / "case.mp4")
+    save_animation([(trajectory, "a title")], tmp_path / "case.mp4")
     pictures = imageio_ffmpeg.read_frames(str(tmp_path / "case.mp4"))
     assert next(pictures)["fps"] == 20
     assert sum(1 for _ in pictures) == 5 * steps + 1
@@ -189,11 +192,9 @@ def test_the_file_extension_may_be_in_capitals(name: str, tmp_path: Path) -> Non
     assert (tmp_path / name).read_bytes().startswith(starts[Path(name).suffix.lower()])
 
 
-def test_a_missing_encoder_is_said_in_one_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_missing_encoder_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
-    recording = record_episode(build_agent(STRAIGHT, SCENARIO), SCENARIO, 3)
+    trajectory = record_episode(build_agent(STRAIGHT, SCENARIO), SCENARIO, 3)
     with pytest.raises(ConfigurationError, match=r"pip install 'samarl\[video\]'"):
-        save_animation([(recording, "a title")], tmp_path / "case.mp4")
+        save_animation([(trajectory, "a title")], tmp_path / "case.mp4")
     assert list(tmp_path.iterdir()) == []

@@ -1,6 +1,6 @@
-"""One step ahead: what each of a set of commands leads to, as far as a robot can predict it.
+"""Predicted outcome of each command of a discrete set after one step.
 
-Everybody else goes on at constant velocity; nothing of the true next state is used.
+Everybody else is assumed to move at constant velocity; the true next state is not used.
 """
 
 from __future__ import annotations
@@ -37,10 +37,10 @@ from mrsan.parameters import kernel_parameters
 from mrsan.reward import step_reward_parts, sum_of_parts
 from mrsan.se2 import rotate, unrotate, untransform
 from samarl.observations.tracker import AGE, Tracks
-from samarl.planning.tracking import move
+from samarl.planning.velocity_control import step_robot
 
-# Of the largest acceleration. In 0.25 s at SAMARL's limits the outer ones stop a robot or bring it
-# to full speed, the inner ones change its speed by half.
+# Shares of the largest acceleration. In 0.25 s at SAMARL's limits the outer ones stop a robot or
+# bring it to full speed; the inner ones change its speed by 0.5 m/s.
 LONGITUDINAL = (-1.0, -0.4, 0.0, 0.4, 1.0)
 
 _ZERO = np.float32(0.0)
@@ -49,59 +49,59 @@ _ONE = np.float32(1.0)
 
 @dataclass
 class Commands:
-    """A set of commands, each of which a robot can execute."""
+    """Sizes of the discrete command set."""
 
-    turns: int = required(3, 99, help="turns, from right to left, of robots with a heading")
-    speeds: int = required(2, 20, help="speeds of unicycles and holonomic robots")
-    directions: int = required(1, 360, help="directions of holonomic robots")
+    turns: int = required(3, 99, help="turns, from right to left, for robots with a heading")
+    speeds: int = required(2, 20, help="speeds for unicycles and holonomic robots")
+    directions: int = required(1, 360, help="directions for holonomic robots")
 
 
 class Outcomes(NamedTuple):
-    """What C commands lead R robots to; the tracks look like those of C worlds of R robots."""
+    """Predicted outcomes of C commands for R robots; shaped like tracks of C worlds of R robots."""
 
     tracks: Tracks  # [C, R, ...] in the body frames after the step
-    reward: NDArray[np.float32]  # [C, R] of Eq. 10 of SAMARL, but for the team's arrival
+    reward: NDArray[np.float32]  # [C, R] of Eq. 10 of SAMARL, without the team's arrival bonus
     ended: NDArray[np.bool_]  # [C, R] the robot arrives or collides
 
 
 def command_set(sizes: Commands, kinematics: Kinematics) -> NDArray[np.float32]:
-    """All commands, [C, A]."""
+    """Return all commands, [C, A] in [-1, 1]."""
     turns = np.linspace(-1.0, 1.0, sizes.turns)
     if kinematics is Kinematics.acceleration_heading:
-        found = [(push, 0.0, turn) for push in LONGITUDINAL for turn in turns]
-        return np.array(found, np.float32)
+        thrusts_and_turns = [(thrust, 0.0, turn) for thrust in LONGITUDINAL for turn in turns]
+        return np.array(thrusts_and_turns, np.float32)
     if kinematics is Kinematics.unicycle:
-        speeds = np.linspace(-1.0, 1.0, sizes.speeds)  # -1 is standing
+        speeds = np.linspace(-1.0, 1.0, sizes.speeds)  # -1 means standing still
         return np.array([(speed, turn) for speed in speeds for turn in turns], np.float32)
     angle = np.arange(sizes.directions) * (2.0 * math.pi / sizes.directions)
     speed = np.arange(1, sizes.speeds + 1) / sizes.speeds
-    ways = speed[:, None, None] * np.stack([np.cos(angle), np.sin(angle)], -1)
-    return np.concatenate([np.zeros((1, 2)), ways.reshape(-1, 2)]).astype(np.float32)
+    velocities = speed[:, None, None] * np.stack([np.cos(angle), np.sin(angle)], -1)
+    return np.concatenate([np.zeros((1, 2)), velocities.reshape(-1, 2)]).astype(np.float32)
 
 
-def look_ahead(
+def predict_outcomes(
     tracks: Tracks,
     active: NDArray[np.bool_],
     target: NDArray[np.float32],
     commands: NDArray[np.float32],
     scenario: Scenario,
 ) -> Outcomes:
-    """What every command leads to within one step.
+    """Predict the outcome of every command after one step.
 
     Args:
-        tracks: what the robots of E worlds know, [E, N, ...].
-        active: [E, N] the R robots to look ahead for, in this order.
-        target: [E, N, 2] progress is towards it, m in the body frame.
+        tracks: tracks of the robots of E worlds, [E, N, ...].
+        active: [E, N] the R robots for which outcomes are predicted, in this order.
+        target: [E, N, 2] the point towards which progress is rewarded, m in the body frame.
         commands: [C, A] in [-1, 1].
-        scenario: dynamics and reward. Walls are not foreseen.
+        scenario: dynamics and reward. Walls are ignored.
     """
     robots = np.flatnonzero(active)
     shape = len(commands), len(robots)
     own, humans, humans_known, others, others_known = (
-        np.empty((*shape, *kept.shape[2:]), kept.dtype) for kept in tracks
+        np.empty((*shape, *array.shape[2:]), array.dtype) for array in tracks
     )
     reward, ended = np.empty(shape, np.float32), np.empty(shape, np.bool_)
-    _look_ahead(
+    _predict_outcomes(
         len(robots), robots, *tracks, target, commands, kernel_parameters(scenario),
         own, humans, humans_known, others, others_known, reward, ended,
     )  # fmt: skip
@@ -109,9 +109,9 @@ def look_ahead(
 
 
 @kernel
-def _look_ahead(
+def _predict_outcomes(
     chunks,
-    who,
+    robot_index,
     ego,
     humans,
     humans_known,
@@ -128,41 +128,44 @@ def _look_ahead(
     reward,
     ended,
 ):
-    total, n = who.shape[0], ego.shape[1]
+    total, n = robot_index.shape[0], ego.shape[1]
     for chunk in prange(chunks):
         for r in range(chunk * total // chunks, (chunk + 1) * total // chunks):
-            e, i = who[r] // n, who[r] % n
+            e, i = robot_index[r] // n, robot_index[r] % n
             own = ego[e, i]
             goal_x, goal_y = own[GOAL_X], own[GOAL_Y]
             target_x, target_y = target[e, i, 0], target[e, i, 1]
             target_distance = math.sqrt(target_x * target_x + target_y * target_y)
             for c in range(commands.shape[0]):
-                x, y, vx, vy, turn = move(
+                x, y, vx, vy, turn = step_robot(
                     _ZERO, _ZERO, own[VELOCITY_X], own[VELOCITY_Y], _ZERO, commands[c], p
                 )
-                _turn_own(own, x, y, vx, vy, turn, p, next_ego[c, r])
+                _next_ego(own, x, y, vx, vy, turn, p, next_ego[c, r])
                 next_humans_known[c, r] = humans_known[e, i]
                 next_robots_known[c, r] = robots_known[e, i]
-                hit_human, gap = _turn_others(
+                hit_human, gap = _next_others(
                     own, humans[e, i], humans_known[e, i], x, y, vx, vy, turn, p, next_humans[c, r]
                 )
-                hit_robot, _ = _turn_others(
+                hit_robot, _ = _next_others(
                     own, robots[e, i], robots_known[e, i], x, y, vx, vy, turn, p, next_robots[c, r]
                 )
                 collided = hit_human or hit_robot
                 dx, dy = goal_x - x, goal_y - y
-                left, ends = math.sqrt(dx * dx + dy * dy), collided and p.collisions_end
-                arrived = not ends and left < p.robot_radius
+                goal_distance = math.sqrt(dx * dx + dy * dy)
+                ends = collided and p.collisions_end
+                arrived = not ends and goal_distance < p.robot_radius
                 dx, dy = target_x - x, target_y - y
                 progress = target_distance - math.sqrt(dx * dx + dy * dy)
-                parts = step_reward_parts(collided, arrived, False, True, gap, progress, left, p)
+                parts = step_reward_parts(
+                    collided, arrived, False, True, gap, progress, goal_distance, p
+                )
                 reward[c, r] = sum_of_parts(parts)
                 ended[c, r] = ends or arrived
 
 
 @function
-def _turn_own(own, x, y, vx, vy, turn, p, out):
-    """The robot's own state after it has moved to (x, y) and turned, in its new body frame."""
+def _next_ego(own, x, y, vx, vy, turn, p, out):
+    """Write the ego features after the robot moved to (x, y) and turned, in its new body frame."""
     cos, sin = math.cos(turn), math.sin(turn)
     for k in range(own.shape[0]):
         out[k] = own[k]
@@ -174,10 +177,11 @@ def _turn_own(own, x, y, vx, vy, turn, p, out):
 
 
 @function
-def _turn_others(own, others, known, x, y, vx, vy, turn, p, out):
-    """Where the others [M, 6] are then, in the new body frame; their age stays as it is.
+def _next_others(own, others, known, x, y, vx, vy, turn, p, out):
+    """Write the others' features [M, 6] after one step in the new body frame, with the same age.
 
-    Returns whether one of them is hit on the way, and the surface distance to the nearest after it.
+    Returns whether the robot hits any of them during the step, and the surface distance to the
+    nearest after it.
     """
     cos, sin = math.cos(turn), math.sin(turn)
     hit, gap = False, np.float32(np.inf)

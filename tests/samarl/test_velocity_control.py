@@ -1,4 +1,4 @@
-"""Velocities that robots of another kind are meant to have."""
+"""Actions retargeted to robots of other kinematics track the same velocities."""
 
 import math
 from dataclasses import replace
@@ -12,13 +12,13 @@ from mrsan.parameters import kernel_parameters
 from samarl.agents import build_agent
 from samarl.agents.learned import Learned
 from samarl.configuration import load_agent
-from samarl.planning.tracking import as_driven
+from samarl.planning.velocity_control import retarget_actions
 
 ALONE = Scenario(robots=1, humans=0)
 
 
 def moved(world: World, action: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Velocities [E, N, 2] in the body frame of before and turns [E, N] of one step."""
+    """Return velocities [E, N, 2] in the previous body frame and turns [E, N] of one step."""
     before = world.observe().ego
     after = world.step(action).observation.ego
     cos = before[..., HEADING_COS] * after[..., HEADING_COS]
@@ -30,29 +30,33 @@ def moved(world: World, action: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize("own", Kinematics)
-def test_a_holonomic_robot_moves_as_any_other_would(own: Kinematics) -> None:
-    """It can have every velocity: the two worlds go on alike, turns on the spot included."""
-    theirs, ours = replace(ALONE, kinematics=own), replace(ALONE, kinematics=Kinematics.holonomic)
+def test_a_holonomic_robot_reproduces_the_motion_of_any_other(own: Kinematics) -> None:
+    """It can reach every velocity, so both worlds agree, including turns in place."""
+    source, target = replace(ALONE, kinematics=own), replace(ALONE, kinematics=Kinematics.holonomic)
     rng = np.random.default_rng(0)
-    one, other = World(theirs, 50), World(ours, 50)
+    one, other = World(source, 50), World(target, 50)
     one.reset(range(50))
     other.reset(range(50))
     for _ in range(8):
-        action = rng.uniform(-1, 1, (50, 1, theirs.action_size)).astype(np.float32)
+        action = rng.uniform(-1, 1, (50, 1, source.action_size)).astype(np.float32)
         ego = other.observe().ego
-        tracked = as_driven(ego, action, kernel_parameters(theirs), kernel_parameters(ours))
+        tracked = retarget_actions(
+            ego, action, kernel_parameters(source), kernel_parameters(target)
+        )
         assert np.abs(tracked).max() <= 1.0
         expected, turn = moved(one, action)
         velocity, turned = moved(other, tracked)
-        np.testing.assert_allclose(velocity, expected, atol=2e-3)  # it creeps where it turns
+        np.testing.assert_allclose(
+            velocity, expected, atol=2e-3
+        )  # it creeps while turning in place
         drives = np.linalg.norm(expected, axis=-1) > 1e-3
         standing = ~drives & (np.linalg.norm(velocity, axis=-1) > 0)
-        for who in (drives, standing):
-            np.testing.assert_allclose(turned[who], turn[who], atol=1e-3)
+        for mask in (drives, standing):
+            np.testing.assert_allclose(turned[mask], turn[mask], atol=1e-3)
 
 
-def test_a_robot_with_limits_comes_as_near_as_it_can() -> None:
-    """By hand: from standing, ahead; and from full speed by a quarter turn to the left."""
+def test_a_robot_with_limits_tracks_the_velocity_within_them() -> None:
+    """By hand: start moving; a quarter turn to the left at full speed; brake to half speed."""
     own = kernel_parameters(replace(ALONE, kinematics=Kinematics.holonomic))
     here = kernel_parameters(ALONE)
     ego = np.zeros((1, 3, 11), np.float32)
@@ -60,26 +64,31 @@ def test_a_robot_with_limits_comes_as_near_as_it_can() -> None:
     ego[0, 1, VELOCITY.start] = 1.0
     ego[0, 2, VELOCITY.start] = 1.0
     action = np.array([[[1.0, 0.0], [0.0, 1.0], [0.5, 0.0]]], np.float32)
-    tracked = as_driven(ego, action, own, here)
-    # 1 m/s in 0.25 s is 4 of 5 m/s^2; a sharp turn is made standing; half a metre per second less.
+    tracked = retarget_actions(ego, action, own, here)
+    # 1 m/s in 0.25 s is 4 of 5 m/s^2; a sharp turn is made in place; 0.5 m/s less is -2 of 5.
     np.testing.assert_allclose(tracked[0], [[0.8, 0, 0], [-0.8, 0, 1], [-0.4, 0, 0]], atol=1e-6)
     gentle = np.array([[math.cos(0.1), math.sin(0.1)]] * 3, np.float32)[None]
     turn = 0.1 / math.radians(15.0)
-    np.testing.assert_allclose(as_driven(ego, gentle, own, here)[0, 1], [0, 0, turn], atol=1e-5)
+    np.testing.assert_allclose(
+        retarget_actions(ego, gentle, own, here)[0, 1], [0, 0, turn], atol=1e-5
+    )
 
 
-def test_a_policy_drives_other_robots_only_where_that_is_asked_for() -> None:
+def test_a_policy_drives_other_robots_only_with_track_velocity() -> None:
     config = load_agent("msa3cpred")
-    with pytest.raises(ConfigurationError, match=r"agent\.track_velocity=true"):
+    with pytest.raises(
+        ConfigurationError,
+        match=r"scenario\.kinematics is acceleration_heading; .*agent\.track_velocity",
+    ):
         build_agent(config, ALONE)
     agent = build_agent({**config, "track_velocity": True}, ALONE)
     assert isinstance(agent, Learned)
-    assert agent.is_foreign
+    assert agent.kinematics_mismatch
     agent.reset(np.ones(4, np.bool_))
     action = agent.act(World(ALONE, 4).reset(range(4)))
     assert action.shape == (4, 1, 3)
-    assert action[..., 0].max() > 0.5  # it sets out
+    assert action[..., 0].max() > 0.5  # it starts moving
     own = replace(ALONE, kinematics=Kinematics.holonomic)
-    at_home = build_agent({**config, "track_velocity": True}, own)
-    assert isinstance(at_home, Learned)
-    assert not at_home.is_foreign
+    same_kinematics = build_agent({**config, "track_velocity": True}, own)
+    assert isinstance(same_kinematics, Learned)
+    assert not same_kinematics.kinematics_mismatch
