@@ -2,7 +2,8 @@
 
 The crowd is that of a station: people of different size, slow and fast, who push rather than plan.
 Every field of `mrsan.Scenario` can be changed in this way. The values are checked, and the cases
-are as reproducible as those of the tables.
+are as reproducible as those of the tables. `mrsan.register_crowd` adds other models of how people
+move (docs/extending.md, "A crowd model").
 """
 
 from __future__ import annotations

@@ -193,8 +193,8 @@ def test_what_is_wrong_with_a_file_is_said_in_one_line(tmp_path: Path) -> None:
         (good, {"history": "many"}, "has history 'many'; it must be a whole number in .1, 200."),
         (b"nonsense", {}, "is not a weights file"),
         (unlike, {}, "has weights .*; they must be"),
-        (endless, {}, "has bias with NaN or infinity in it"),
-        (save({**weights(), "bias": np.zeros(3 * HIDDEN)}), {}, "has bias of float64; it must be"),
+        (endless, {}, "has NaN or infinity in bias"),
+        (save({**weights(), "bias": np.zeros(3 * HIDDEN)}), {}, "has bias of type float64; it must be"),
     ):
         name = written(tmp_path, content, **card)
         with pytest.raises(ConfigurationError, match=f"my.field: .*{message}") as caught:
