@@ -45,13 +45,15 @@ def main() -> None:
     for name in arguments.agents:
         agent = build_agent(load_agent(name), STATION)
         episodes = run_cases(agent, STATION, cases, batch=100, title=name)
-        row = METRICS["success_rate"].of(episodes) | METRICS["social_score"].of(episodes)
+        row: dict[str, float] = {}
+        for metric in ("success_rate", "social_score"):
+            row |= METRICS[metric].row_fields(episodes)
         success[name] = row["success_rate"]
         print(f"{name:18} success {row['success_rate']} %, social score {row['social_score']}")
     best = max(success, key=success.__getitem__)
-    recording = record_episode(build_agent(load_agent(best), STATION), STATION, Split.test.case(0))
+    trajectory = record_episode(build_agent(load_agent(best), STATION), STATION, Split.test.case(0))
     arguments.output.parent.mkdir(parents=True, exist_ok=True)
-    save_trajectories([(recording, f"{best} at the station")], arguments.output)
+    save_trajectories([(trajectory, f"{best} at the station")], arguments.output)
     print(f"written to {arguments.output}")
 
 

@@ -76,7 +76,7 @@ def make_policy(name: str, config: Mapping[str, Any], action_size: int) -> Polic
     """
     if action_size not in ACTION_SIZE.values():
         raise ConfigurationError(
-            f"action_size is {action_size}; it must be among {sorted({*ACTION_SIZE.values()})}"
+            f"action_size is {action_size}; it must be one of {sorted({*ACTION_SIZE.values()})}"
         )
     values = POLICIES.config({**config, "name": name})
     policy = POLICIES[name].cls(values, action_size)
