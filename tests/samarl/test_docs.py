@@ -98,11 +98,11 @@ def test_an_encoder_of_your_own(tmp_path: Path) -> None:
 def test_an_algorithm_in_samarl_train(tmp_path: Path) -> None:
     text = section("In samarl-train")
     (tmp_path / "my_conf/algorithm").mkdir(parents=True)
-    (tmp_path / "my_conf/algorithm/sharing.yaml").write_text(block(text, "yaml"))
-    (tmp_path / "my_mappo.py").write_text(block(text, "python"))
+    (tmp_path / "my_conf/algorithm/happo.yaml").write_text(block(text, "yaml"))
+    (tmp_path / "my_happo.py").write_text(block(text, "python"))
     assert "| samarl " in run(text, tmp_path)
-    provenance = json.loads((tmp_path / "outputs/sharing/last.json").read_text())["provenance"]
-    assert provenance["configuration"]["algorithm"]["name"] == "sharing"
+    provenance = json.loads((tmp_path / "outputs/happo/last.json").read_text())["provenance"]
+    assert provenance["configuration"]["algorithm"]["name"] == "happo"
 
 
 def test_an_algorithm_of_your_own(tmp_path: Path) -> None:
