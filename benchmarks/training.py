@@ -34,11 +34,11 @@ from samarl.training.trainer import Trainer
 _PARTS = {
     "simulation": [("world.py", "step"), ("world.py", "reset")],
     "tracks, features": [("policy.py", "_perceive")],
-    "shield": [("shield.py", "shielded")],
-    "networks, acting": [("policy.py", "act"), ("policy.py", "resume")],
+    "shield": [("shield.py", "apply_shield")],
+    "networks, acting": [("stochastic.py", "act"), ("stochastic.py", "resume")],
     "rollouts": [("collector.py", "collect")],
     "advantages": [("ppo.py", "prepare")],
-    "networks, forward": [("ppo.py", "_loss")],
+    "networks, forward": [("ppo.py", "_policy_loss"), ("ppo.py", "_value_loss")],
     "networks, backward": [("_tensor.py", "backward")],
     "optimiser": [("adam.py", "step"), ("clip_grad.py", "clip_grad_norm_")],
     "mean of gradients": [("distributed.py", "average_gradients")],  # waits for the slowest one
