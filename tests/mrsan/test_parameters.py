@@ -14,7 +14,7 @@ def test_fields_keep_their_names_and_get_the_kernels_types() -> None:
     assert (p.circle_radius, type(p.circle_radius)) == (6.0, np.float32)
     assert (p.reward_team, type(p.reward_team)) == (7.0, np.float32)
     assert p.robots_visible is True
-    assert (p.max_neighbors, p.layout) == (10, Layout.circle.value)
+    assert (p.humans_min, p.layout) == (10, Layout.circle.value)
 
 
 def test_durations_angles_and_absent_limits_are_converted() -> None:

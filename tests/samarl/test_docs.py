@@ -100,7 +100,7 @@ def test_an_algorithm_in_samarl_train(tmp_path: Path) -> None:
     (tmp_path / "my_conf/algorithm").mkdir(parents=True)
     (tmp_path / "my_conf/algorithm/happo.yaml").write_text(block(text, "yaml"))
     (tmp_path / "my_happo.py").write_text(block(text, "python"))
-    assert "| samarl " in run(text, tmp_path)
+    assert "| samarl_flat " in run(text, tmp_path)
     provenance = json.loads((tmp_path / "outputs/happo/last.json").read_text())["provenance"]
     assert provenance["configuration"]["algorithm"]["name"] == "happo"
 

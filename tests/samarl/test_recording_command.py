@@ -51,7 +51,7 @@ def test_a_summary(run) -> None:
     assert summary["format"].startswith("PedPy")
     assert summary["people"] == "40, at most 9 at once"
     assert summary["duration"] == "89.2 s"  # 2230 frames of 0.04 s
-    assert summary["clock"].endswith("(as the file states)")
+    assert summary["clock"].endswith("(as stated in the file)")
     assert summary["floor"] == "14.4 x 14.4 m"
     assert summary["speeds"].startswith("median 1.20")
     assert summary["verdict"] == "plausible"
