@@ -5,10 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import NoReturn
+from typing import TYPE_CHECKING, NoReturn
 
 import torch
-from tensordict import TensorDict
 from torch import Tensor
 from torch.nn import functional
 
@@ -30,6 +29,9 @@ from samarl.policies.stochastic import (
     ExplorationNoise,
     Sequences,
 )
+
+if TYPE_CHECKING:
+    from tensordict import TensorDict
 
 
 @dataclass

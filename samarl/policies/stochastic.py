@@ -12,8 +12,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from tensordict import TensorDict
-from tensordict.nn import TensorDictModule
 from torch import Tensor, nn
 from torch.utils._pytree import tree_map
 
@@ -32,6 +30,7 @@ from samarl.policies.policy import (
 )
 
 if TYPE_CHECKING:
+    from tensordict import TensorDict
     from torchrl.modules import ProbabilisticActor
 
 
@@ -232,7 +231,8 @@ class StochasticPolicy(Policy):
         `loc` and `scale` [Q, A] of the distribution of `action` given the previous noise, and
         `mean` and `std` [Q, A] without that condition.
         """
-        # Imported here as it takes seconds, and only training needs it.
+        # Imported here because it takes seconds, and only training needs it.
+        from tensordict.nn import TensorDictModule
         from torchrl.modules import IndependentNormal, ProbabilisticActor
 
         noise = ["previous_noise", "noise_correlation"] if level == LOCAL else []
