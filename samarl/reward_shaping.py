@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrsan import Observation, Scenario, Step
-from mrsan.features import GOAL, VELOCITY
-from samarl.observations.features import to_world
+from mrsan.features import GOAL
+from samarl.observations.features import speed_of, to_world
 from samarl.policies.hierarchical import HierarchicalConfig
 from samarl.policies.policy import LOCAL, MACRO, Policy, PolicyState
 
@@ -56,8 +56,8 @@ def level_rewards(
         waypoint = state["waypoint"].view(*task.shape, 2).cpu().numpy()
         rewards = {MACRO: task, LOCAL: _waypoint_reward(policy.config, waypoint, before, step)}
     if shaping.path_penalty > 0.0:
-        speed = np.linalg.norm(step.observation.ego[..., VELOCITY], axis=-1)
-        penalty = np.float32(shaping.path_penalty * scenario.time_step) * speed * active
+        per_speed = np.float32(shaping.path_penalty * scenario.time_step)
+        penalty = per_speed * speed_of(step.observation.ego) * active
         rewards = {level: reward - penalty for level, reward in rewards.items()}
     return rewards
 

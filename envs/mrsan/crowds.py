@@ -32,6 +32,10 @@ from mrsan.kernels.step import advance
 F = TypeVar("F", bound=Callable[..., Any])
 
 
+def _no_settings(scenario: Any) -> tuple[()]:
+    return ()
+
+
 @dataclass(frozen=True)
 class CrowdModel:
     """The functions of a crowd model; see `mrsan.kernels.people` for their arguments."""
@@ -41,7 +45,7 @@ class CrowdModel:
     update_presence: Any = enter_and_leave
     crowd_velocity: Any = None  # of one person, which `walk_to_goals` calls
     settings: type | None = None  # dataclass of `Scenario.crowd_settings`; None: it has none
-    kernel_settings: Callable[[Any], tuple[Any, ...]] = lambda scenario: ()
+    kernel_settings: Callable[[Any], tuple[Any, ...]] = _no_settings
 
 
 CROWDS: dict[str, CrowdModel] = {}
@@ -92,7 +96,7 @@ def register_crowd(name: str, settings: type | None = None) -> Callable[[F], F]:
         CROWDS[name] = CrowdModel(
             f"{name}_{source.__module__}", walk_to_goals, crowd_velocity=function(source),
             settings=settings,
-            kernel_settings=(lambda scenario: ()) if settings is None else _conversion(settings),
+            kernel_settings=_no_settings if settings is None else _conversion(settings),
         )  # fmt: skip
         return source
 
@@ -146,19 +150,23 @@ def __getattr__(name: str) -> Any:
     return settings_tuple
 
 
+def _of_scenario(settings_tuple: Any) -> Callable[[Any], tuple[Any, ...]]:
+    """Return the function from a scenario to those of its fields that a named tuple lists."""
+    types = get_type_hints(settings_tuple)
+
+    def convert(scenario: Any) -> tuple[Any, ...]:
+        values = {name: kind(getattr(scenario, name)) for name, kind in types.items()}
+        return cast(tuple[Any, ...], settings_tuple(**values))
+
+    return convert
+
+
 class OrcaSettings(NamedTuple):
     """The settings of ORCA, which are fields of `Scenario`."""
 
     neighbor_distance: np.float32
     max_neighbors: int
     time_horizon: np.float32
-
-    @classmethod
-    def of(cls, s: Any) -> OrcaSettings:
-        """Return the settings of a scenario."""
-        return cls(
-            np.float32(s.neighbor_distance), int(s.max_neighbors), np.float32(s.time_horizon)
-        )
 
 
 class SocialForceSettings(NamedTuple):
@@ -168,21 +176,14 @@ class SocialForceSettings(NamedTuple):
     force_strength: np.float32
     force_range: np.float32
 
-    @classmethod
-    def of(cls, s: Any) -> SocialForceSettings:
-        """Return the settings of a scenario."""
-        return cls(
-            np.float32(s.relaxation_time), np.float32(s.force_strength), np.float32(s.force_range)
-        )
-
 
 CROWDS |= {
     Crowd.orca.value: CrowdModel(
-        "orca", walk_to_goals, crowd_velocity=orca_crowd, kernel_settings=OrcaSettings.of
+        "orca", walk_to_goals, crowd_velocity=orca_crowd, kernel_settings=_of_scenario(OrcaSettings)
     ),
     Crowd.social_force.value: CrowdModel(
         "social_force", walk_to_goals, crowd_velocity=social_force_crowd,
-        kernel_settings=SocialForceSettings.of,
+        kernel_settings=_of_scenario(SocialForceSettings),
     ),
     Crowd.still.value: CrowdModel("still", stand_still),
     Crowd.recorded.value: CrowdModel(

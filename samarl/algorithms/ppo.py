@@ -383,8 +383,10 @@ class PPO(Algorithm):
     ) -> Tensor:
         """Return the penalties on the local level's means: robots' limits and the shield."""
         c = self.config
+        total = torch.zeros((), device=self.policy.device)
+        if c.action_limit_penalty == 0.0 and not self.uses_shield_targets:
+            return total
         mean, std = self.policy.distribution(LOCAL, decisions["embedding"], decisions["row"])
-        total = mean.new_zeros(())
         if c.action_limit_penalty > 0.0:
             beyond = excess(mean, std, decisions["speed"], scenario, c.action_limit_slack).mean()
             total = total + c.action_limit_penalty * beyond

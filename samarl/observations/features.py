@@ -91,6 +91,12 @@ def state_of(world: World) -> Frames:
     return Frames(_own(seen.ego, scenario), *found)
 
 
+def speed_of(ego: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the speeds of robots from their own states [..., 11], m/s."""
+    speed: NDArray[np.float32] = np.linalg.norm(ego[..., VELOCITY], axis=-1)
+    return speed
+
+
 def to_world(point: A, ego: A) -> A:
     """From the body frames of robots `ego` [..., 11] to the world frame, [..., 2]."""
     cos, sin = ego[..., HEADING_COS], ego[..., HEADING_SIN]

@@ -11,10 +11,9 @@ from tensordict import TensorDict
 from torch import Tensor
 from torch.utils._pytree import tree_leaves, tree_map
 
-from mrsan import Episodes, Observation, Split, World
-from mrsan.features import VELOCITY
+from mrsan import Episodes, Split, World
 from mrsan.metrics import episodes_of
-from samarl.observations.features import state_of
+from samarl.observations.features import speed_of, state_of
 from samarl.observations.frames import Frames
 from samarl.planning.shield import Shield, apply_shield
 from samarl.policies.policy import LOCAL, Decision, Policy, PolicyState, empty_features
@@ -150,7 +149,7 @@ class RolloutCollector:
         column: dict[Any, Tensor] = {
             ("is_init",): torch.from_numpy(self.is_init[:, None].copy()),
             ("agents", "active_mask"): active,
-            ("agents", "speed"): torch.from_numpy(_speed(self.observation)),
+            ("agents", "speed"): torch.from_numpy(speed_of(self.observation.ego)),
         }
         if step.previous_noise is not None:
             column["agents", "previous_noise"] = step.previous_noise
@@ -326,9 +325,3 @@ class RolloutCollector:
         for name in ("observation", "state", "age", "fresh", "is_init", "frames", "begins",
                      "decision", "active", "encoder_before"):  # fmt: skip
             setattr(self, name, saved[name])
-
-
-def _speed(observation: Observation) -> NDArray[np.float32]:
-    """Return the speeds of all robots, [E, N] m/s."""
-    speed: NDArray[np.float32] = np.linalg.norm(observation.ego[..., VELOCITY], axis=-1)
-    return speed

@@ -232,21 +232,25 @@ class Trainer:
         self.averaged.update_parameters(self.policy)
         ended = [episodes for rollout in rollouts for episodes in rollout.episodes]
         successes = [float(success) for episodes in ended for success in episodes.success]
-        told = distributed.all_gather_object((successes, statistics))
+        gathered = distributed.all_gather_object((successes, statistics))
         steps = world_size() * sum(rollout.environment_steps for rollout in rollouts)
         self.steps_done += steps
         self.algorithm.set_progress(min(self.steps_done / self.config.steps, 1.0))
         took = time.perf_counter() - begun
         self.seconds += took
-        for successes, _ in told:
+        for successes, _ in gathered:
             self.recent.extend(successes)
+        means = _means(of_process for _, of_process in gathered)
         return {
             "steps": float(self.steps_done),
             "seconds": round(self.seconds, 1),
             "charts/steps_per_second": round(steps / took, 1),
             "charts/collect_share": round((collected - begun) / took, 3),
             "charts/success": round(float(np.mean(self.recent or [0.0])), 4),
-            **{key: round(value, 6) for key, value in _means(found for _, found in told).items()},
+            **{
+                key: round(value, 6)
+                for key, value in _means(found for _, found in gathered).items()
+            },
         }
 
     def collect(self) -> list[Rollout]:
