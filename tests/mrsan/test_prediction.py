@@ -194,7 +194,11 @@ def test_what_is_wrong_with_a_file_is_said_in_one_line(tmp_path: Path) -> None:
         (b"nonsense", {}, "is not a weights file"),
         (unlike, {}, "has weights .*; they must be"),
         (endless, {}, "has NaN or infinity in bias"),
-        (save({**weights(), "bias": np.zeros(3 * HIDDEN)}), {}, "has bias of type float64"),
+        (
+            save({**weights(), "bias": np.zeros(3 * HIDDEN)}),
+            {},
+            "has bias of type float64; it must be",
+        ),
     ):
         name = written(tmp_path, content, **card)
         with pytest.raises(ConfigurationError, match=f"my.field: .*{message}") as caught:

@@ -107,7 +107,7 @@ def test_what_does_not_fit_is_refused_and_nothing_is_written() -> None:
         (past._replace(tally=past.tally[:, :1]), None, ValueError,
          r"snapshot.tally has shape \(24, 1, 13\); it must have \(24, 2, 13\)"),
         (past._replace(clock=past.clock.astype(float)), None, ValueError,
-         "snapshot.clock .*float64.*int32"),
+         "snapshot.clock has type float64; it must have int32"),
         (past, [True] * 3, ValueError, "it must be 24 booleans"),
         (past._asdict(), None, TypeError, "snapshot is a dict; it must be a State"),
     ):  # fmt: skip

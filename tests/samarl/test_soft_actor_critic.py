@@ -21,6 +21,7 @@ from samarl.algorithms.soft_actor_critic import SoftActorCritic, features, seque
 from samarl.encoders.temporal_spatial_graph import towards
 from samarl.policies.checkpoint import make_policy, save_policy
 from samarl.policies.squashed import SquashedPolicy, log_slope
+from samarl.reward_shaping import RewardShaping
 from samarl.rollout import Rollout
 from samarl.training.collector import RolloutCollector
 from samarl.training.curriculum import CurriculumStage
@@ -232,6 +233,13 @@ TERMINATED = [
     [[x, x], [x, x], [x, x], [x, x]],
     [[x, x], [x, x], [x, o], [x, x]],
 ]
+
+
+def test_robots_are_paid_the_sum_of_their_team_or_their_own_without_its_bonus() -> None:
+    team = learner(squashed(), team_reward=True).reward_shaping
+    assert team == RewardShaping(team_bonus=True, shared=True)
+    own = learner(squashed(), team_reward=False).reward_shaping
+    assert own == RewardShaping(team_bonus=False, shared=False)
 
 
 def test_where_values_are_learned_and_where_they_end() -> None:

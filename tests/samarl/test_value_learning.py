@@ -26,6 +26,7 @@ from samarl.planning.one_step import command_set
 from samarl.policies.checkpoint import make_policy
 from samarl.policies.lookahead import LookaheadPolicy
 from samarl.registry import Entry
+from samarl.reward_shaping import RewardShaping
 from samarl.rollout import Rollout
 from samarl.training.curriculum import CurriculumStage
 from samarl.training.run_dir import LAST
@@ -245,6 +246,10 @@ def rollout_of(
     scenario = Scenario(robots=n, humans=humans)
     begins = torch.zeros(s * n, t, dtype=torch.bool)
     return Rollout(scenario, 0.0, steps, Frames(ego, *nobody), begins, ({},), None, [], s * t)
+
+
+def test_no_robot_is_paid_for_the_arrival_of_its_team() -> None:
+    assert learner(lookahead()).reward_shaping == RewardShaping(team_bonus=False)
 
 
 def test_what_a_value_is_regressed_on() -> None:
