@@ -247,10 +247,7 @@ class Trainer:
             "charts/steps_per_second": round(steps / took, 1),
             "charts/collect_share": round((collected - begun) / took, 3),
             "charts/success": round(float(np.mean(self.recent or [0.0])), 4),
-            **{
-                key: round(value, 6)
-                for key, value in _means(found for _, found in gathered).items()
-            },
+            **{key: round(value, 6) for key, value in means.items()},
         }
 
     def collect(self) -> list[Rollout]:
