@@ -173,9 +173,7 @@ def _rollout(
     frames, is_init = _frames(with_history)
     encoder = policy.memory(state)["encoder"]
     environment_steps = steps.shape[0] * (steps.shape[1] - 1)
-    return Rollout(
-        scenario, 0.0, data, frames, is_init, encoder, None, [], environment_steps
-    )  # fmt: skip
+    return Rollout(scenario, 0.0, data, frames, is_init, encoder, None, [], environment_steps)
 
 
 def _parse() -> argparse.Namespace:

@@ -18,10 +18,38 @@ from safetensors.numpy import load, save
 
 DEEP = "@deep@"  # placeholder for a hundred thousand nested brackets in JSON
 _VALUES: list[Any] = [
-    None, True, False, -1, 0, 1, 2.5, 10**9, 2**63, 10**400, -(10**400), 1e308, float("nan"),
-    float("inf"), "", "abc", "10", "nan", "../../etc/passwd", "os.system", "${nowhere}",
-    "${oc.env:HOME}", "???", "a" * 10_000, "\ud83d\ude00", [], [1, 2], [[]], {}, {"a": 1}, DEEP,
-]  # fmt: skip
+    None,
+    True,
+    False,
+    -1,
+    0,
+    1,
+    2.5,
+    10**9,
+    2**63,
+    10**400,
+    -(10**400),
+    1e308,
+    float("nan"),
+    float("inf"),
+    "",
+    "abc",
+    "10",
+    "nan",
+    "../../etc/passwd",
+    "os.system",
+    "${nowhere}",
+    "${oc.env:HOME}",
+    "???",
+    "a" * 10_000,
+    "\ud83d\ude00",
+    [],
+    [1, 2],
+    [[]],
+    {},
+    {"a": 1},
+    DEEP,
+]
 _PNG = bytes.fromhex("89504e470d0a1a0a0000000d4948445200000001000000010802000000907753de")
 
 
@@ -48,11 +76,23 @@ def _foreign(r: random.Random, valid: bytes) -> bytes:
     archive = io.BytesIO()
     with zipfile.ZipFile(archive, "w") as file:
         file.writestr("data.pkl", pickle.dumps({"weights": [1.0]}))
-    return r.choice([
-        b"", b"\n", pickle.dumps({"weights": [1.0]}), archive.getvalue(), _PNG, b"{}", b"[]",
-        gzip.compress(valid[:1000]), r.randbytes(r.randint(1, 5000)), b"hello\n" * 100,
-        valid + valid, valid[::-1], b"\x00" * 1000,
-    ])  # fmt: skip
+    return r.choice(
+        [
+            b"",
+            b"\n",
+            pickle.dumps({"weights": [1.0]}),
+            archive.getvalue(),
+            _PNG,
+            b"{}",
+            b"[]",
+            gzip.compress(valid[:1000]),
+            r.randbytes(r.randint(1, 5000)),
+            b"hello\n" * 100,
+            valid + valid,
+            valid[::-1],
+            b"\x00" * 1000,
+        ]
+    )
 
 
 def hostile_header(r: random.Random, valid: bytes) -> bytes:
@@ -66,16 +106,37 @@ def hostile_header(r: random.Random, valid: bytes) -> bytes:
     tensor = header[name]
     begin, end = tensor["data_offsets"]
     entries = [
-        ("data_offsets", [-1, end]), ("data_offsets", [begin, end + 4]),
-        ("data_offsets", [end, begin]), ("data_offsets", [0, 4]), ("data_offsets", [begin, 2**63]),
-        ("data_offsets", [10**12, 10**12 + end - begin]), ("data_offsets", []),
-        ("data_offsets", [0.5, 1.5]), ("shape", [2**31, 2**31]), ("shape", [10**9]),
-        ("shape", [-1]), ("shape", [2**63, 2]), ("shape", [1.5]), ("shape", []),
-        ("shape", [0]), ("shape", [1] * 500), ("shape", None), ("shape", tensor["shape"][::-1]),
-        ("shape", [*tensor["shape"], 1]), ("dtype", "F32x"), ("dtype", "I32"), ("dtype", "U32"),
-        ("dtype", "F64"), ("dtype", "F16"), ("dtype", "BF16"), ("dtype", "F8_E4M3"),
-        ("dtype", "BOOL"), ("dtype", None), ("dtype", 7), ("dtype", "\u0000"),
-    ]  # fmt: skip
+        ("data_offsets", [-1, end]),
+        ("data_offsets", [begin, end + 4]),
+        ("data_offsets", [end, begin]),
+        ("data_offsets", [0, 4]),
+        ("data_offsets", [begin, 2**63]),
+        ("data_offsets", [10**12, 10**12 + end - begin]),
+        ("data_offsets", []),
+        ("data_offsets", [0.5, 1.5]),
+        ("shape", [2**31, 2**31]),
+        ("shape", [10**9]),
+        ("shape", [-1]),
+        ("shape", [2**63, 2]),
+        ("shape", [1.5]),
+        ("shape", []),
+        ("shape", [0]),
+        ("shape", [1] * 500),
+        ("shape", None),
+        ("shape", tensor["shape"][::-1]),
+        ("shape", [*tensor["shape"], 1]),
+        ("dtype", "F32x"),
+        ("dtype", "I32"),
+        ("dtype", "U32"),
+        ("dtype", "F64"),
+        ("dtype", "F16"),
+        ("dtype", "BF16"),
+        ("dtype", "F8_E4M3"),
+        ("dtype", "BOOL"),
+        ("dtype", None),
+        ("dtype", 7),
+        ("dtype", "\u0000"),
+    ]
     choice = r.randrange(8)
     if choice < 4:
         key, value = r.choice(entries)
@@ -88,10 +149,19 @@ def hostile_header(r: random.Random, valid: bytes) -> bytes:
         header["__metadata__"] = r.choice([None, 1, [], {"format": 1}, {"progress": "[" * 10**5}])
     text = json.dumps(header)
     if choice == 7:
-        text = r.choice([
-            text.replace("{", '{"' + name + '": ' + json.dumps(tensor) + ", ", 1),  # duplicate key
-            "[" * 100_000, text[:-1] + ',"a":' * 1000, text.replace('"', "'"), "null", "[]", "7",
-        ])  # fmt: skip
+        text = r.choice(
+            [
+                text.replace(
+                    "{", '{"' + name + '": ' + json.dumps(tensor) + ", ", 1
+                ),  # duplicate key
+                "[" * 100_000,
+                text[:-1] + ',"a":' * 1000,
+                text.replace('"', "'"),
+                "null",
+                "[]",
+                "7",
+            ]
+        )
     return struct.pack("<Q", len(text.encode())) + text.encode() + data
 
 
@@ -119,10 +189,20 @@ def damaged_json(r: random.Random, valid: Any) -> bytes:
     tree = copy.deepcopy(valid)
     if r.random() < 0.15:
         whole = json.dumps(tree).encode()
-        return r.choice([
-            _truncated(r, whole), _flipped(r, whole), _foreign(r, whole), b"\xff\xfe" + whole,
-            b"\xef\xbb\xbf" + whole, b"[" * 100_000, b'{"a":' * 100_000, b"9" * 5000, b"null", b"3",
-        ])  # fmt: skip
+        return r.choice(
+            [
+                _truncated(r, whole),
+                _flipped(r, whole),
+                _foreign(r, whole),
+                b"\xff\xfe" + whole,
+                b"\xef\xbb\xbf" + whole,
+                b"[" * 100_000,
+                b'{"a":' * 100_000,
+                b"9" * 5000,
+                b"null",
+                b"3",
+            ]
+        )
     for _ in range(r.choice([1, 1, 1, 2])):
         container, key = r.choice(list(_places(tree)))
         if r.random() < 0.15:
@@ -157,27 +237,71 @@ def damaged_yaml(r: random.Random, valid: str) -> bytes:
         for a, b in zip("abcdefgh", "bcdefghi", strict=True)
     )
     documents: list[Callable[[], str | bytes]] = [
-        lambda: "", lambda: "\t- a", lambda: "- a\n- b", lambda: "7", lambda: "null",
-        lambda: valid.replace(": ", ":\t\t- ", 1), lambda: valid + "\n  bad indent: [",
-        lambda: "!!python/object/apply:os.system ['true']", lambda: alias_bomb + valid,
-        lambda: "[" * 3000, lambda: "{a: " * 3000, lambda: f"{valid}\n{valid}",
-        lambda: "&a [*a]", lambda: "\x07", lambda: b"\xff\xfe\x00",
+        lambda: "",
+        lambda: "\t- a",
+        lambda: "- a\n- b",
+        lambda: "7",
+        lambda: "null",
+        lambda: valid.replace(": ", ":\t\t- ", 1),
+        lambda: valid + "\n  bad indent: [",
+        lambda: "!!python/object/apply:os.system ['true']",
+        lambda: alias_bomb + valid,
+        lambda: "[" * 3000,
+        lambda: "{a: " * 3000,
+        lambda: f"{valid}\n{valid}",
+        lambda: "&a [*a]",
+        lambda: "\x07",
+        lambda: b"\xff\xfe\x00",
         lambda: "%YAML 9.9\n---\n" + valid,
-        lambda: "--- 1\n--- 2\n", lambda: "defaults: 3\n" + valid,
-        lambda: "defaults: [nowhere]\n" + valid, lambda: "defaults: [{agent: ../../x}]\n" + valid,
-        lambda: "? [a, b]\n: 3\n" + valid, lambda: "1: 2\n" + valid,
+        lambda: "--- 1\n--- 2\n",
+        lambda: "defaults: 3\n" + valid,
+        lambda: "defaults: [nowhere]\n" + valid,
+        lambda: "defaults: [{agent: ../../x}]\n" + valid,
+        lambda: "? [a, b]\n: 3\n" + valid,
+        lambda: "1: 2\n" + valid,
         lambda: "2020-01-01: 1\n" + valid,
-        lambda: f"<<: {{{key}: 1}}\n" + valid, lambda: _truncated(r, valid.encode()),
-        lambda: _flipped(r, valid.encode()), lambda: _foreign(r, valid.encode()),
-    ]  # fmt: skip
+        lambda: f"<<: {{{key}: 1}}\n" + valid,
+        lambda: _truncated(r, valid.encode()),
+        lambda: _flipped(r, valid.encode()),
+        lambda: _foreign(r, valid.encode()),
+    ]
     if r.random() < 0.5:
         text = r.choice(documents)()
         return text if isinstance(text, bytes) else text.encode()
-    value = r.choice([
-        "10**9", "1000000000", "1e400", "-1", ".nan", ".inf", "''", "abc", "[1, 2]", "{a: 1}",
-        "null", "~", "yes", "!!binary aGVsbG8=", "!!float x", "!!set {1}", "2020-01-01", "0x10",
-        "1_0", "*nobody", "${nowhere}", "${", "???", "'" + "a" * 10_000 + "'", "9" * 5000, "|",
-    ])  # fmt: skip
-    return f"{valid}\n{key}: {value}\n".encode() if r.random() < 0.3 else "\n".join(
-        f"{key}: {value}" if line.startswith(f"{key}:") else line for line in valid.splitlines()
-    ).encode()  # fmt: skip
+    value = r.choice(
+        [
+            "10**9",
+            "1000000000",
+            "1e400",
+            "-1",
+            ".nan",
+            ".inf",
+            "''",
+            "abc",
+            "[1, 2]",
+            "{a: 1}",
+            "null",
+            "~",
+            "yes",
+            "!!binary aGVsbG8=",
+            "!!float x",
+            "!!set {1}",
+            "2020-01-01",
+            "0x10",
+            "1_0",
+            "*nobody",
+            "${nowhere}",
+            "${",
+            "???",
+            "'" + "a" * 10_000 + "'",
+            "9" * 5000,
+            "|",
+        ]
+    )
+    return (
+        f"{valid}\n{key}: {value}\n".encode()
+        if r.random() < 0.3
+        else "\n".join(
+            f"{key}: {value}" if line.startswith(f"{key}:") else line for line in valid.splitlines()
+        ).encode()
+    )

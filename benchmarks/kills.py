@@ -32,18 +32,32 @@ from samarl.training.run_dir import BEST, LAST, RunDir
 
 SAVE_EVERY = 32  # environment steps
 TRAINING = [
-    "train", "run_dir=run", "trainer.steps=640", f"trainer.save_every={SAVE_EVERY}",
-    "trainer.validate_every=160", "trainer.validation_cases=2", "trainer.rollout=8",
-    "trainer.threads=1", "encoder.width=8", "encoder.heads=1", "encoder.history=3",
-    "encoder.features=8", "policy.hidden=8",
+    "train",
+    "run_dir=run",
+    "trainer.steps=640",
+    f"trainer.save_every={SAVE_EVERY}",
+    "trainer.validate_every=160",
+    "trainer.validation_cases=2",
+    "trainer.rollout=8",
+    "trainer.threads=1",
+    "encoder.width=8",
+    "encoder.heads=1",
+    "encoder.history=3",
+    "encoder.features=8",
+    "policy.hidden=8",
     "curriculum.stages=[{worlds: 2, scenario: {humans: 3, humans_min: 0, robots: 2}, end: 0.5},"
     "{worlds: 2, scenario: {humans: 3, robots: 3, fov_degrees: 90}, begin: 0.5,"
     "midway_start_probability: 0.5, failure_restart_probability: 0.5, noise_correlation: 0.5}]",
-]  # fmt: skip
+]
 SWEEP = [
-    "evaluate", "-m", "agent=straight,orca,perimeter", "scenario.robots=1,2,3,4",
-    "scenario.humans=2,5", "evaluation.cases=10", "hydra.sweep.dir=sweep",
-]  # fmt: skip
+    "evaluate",
+    "-m",
+    "agent=straight,orca,perimeter",
+    "scenario.robots=1,2,3,4",
+    "scenario.humans=2,5",
+    "evaluation.cases=10",
+    "hydra.sweep.dir=sweep",
+]
 TIMED = ("seconds", "charts/steps_per_second", "charts/collect_share")  # differ between runs
 
 
@@ -152,8 +166,11 @@ def start(task: Training | Sweep) -> tuple[subprocess.Popen[bytes], Path]:
     with log.open("wb") as file:
         return subprocess.Popen(
             [sys.executable, "-m", f"samarl.commands.{name}", *words],
-            cwd=task.folder, stdout=file, stderr=file, env=environment,
-        ), log  # fmt: skip
+            cwd=task.folder,
+            stdout=file,
+            stderr=file,
+            env=environment,
+        ), log
 
 
 def run_uninterrupted(task: Training | Sweep) -> tuple[float, float]:
@@ -223,8 +240,11 @@ def kill_repeatedly(
                     counts["while_writing"] += any(task.folder.rglob("*.part"))
                     bar.update()
             output = task.output()
-            differences = [key for key in output.keys() | expected.keys()
-                           if output.get(key) != expected.get(key)]  # fmt: skip
+            differences = [
+                key
+                for key in output.keys() | expected.keys()
+                if output.get(key) != expected.get(key)
+            ]
             if differences or any(task.folder.rglob("*.part")):
                 raise DataLossError(
                     "the output differs from that of an uninterrupted run: "

@@ -54,9 +54,11 @@ def main() -> None:
             batch = decision_times(config, BATCH, arguments.seconds)
             rows.append(dict(zip(("agent", *_MEASURED), (name, one, exported, batch), strict=True)))
     header = (
-        "agent", "one robot ms [smallest, largest]", "exported ms [smallest, largest]",
+        "agent",
+        "one robot ms [smallest, largest]",
+        "exported ms [smallest, largest]",
         f"{BATCH} robots ms [smallest, largest]",
-    )  # fmt: skip
+    )
     lines = [[row["agent"], *(_cell(row[key]) for key in _MEASURED)] for row in rows]
     print(markdown_table(header, lines))
     result = {

@@ -92,8 +92,11 @@ def command_outcome(item: MalformedInput, folder: Path) -> str:
     """Pass an input to its command; return `REFUSED` or a description of the failure."""
     result = subprocess.run(
         [sys.executable, "-m", f"samarl.commands.{item.command[0]}", *item.command[1:]],
-        cwd=folder, capture_output=True, text=True, timeout=600,
-    )  # fmt: skip
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        timeout=600,
+    )
     lines = [line for line in result.stderr.splitlines() if not line.startswith("Compiling ")]
     if result.returncode == 2 and len(lines) == 1 and lines[0].startswith("error: "):
         return REFUSED
@@ -162,9 +165,11 @@ def _parse() -> argparse.Namespace:
     parser.add_argument("--seed", type=int, default=0, help="seed of the inputs (default: 0)")
     parser.add_argument("--only", type=int, nargs="*", help="load only these inputs, by number")
     parser.add_argument(
-        "--commands", type=int, default=40,
+        "--commands",
+        type=int,
+        default=40,
         help="number of inputs that are also passed to commands (default: 40)",
-    )  # fmt: skip
+    )
     add_output(parser, "malformed")
     return parser.parse_args()
 

@@ -48,9 +48,14 @@ from samarl.report.figures import read_curve
 from samarl.report.leaderboard import ranked
 
 COMMANDS = {
-    "evaluate": evaluate, "train": train, "predictor": predictor, "render": render,
-    "report": report, "bench": bench, "export": export,
-}  # fmt: skip
+    "evaluate": evaluate,
+    "train": train,
+    "predictor": predictor,
+    "render": render,
+    "report": report,
+    "bench": bench,
+    "export": export,
+}
 PRIMARY = {"evaluate": "config"}  # files in conf/ whose names differ from those of their commands
 MINIMAL = {  # so that accidentally valid command lines are accepted quickly
     "bench": ["agents=[orca]", "output=out"],
@@ -58,15 +63,30 @@ MINIMAL = {  # so that accidentally valid command lines are accepted quickly
     "render": ["output=out.png"],
     "export": ["output=out.onnx", "agent=learned", "checkpoint=policy.safetensors"],
     "predictor": ["output=out"],
-    "train": ["run_dir=out", "encoder.width=8", "encoder.heads=1", "encoder.features=8",
-              "policy.hidden=8", "curriculum.stages=[{worlds: 1}]", "trainer.threads=1"],
-}  # fmt: skip
+    "train": [
+        "run_dir=out",
+        "encoder.width=8",
+        "encoder.heads=1",
+        "encoder.features=8",
+        "policy.hidden=8",
+        "curriculum.stages=[{worlds: 1}]",
+        "trainer.threads=1",
+    ],
+}
 RUN = [
-    "run_dir=run", "encoder.width=8", "encoder.heads=1", "encoder.history=2", "encoder.features=8",
-    "policy.hidden=8", "trainer.threads=1", "trainer.rollout=4", "algorithm.critic_width=8",
-    "algorithm.critic_heads=1", "algorithm.critic_features=8",
+    "run_dir=run",
+    "encoder.width=8",
+    "encoder.heads=1",
+    "encoder.history=2",
+    "encoder.features=8",
+    "policy.hidden=8",
+    "trainer.threads=1",
+    "trainer.rollout=4",
+    "algorithm.critic_width=8",
+    "algorithm.critic_heads=1",
+    "algorithm.critic_features=8",
     "curriculum.stages=[{worlds: 1, scenario: {humans: 2, robots: 2}}]",
-]  # fmt: skip
+]
 ENCODER = {"name": "gru", "width": 8, "features": 8}
 POLICY = {
     "num_parameter_sets": 1,
@@ -77,13 +97,40 @@ POLICY = {
     "encoder": ENCODER,
 }
 VALUES = [
-    "1000000000", "-1", "0", "1e308", "nan", "inf", "-inf", "abc", "''", "[1,2]", "[]", "{a: 1}",
-    "null", "???", "true", "2.5", "../x", "${nowhere}", "'${'", "${oc.env:NOWHERE}",
+    "1000000000",
+    "-1",
+    "0",
+    "1e308",
+    "nan",
+    "inf",
+    "-inf",
+    "abc",
+    "''",
+    "[1,2]",
+    "[]",
+    "{a: 1}",
+    "null",
+    "???",
+    "true",
+    "2.5",
+    "../x",
+    "${nowhere}",
+    "'${'",
+    "${oc.env:NOWHERE}",
     "1" + "0" * 400,
-    "9" * 5000, "a" * 5000, "[[1,2],[3]]", "'a b'", "é", "0x10", "[{}]", "{}",
+    "9" * 5000,
+    "a" * 5000,
+    "[[1,2],[3]]",
+    "'a b'",
+    "é",
+    "0x10",
+    "[{}]",
+    "{}",
     "{worlds: 1000000000}",
-    "[{worlds: 1000000000}]", "[{scenario: {humans: 1000000000}}]", "[{humans: 1000000000}]",
-]  # fmt: skip
+    "[{worlds: 1000000000}]",
+    "[{scenario: {humans: 1000000000}}]",
+    "[{humans: 1000000000}]",
+]
 
 
 @dataclass
@@ -245,8 +292,26 @@ def recording(r: random.Random, valid: ValidInputs) -> MalformedInput:
     """Return a recording in one of many formats, with invalid cells or damaged bytes."""
     rows = [line.split() for line in SAMPLE.read_text().splitlines()]
     header, separator, lines = r.choice(RECORDINGS)(rows[: r.choice([1, 2, 30, 300, len(rows)])])
-    invalid = ["nan", "inf", "-1", "1e308", "1e12", "abc", "", "1e-320", "99999999999", "{", "\x00",
-               "?", "'", '"', "#", "1,5", "1;5", "9" * 5000]  # fmt: skip
+    invalid = [
+        "nan",
+        "inf",
+        "-1",
+        "1e308",
+        "1e12",
+        "abc",
+        "",
+        "1e-320",
+        "99999999999",
+        "{",
+        "\x00",
+        "?",
+        "'",
+        '"',
+        "#",
+        "1,5",
+        "1;5",
+        "9" * 5000,
+    ]
     for _ in range(r.randint(0, 3)):
         number = r.randrange(len(lines))
         cells = lines[number].split(separator)
@@ -268,17 +333,19 @@ RECORDINGS: list[Callable[[Rows], tuple[list[str], str, list[str]]]] = [  # head
     lambda rows: (["frame,id,x,y"], ",", [",".join(row) for row in rows]),
     lambda rows: ([], ";", [";".join(row).replace(".", ",") for row in rows]),
     lambda rows: (
-        ["# framerate: 25", "# id frame x/m y/m"], "\t",
+        ["# framerate: 25", "# id frame x/m y/m"],
+        "\t",
         [f"{p}\t{f}\t{x}\t{y}" for f, p, x, y in rows],
     ),
     lambda rows: ([], " ", [f"{f} {p} {x} 0 {y} 1 0 1" for f, p, x, y in rows]),
     lambda rows: ([], " ", [f'{p} {x} {y} {x} {y} {f} 0 0 0 "Pedestrian"' for f, p, x, y in rows]),
     lambda rows: ([], ",", [",".join(row) for row in zip(*rows, strict=True)]),
     lambda rows: (
-        ['{"scene": {"id": 0, "fps": 2.5}}'], ": ",
+        ['{"scene": {"id": 0, "fps": 2.5}}'],
+        ": ",
         [f'{{"track": {{"f": {f}, "p": {p}, "x": {x}, "y": {y}}}}}' for f, p, x, y in rows],
     ),
-]  # fmt: skip
+]
 
 
 def curve(r: random.Random, valid: ValidInputs) -> MalformedInput:
@@ -323,11 +390,18 @@ def resumed(r: random.Random, valid: ValidInputs) -> MalformedInput:
 
 COMMAND_KINDS = ("YAML", "command line", "resume")  # slower, because a command loads them
 KINDS: dict[str, Callable[[random.Random, ValidInputs], MalformedInput]] = {
-    "policy": policy, "predictor": predictor_file, "training state": training_state,
-    "predictor state": predictor_state, "table": table, "cell of a sweep": cell,
-    "recording": recording, "curve": curve, "YAML": custom_yaml, "command line": overrides,
+    "policy": policy,
+    "predictor": predictor_file,
+    "training state": training_state,
+    "predictor state": predictor_state,
+    "table": table,
+    "cell of a sweep": cell,
+    "recording": recording,
+    "curve": curve,
+    "YAML": custom_yaml,
+    "command line": overrides,
     "resume": resumed,
-}  # fmt: skip
+}
 
 
 def command_item(kind: str, name: str, words: list[str]) -> MalformedInput:
@@ -347,11 +421,15 @@ def call(name: str, words: list[str]) -> None:
         raise AcceptedByCommand
 
     work = [
-        "samarl.commands.evaluate.run_cases", "samarl.training.trainer.Trainer.run",
-        "samarl.prediction.windows.simulate_windows", "samarl.commands.render.record_episode",
-        "samarl.commands.report.record_episode", "samarl.report.build.build_site",
-        "samarl.commands.bench.Parallel", "samarl.export.export_agent",
-    ]  # fmt: skip
+        "samarl.commands.evaluate.run_cases",
+        "samarl.training.trainer.Trainer.run",
+        "samarl.prediction.windows.simulate_windows",
+        "samarl.commands.render.record_episode",
+        "samarl.commands.report.record_episode",
+        "samarl.report.build.build_site",
+        "samarl.commands.bench.Parallel",
+        "samarl.export.export_agent",
+    ]
     stderr = io.StringIO()
     root = logging.getLogger()
     GlobalHydra.instance().clear()

@@ -77,9 +77,13 @@ class Soak:
         self.save()
         layout = "{l_bar}{bar}| {n_fmt}/{total_fmt} [{elapsed}<{remaining}{postfix}]"
         with tqdm(
-            total=world_steps, initial=self.world_steps, desc="soak", unit_scale=True,
-            bar_format=layout, disable=None,
-        ) as bar:  # fmt: skip
+            total=world_steps,
+            initial=self.world_steps,
+            desc="soak",
+            unit_scale=True,
+            bar_format=layout,
+            disable=None,
+        ) as bar:
             while self.world_steps < world_steps and self.failure is None:
                 step = self.stepper.step()
                 self.episodes += 0 if step.finished is None else len(step.finished.case)
@@ -273,9 +277,11 @@ def _parse() -> argparse.Namespace:
         "violated or memory grows. The same command resumes an interrupted run.",
     )
     parser.add_argument(
-        "--world-steps", type=positive_whole_number, default=10**9,
+        "--world-steps",
+        type=positive_whole_number,
+        default=10**9,
         help="steps of all worlds together (default: 1000000000)",
-    )  # fmt: skip
+    )
     parser.add_argument(
         "--worlds",
         type=positive_whole_number,
@@ -283,9 +289,11 @@ def _parse() -> argparse.Namespace:
         help="number of worlds (default: 4096)",
     )
     parser.add_argument(
-        "--state", type=Path, default=Path("outputs/soak.safetensors"),
+        "--state",
+        type=Path,
+        default=Path("outputs/soak.safetensors"),
         help="file that stores the worlds until the run ends (default: outputs/soak.safetensors)",
-    )  # fmt: skip
+    )
     add_output(parser, "soak")
     return parser.parse_args()
 

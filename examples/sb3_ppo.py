@@ -64,8 +64,16 @@ def train(humans: int, steps: int, seed: int = 0) -> PPO:
     """Train PPO with the three changes."""
     network = {"features_extractor_class": CrowdEncoder, "share_features_extractor": False}
     envs = make_envs(humans, seed, EARLY_REWARD)
-    learner = PPO("MultiInputPolicy", envs, n_steps=128, batch_size=512,
-                  gamma=DISCOUNT, policy_kwargs=network, seed=seed, device="cpu")  # fmt: skip
+    learner = PPO(
+        "MultiInputPolicy",
+        envs,
+        n_steps=128,
+        batch_size=512,
+        gamma=DISCOUNT,
+        policy_kwargs=network,
+        seed=seed,
+        device="cpu",
+    )
     learner.learn(steps // 3, progress_bar=True)
     learner.set_env(make_envs(humans, seed, Reward()))
     return learner.learn(steps - steps // 3, reset_num_timesteps=False, progress_bar=True)

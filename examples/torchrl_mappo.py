@@ -45,28 +45,39 @@ def make_networks(env: TorchRLEnv) -> tuple[ProbabilisticActor, TensorDictSequen
 
     def mlp(outputs: int, centralised: bool) -> MultiAgentMLP:
         return MultiAgentMLP(
-            features, outputs, scenario.robots, centralized=centralised, share_params=True,
-            depth=2, num_cells=128, activation_class=nn.Tanh,
-        )  # fmt: skip
+            features,
+            outputs,
+            scenario.robots,
+            centralized=centralised,
+            share_params=True,
+            depth=2,
+            num_cells=128,
+            activation_class=nn.Tanh,
+        )
 
     size = scenario.action_size
     head = nn.Sequential(mlp(2 * size, centralised=False), NormalParamExtractor())
     parameters = [("agents", "loc"), ("agents", "scale")]
     actor = ProbabilisticActor(
         TensorDictSequential(flat, TensorDictModule(head, [("agents", "flat")], parameters)),
-        in_keys=parameters, out_keys=[("agents", "action")], distribution_class=TanhNormal,
-        return_log_prob=True, log_prob_key=("agents", "log_prob"),
-    )  # fmt: skip
-    value = TensorDictModule(mlp(1, centralised=True), [("agents", "flat")],
-                             [("agents", "state_value")])  # fmt: skip
+        in_keys=parameters,
+        out_keys=[("agents", "action")],
+        distribution_class=TanhNormal,
+        return_log_prob=True,
+        log_prob_key=("agents", "log_prob"),
+    )
+    value = TensorDictModule(
+        mlp(1, centralised=True), [("agents", "flat")], [("agents", "state_value")]
+    )
     return actor, TensorDictSequential(flat, value)
 
 
 def explore(env: TorchRLEnv, actor: ProbabilisticActor, data: TensorDict) -> TensorDict:
     """Return `STEPS` steps of all worlds with sampled actions; the default would be their mean."""
     with set_exploration_type(ExplorationType.RANDOM):
-        return env.rollout(STEPS, actor, auto_reset=False, tensordict=data,
-                           break_when_any_done=False)  # fmt: skip
+        return env.rollout(
+            STEPS, actor, auto_reset=False, tensordict=data, break_when_any_done=False
+        )
 
 
 def train(humans: int, robots: int, steps: int) -> list[float]:
@@ -77,10 +88,13 @@ def train(humans: int, robots: int, steps: int) -> list[float]:
         actor, critic, clip_epsilon=0.2, entropy_coeff=1e-3, normalize_advantage=True
     )
     loss.set_keys(
-        reward=("agents", "reward"), action=("agents", "action"), value=("agents", "state_value"),
-        sample_log_prob=("agents", "log_prob"), done=("agents", "done"),
+        reward=("agents", "reward"),
+        action=("agents", "action"),
+        value=("agents", "state_value"),
+        sample_log_prob=("agents", "log_prob"),
+        done=("agents", "done"),
         terminated=("agents", "terminated"),
-    )  # fmt: skip
+    )
     loss.make_value_estimator(ValueEstimators.GAE, gamma=0.99, lmbda=0.95)
     optimiser = torch.optim.Adam(loss.parameters(), lr=5e-4)
     data, rates = env.reset(), []
@@ -92,8 +106,11 @@ def train(humans: int, robots: int, steps: int) -> list[float]:
             for key in ("done", "terminated"):  # the loss needs the team's flags for each robot
                 per_robot = following[key].unsqueeze(-1).expand_as(following["agents", "reward"])
                 following["agents", key] = per_robot
-            loss.value_estimator(batch, params=loss.critic_network_params,
-                                 target_params=loss.target_critic_network_params)  # fmt: skip
+            loss.value_estimator(
+                batch,
+                params=loss.critic_network_params,
+                target_params=loss.target_critic_network_params,
+            )
         ended = following["done"]
         successes = (following["success"] & ended).sum().item()
         rates.append(100.0 * successes / max(ended.sum().item(), 1))

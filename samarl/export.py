@@ -127,9 +127,13 @@ def export_agent(path: Path, agent: Agent, name: str) -> None:
     content = _traced(network.eval(), inputs, outputs)
     _check_same(content, network, inputs)
     description = Description(
-        name, OPSET, asdict(agent.card), robot_fields(scenario),
-        None if shield is None else asdict(shield), _slots(policy, others, humans, memory),
-    )  # fmt: skip
+        name,
+        OPSET,
+        asdict(agent.card),
+        robot_fields(scenario),
+        None if shield is None else asdict(shield),
+        _slots(policy, others, humans, memory),
+    )
     _write(path, content, description)
 
 
@@ -184,9 +188,14 @@ def _traced(network: nn.Module, inputs: dict[str, Tensor], outputs: list[str]) -
         with warnings.catch_warnings(), torch.no_grad():
             warnings.simplefilter("ignore")
             torch.onnx.export(
-                network, tuple(inputs.values()), into, input_names=list(inputs),  # type: ignore[arg-type]
-                output_names=outputs, opset_version=OPSET, dynamo=False,
-            )  # fmt: skip
+                network,
+                tuple(inputs.values()),
+                into,
+                input_names=list(inputs),  # type: ignore[arg-type]
+                output_names=outputs,
+                opset_version=OPSET,
+                dynamo=False,
+            )
     finally:
         torch.backends.mha.set_fastpath_enabled(fast)
     return into.getvalue()

@@ -18,6 +18,13 @@ def _run(command: str) -> None:
 evaluate, bench, render, train, report, predictor, export, recording = (
     partial(_run, command)
     for command in (
-        "evaluate", "bench", "render", "train", "report", "predictor", "export", "recording"
+        "evaluate",
+        "bench",
+        "render",
+        "train",
+        "report",
+        "predictor",
+        "export",
+        "recording",
     )
-)  # fmt: skip
+)

@@ -23,10 +23,19 @@ from mrsan.fields import check_numbers
 
 _MAX_LISTED = 12  # names in an error message
 _SYNONYMS = {
-    "delta_t": "time_step", "dt": "time_step", "duration": "time_limit", "gamma": "discount",
-    "n_humans": "humans", "n_robots": "robots", "num_humans": "humans", "num_robots": "robots",
-    "pedestrians": "humans", "people": "humans", "agents": "robots", "max_steps": "time_limit",
-}  # fmt: skip
+    "delta_t": "time_step",
+    "dt": "time_step",
+    "duration": "time_limit",
+    "gamma": "discount",
+    "n_humans": "humans",
+    "n_robots": "robots",
+    "num_humans": "humans",
+    "num_robots": "robots",
+    "pedestrians": "humans",
+    "people": "humans",
+    "agents": "robots",
+    "max_steps": "time_limit",
+}
 # Patterns in OmegaConf's messages about wrong types, and what the value must be.
 _REQUIREMENTS = (
     (r"converted to Integer", "a whole number"),

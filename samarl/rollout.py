@@ -80,8 +80,13 @@ class Rollout:
             return tree_map(lambda tensor: tensor.to(device, non_blocking=True), value)
 
         return Rollout(
-            self.scenario, self.correlation, self.steps.to(device), self.frames.to(device),
-            move(self.is_init), move(self.encoder),
-            None if self.state is None else self.state.to(device), self.episodes,
+            self.scenario,
+            self.correlation,
+            self.steps.to(device),
+            self.frames.to(device),
+            move(self.is_init),
+            move(self.encoder),
+            None if self.state is None else self.state.to(device),
+            self.episodes,
             self.environment_steps,
-        )  # fmt: skip
+        )

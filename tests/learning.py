@@ -41,39 +41,85 @@ POLICIES: dict[str, dict[str, Any]] = {
     "flat": {},
     "squashed": {},
     "lookahead": {
-        "discount": 0.9, "turns": 5, "speeds": 5, "directions": 16, "neighbor_distance": 10.0,
-        "max_neighbors": 10, "time_horizon": 5.0, "safety_space": 0.5,
+        "discount": 0.9,
+        "turns": 5,
+        "speeds": 5,
+        "directions": 16,
+        "neighbor_distance": 10.0,
+        "max_neighbors": 10,
+        "time_horizon": 5.0,
+        "safety_space": 0.5,
     },
     "hierarchical": {
-        "macro_steps": 4, "waypoint_ahead": 2.0, "waypoint_range": 2.0, "waypoint_progress": 1.5,
-        "local_goal": True, "arrival_bonus": 18.75,
+        "macro_steps": 4,
+        "waypoint_ahead": 2.0,
+        "waypoint_range": 2.0,
+        "waypoint_progress": 1.5,
+        "local_goal": True,
+        "arrival_bonus": 18.75,
     },
-}  # fmt: skip
+}
 PPO_NUMBERS: dict[str, Any] = {
-    "learning_rate": 1e-3, "epochs": 1, "minibatches": 2, "discount": 0.9, "local_discount": 0.95,
-    "gae_lambda": 0.8, "clip_epsilon": 0.2, "entropy_coefficient": 0.01, "critic_coefficient": 0.5,
-    "max_gradient_norm": 1.0, "advantage_filter_fraction": 1.0, "action_limit_penalty": 0.01,
-    "action_limit_slack": 1.0, "std_start": 1.0, "std_end": 0.1, "critic_width": 8,
-    "critic_heads": 2, "critic_features": 8, "shield_coefficient": 0.0,
-    "path_penalty": 0.0, "macro_std": 0.0,
-}  # fmt: skip
+    "learning_rate": 1e-3,
+    "epochs": 1,
+    "minibatches": 2,
+    "discount": 0.9,
+    "local_discount": 0.95,
+    "gae_lambda": 0.8,
+    "clip_epsilon": 0.2,
+    "entropy_coefficient": 0.01,
+    "critic_coefficient": 0.5,
+    "max_gradient_norm": 1.0,
+    "advantage_filter_fraction": 1.0,
+    "action_limit_penalty": 0.01,
+    "action_limit_slack": 1.0,
+    "std_start": 1.0,
+    "std_end": 0.1,
+    "critic_width": 8,
+    "critic_heads": 2,
+    "critic_features": 8,
+    "shield_coefficient": 0.0,
+    "path_penalty": 0.0,
+    "macro_std": 0.0,
+}
 VALUE_NUMBERS: dict[str, Any] = {
-    "learning_rate": 1e-3, "imitation": 0.5, "epsilon_start": 0.5, "epsilon_end": 0.1,
-    "epsilon_share": 0.4, "replay": 1000, "learning_starts": 16, "batch": 16, "updates": 4,
-    "target_every": 2, "max_gradient_norm": 10.0,
-}  # fmt: skip
+    "learning_rate": 1e-3,
+    "imitation": 0.5,
+    "epsilon_start": 0.5,
+    "epsilon_end": 0.1,
+    "epsilon_share": 0.4,
+    "replay": 1000,
+    "learning_starts": 16,
+    "batch": 16,
+    "updates": 4,
+    "target_every": 2,
+    "max_gradient_norm": 10.0,
+}
 SOFT_NUMBERS: dict[str, Any] = {
-    "learning_rate": 1e-3, "discount": 0.95, "temperature_start": 0.02, "target_rate": 0.01,
-    "policy_delay": 2, "replay": 2000, "learning_starts": 100, "batch": 8, "updates": 4,
-    "max_gradient_norm": 10.0, "critic": "attention", "critic_width": 16, "critic_heads": 2,
-    "robots": 3, "team_reward": True,
-}  # fmt: skip
+    "learning_rate": 1e-3,
+    "discount": 0.95,
+    "temperature_start": 0.02,
+    "target_rate": 0.01,
+    "policy_delay": 2,
+    "replay": 2000,
+    "learning_starts": 100,
+    "batch": 8,
+    "updates": 4,
+    "max_gradient_norm": 10.0,
+    "critic": "attention",
+    "critic_width": 16,
+    "critic_heads": 2,
+    "robots": 3,
+    "team_reward": True,
+}
 
 
 def policy_numbers(
-    name: str = "hierarchical", encoder: str = "spatio_temporal",
-    encoder_numbers: dict[str, Any] | None = None, **changes: Any,
-) -> dict[str, Any]:  # fmt: skip
+    name: str = "hierarchical",
+    encoder: str = "spatio_temporal",
+    encoder_numbers: dict[str, Any] | None = None,
+    **changes: Any,
+) -> dict[str, Any]:
     """As of a YAML file."""
     shared = {
         "num_parameter_sets": 1,
@@ -108,14 +154,22 @@ def algorithm(of: Policy, name: str = "mappo", **changes: Any) -> PPO:
 
 
 def collector(
-    of: Policy, worlds: int = 12, steps: int = 10, scenario: Scenario = SCENARIO,
-    shaping: RewardShaping | None = None, **stage: Any,
-) -> RolloutCollector:  # fmt: skip
+    of: Policy,
+    worlds: int = 12,
+    steps: int = 10,
+    scenario: Scenario = SCENARIO,
+    shaping: RewardShaping | None = None,
+    **stage: Any,
+) -> RolloutCollector:
     """What collects rollouts with it, with the true state."""
     return RolloutCollector(
-        CurriculumStage(worlds, scenario=scenario, **stage), of, steps, 0, shaping,
+        CurriculumStage(worlds, scenario=scenario, **stage),
+        of,
+        steps,
+        0,
+        shaping,
         uses_global_state=True,
-    )  # fmt: skip
+    )
 
 
 def crowded(**changes: Any) -> Scenario:
@@ -149,7 +203,9 @@ def choices(
         stored[level] = (steps[(*keys, "sample_log_prob")][of_level], of_level[0])
     with torch.no_grad():
         evaluations = of.evaluate(
-            rollout.sequences(torch.arange(len(steps))), row * (length + 1) + step,
-            None if waypoints is None else waypoints[at], decisions,
-        )  # fmt: skip
+            rollout.sequences(torch.arange(len(steps))),
+            row * (length + 1) + step,
+            None if waypoints is None else waypoints[at],
+            decisions,
+        )
     return {level: (evaluations[level], *stored[level]) for level in of.levels}

@@ -20,9 +20,13 @@ SHARED = {
     "round_radius": 7.0,
 }
 WAYPOINTS = {
-    "macro_steps": 4, "waypoint_ahead": 2.0, "waypoint_range": 2.0, "waypoint_progress": 1.5,
-    "local_goal": True, "arrival_bonus": 5.0,
-}  # fmt: skip
+    "macro_steps": 4,
+    "waypoint_ahead": 2.0,
+    "waypoint_range": 2.0,
+    "waypoint_progress": 1.5,
+    "local_goal": True,
+    "arrival_bonus": 5.0,
+}
 
 
 def small_policy(

@@ -16,18 +16,21 @@ SHARED_TRACKS = "scenario.team_perception=tracks"
 
 SWEEPS = {
     "crowds": [
-        "agent=samarl,perimeter,model_predictive", "scenario.fov_degrees=60,90,135,180,270,360",
-        "scenario.humans=0,5,10,15,20", "scenario.robots=1,2,3,5,8",
+        "agent=samarl,perimeter,model_predictive",
+        "scenario.fov_degrees=60,90,135,180,270,360",
+        "scenario.humans=0,5,10,15,20",
+        "scenario.robots=1,2,3,5,8",
     ],
     "team_view": [
-        TEAM[0], "scenario.fov_degrees=60,90,120,180,270,360",
+        TEAM[0],
+        "scenario.fov_degrees=60,90,120,180,270,360",
         "scenario.team_perception=none,tracks",
     ],
     "team_size": [*TEAM, "scenario.robots=2,3,5,8", "scenario.team_perception=none,tracks"],
     "team_range": [*TEAM, SHARED_TRACKS, "scenario.team_range=2,4,6,8,10,20"],
     "team_delay": [*TEAM, SHARED_TRACKS, "scenario.team_delay=0,0.25,0.5,1,2"],
     "team_loss": [*TEAM, SHARED_TRACKS, "scenario.team_loss=0,0.25,0.5,0.75,0.95"],
-}  # fmt: skip
+}
 
 
 def main() -> None:

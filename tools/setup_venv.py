@@ -65,8 +65,10 @@ def venv_version(root: Path) -> str | None:
     try:
         result = subprocess.run(
             [str(root / VENV / "bin/python"), "-c", _PRINT_VERSION],
-            stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, check=True,
-        )  # fmt: skip
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            check=True,
+        )
     except (OSError, subprocess.CalledProcessError):
         return None
     return result.stdout.decode().strip()

@@ -24,8 +24,12 @@ def ensure_compile_cache() -> None:
         numba.njit(cache=True)(_probe)
     except RuntimeError:
         config.CACHE_DIR = str(_temporary_folder())
-        print(f"compiled kernels are cached in {config.CACHE_DIR}: neither the package's folder "
-              "nor the home folder is writable", file=sys.stderr, flush=True)  # fmt: skip
+        print(
+            f"compiled kernels are cached in {config.CACHE_DIR}: neither the package's folder "
+            "nor the home folder is writable",
+            file=sys.stderr,
+            flush=True,
+        )
 
 
 def _probe() -> None:

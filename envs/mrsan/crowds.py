@@ -94,10 +94,12 @@ def register_crowd(name: str, settings: type | None = None) -> Callable[[F], F]:
             )
         # A cached kernel refers to the module of the function, so it is of no use to another one.
         CROWDS[name] = CrowdModel(
-            f"{name}_{source.__module__}", walk_to_goals, crowd_velocity=function(source),
+            f"{name}_{source.__module__}",
+            walk_to_goals,
+            crowd_velocity=function(source),
             settings=settings,
             kernel_settings=_no_settings if settings is None else _conversion(settings),
-        )  # fmt: skip
+        )
         return source
 
     return register
@@ -182,14 +184,16 @@ CROWDS |= {
         "orca", walk_to_goals, crowd_velocity=orca_crowd, kernel_settings=_of_scenario(OrcaSettings)
     ),
     Crowd.social_force.value: CrowdModel(
-        "social_force", walk_to_goals, crowd_velocity=social_force_crowd,
+        "social_force",
+        walk_to_goals,
+        crowd_velocity=social_force_crowd,
         kernel_settings=_of_scenario(SocialForceSettings),
     ),
     Crowd.still.value: CrowdModel("still", stand_still),
     Crowd.recorded.value: CrowdModel(
         "recorded", walk_as_recorded, update_presence=follow_recording
     ),
-}  # fmt: skip
+}
 
 
 def crowd_model(name: Any) -> CrowdModel:

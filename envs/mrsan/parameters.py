@@ -22,13 +22,32 @@ from mrsan.scenario import Reward, Scenario
 # Fields that no kernel reads, or only in the form that `_derived` gives them: every number that is
 # handed over costs time in each call.
 _NOT_COPIED = {
-    "robots", "humans", "goal_turn_degrees", "goal_turn_spread_degrees", "time_limit",
-    "max_turn_rate", "fov_degrees", "team_perception", "team_delay", "recorded_start_clear",
-    "recorded_slot_rest", "frame_seconds", "recording_scale", "recording_check",
-    "goal_change_interval", "late_time", "neighbor_distance", "max_neighbors", "time_horizon",
-    "relaxation_time", "force_strength", "force_range",
-    "reward_lookahead", "reward_lookahead_steps", "reward_lookahead_distance",
-}  # fmt: skip
+    "robots",
+    "humans",
+    "goal_turn_degrees",
+    "goal_turn_spread_degrees",
+    "time_limit",
+    "max_turn_rate",
+    "fov_degrees",
+    "team_perception",
+    "team_delay",
+    "recorded_start_clear",
+    "recorded_slot_rest",
+    "frame_seconds",
+    "recording_scale",
+    "recording_check",
+    "goal_change_interval",
+    "late_time",
+    "neighbor_distance",
+    "max_neighbors",
+    "time_horizon",
+    "relaxation_time",
+    "force_strength",
+    "force_range",
+    "reward_lookahead",
+    "reward_lookahead_steps",
+    "reward_lookahead_distance",
+}
 
 _f = np.float32
 

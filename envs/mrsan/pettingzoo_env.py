@@ -153,8 +153,13 @@ class PettingZooEnv(ParallelEnv[str, dict[str, Array], Array]):
             absent humans.
         """
         s, e = self.world.state, 0
-        robots = (s.robot_position[e], s.robot_velocity[e], s.robot_heading[e, :, None],
-                  s.robot_goal[e], s.arrived[e, :, None])  # fmt: skip
+        robots = (
+            s.robot_position[e],
+            s.robot_velocity[e],
+            s.robot_heading[e, :, None],
+            s.robot_goal[e],
+            s.arrived[e, :, None],
+        )
         present = s.human_present[e, :, None]
         humans = np.concatenate(
             [present, s.human_position[e], s.human_velocity[e], s.human_radius[e, :, None]], axis=1

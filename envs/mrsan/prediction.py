@@ -96,9 +96,13 @@ class RecurrentPredictor(ConstantVelocity):
         people = velocities.reshape(-1, *velocities.shape[-2:])
         offsets = np.empty((len(people), steps, 2), np.float32)
         predict_offsets(
-            len(people), people, readable.reshape(-1, readable.shape[-1]), *self.weights,
-            self.time_step, offsets,
-        )  # fmt: skip
+            len(people),
+            people,
+            readable.reshape(-1, readable.shape[-1]),
+            *self.weights,
+            self.time_step,
+            offsets,
+        )
         offsets = offsets.reshape(*velocity.shape[:-1], steps, 2)
         straight = super().predict(past, valid, velocity, steps)
         return straight + rotate_vectors(offsets, direction[..., None, :])
@@ -107,9 +111,11 @@ class RecurrentPredictor(ConstantVelocity):
 def shapes(size: int) -> dict[str, tuple[int, ...]]:
     """Return names and shapes of the weights of a network with `size` hidden units."""
     return {
-        "w_input": (2, 3 * size), "w_hidden": (size, 3 * size), "bias": (3 * size,),
+        "w_input": (2, 3 * size),
+        "w_hidden": (size, 3 * size),
+        "bias": (3 * size,),
         "w_output": (size, 2),
-    }  # fmt: skip
+    }
 
 
 def own_frame(

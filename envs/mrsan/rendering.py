@@ -41,8 +41,9 @@ class Renderer:
             )
         self.mode, self.scenario = mode, scenario
         self.metadata = {
-            "render_modes": RENDER_MODES, "render_fps": max(1, round(1.0 / scenario.time_step))
-        }  # fmt: skip
+            "render_modes": RENDER_MODES,
+            "render_fps": max(1, round(1.0 / scenario.time_step)),
+        }
         self._window = _Window(scenario.time_step) if mode == "human" else None
 
     def picture(self, world: World, index: int = 0) -> NDArray[np.uint8]:
@@ -125,13 +126,20 @@ class _Drawing:
         return (self.half + x) * self.scale, (self.half - y) * self.scale
 
     def _disc(
-        self, centre: NDArray[Any], radius: float, fill: str | None = None,
-        outline: str | None = None, width: int = 2,
-    ) -> None:  # fmt: skip
+        self,
+        centre: NDArray[Any],
+        radius: float,
+        fill: str | None = None,
+        outline: str | None = None,
+        width: int = 2,
+    ) -> None:
         self.draw.circle(
-            self._pixel(centre), radius * self.scale, fill=fill, outline=outline,
+            self._pixel(centre),
+            radius * self.scale,
+            fill=fill,
+            outline=outline,
             width=width * _OVERSAMPLING,
-        )  # fmt: skip
+        )
 
     def _line(self, a: NDArray[Any], b: NDArray[Any], colour: str, width: int = 2) -> None:
         self.draw.line([self._pixel(a), self._pixel(b)], fill=colour, width=width * _OVERSAMPLING)

@@ -304,9 +304,12 @@ class Scenario:
             return NOBODY
         try:
             recording = load_recording(
-                self.recording, self.frame_seconds, self.time_step, self.recording_scale,
+                self.recording,
+                self.frame_seconds,
+                self.time_step,
+                self.recording_scale,
                 self.recording_check,
-            )  # fmt: skip
+            )
         except RecordingError as error:
             raise ConfigurationError(f"scenario.{error}") from None
         diagonal = 2.0 * float(np.linalg.norm(recording.half_size))

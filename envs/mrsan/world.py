@@ -248,9 +248,15 @@ class World:
         terms = np.zeros((len(RewardParts._fields), *reward.shape), np.float32)
         running = ~state.done
         self._advance(
-            self.worlds, state, action, self._parameters, self._crowd_settings, self._recording,
-            reward, terms,
-        )  # fmt: skip
+            self.worlds,
+            state,
+            action,
+            self._parameters,
+            self._crowd_settings,
+            self._recording,
+            reward,
+            terms,
+        )
         parts = RewardParts(*terms)
         observation = self.observe()
         if self._lookahead:
@@ -267,9 +273,13 @@ class World:
         return Step(observation, reward, parts, terminated, truncated, final, finished)
 
     def _add_lookahead(
-        self, lookahead: LookaheadReward, observation: Observation, running: Bools,
-        reward: Floats, parts: RewardParts,
-    ) -> None:  # fmt: skip
+        self,
+        lookahead: LookaheadReward,
+        observation: Observation,
+        running: Bools,
+        reward: Floats,
+        parts: RewardParts,
+    ) -> None:
         """Add the lookahead term to the reward of the worlds [E] that moved."""
         lookahead.update(self.state, running)
         visible = observation.humans_visible

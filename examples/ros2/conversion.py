@@ -40,12 +40,15 @@ def detections(people: Any, reliability: float = 0.5) -> list[Detection]:
     """
     return [
         Detection(
-            person.position.x, person.position.y, person.velocity.x, person.velocity.y,
+            person.position.x,
+            person.position.y,
+            person.velocity.x,
+            person.velocity.y,
             id=person.name or None,
         )
         for person in people.people
         if person.reliability >= reliability
-    ]  # fmt: skip
+    ]
 
 
 def velocity(command: Command) -> tuple[float, float]:

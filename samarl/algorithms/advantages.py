@@ -14,9 +14,15 @@ from torchrl.objectives.value import GAE
 
 
 def advantages(
-    reward: Tensor, value: Tensor, next_value: Tensor, done: Tensor, terminated: Tensor,
-    discount: float, gae_lambda: float, duration: Tensor | None = None,
-) -> tuple[Tensor, Tensor]:  # fmt: skip
+    reward: Tensor,
+    value: Tensor,
+    next_value: Tensor,
+    done: Tensor,
+    terminated: Tensor,
+    discount: float,
+    gae_lambda: float,
+    duration: Tensor | None = None,
+) -> tuple[Tensor, Tensor]:
     """Return advantage and value target, [S, T, N], by generalised advantage estimation.
 
     Args:
@@ -170,9 +176,15 @@ def macro_advantages(
     now = torch.where(records.valid, value.gather(1, records.start), zero)
     after = torch.where(records.valid, value.gather(1, records.end + 1), zero)
     found = advantages(
-        records.reward, now, after, records.done, records.terminated, discount, gae_lambda,
+        records.reward,
+        now,
+        after,
+        records.done,
+        records.terminated,
+        discount,
+        gae_lambda,
         records.duration,
-    )  # fmt: skip
+    )
     at = torch.where(records.valid, records.start, t)
     advantage, target = (value.new_zeros(s, t + 1, n).scatter(1, at, x)[:, :t] for x in found)
     where = torch.zeros(s, t + 1, n, dtype=torch.bool, device=value.device)

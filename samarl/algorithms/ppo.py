@@ -40,9 +40,7 @@ Waypoints hardly move at first, so that the local level learns to drive to them.
 CHUNK_SIZE = 16384
 """Frames per forward pass of the critics when no gradient is needed, to bound the memory."""
 
-LOCAL_KEYS = (
-    "previous_noise", "waypoint_features", "speed", "unsafe", "safe_action"
-)  # fmt: skip
+LOCAL_KEYS = ("previous_noise", "waypoint_features", "speed", "unsafe", "safe_action")
 """What the local level's losses read of a rollout, as far as it is there."""
 
 STATISTICS = {

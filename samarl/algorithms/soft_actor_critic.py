@@ -98,11 +98,19 @@ class SoftActorCritic(Algorithm):
                 "algorithm.name is soft_actor_critic; policy.name must be squashed"
             )
         for name, value, requirement, valid in (
-            ("learning_starts", config.learning_starts, f"not exceed algorithm.replay "
-             f"({config.replay})", config.learning_starts <= config.replay),
-            ("critic_width", config.critic_width, f"be a multiple of algorithm.critic_heads "
-             f"({config.critic_heads})", config.critic_width % config.critic_heads == 0),
-        ):  # fmt: skip
+            (
+                "learning_starts",
+                config.learning_starts,
+                f"not exceed algorithm.replay ({config.replay})",
+                config.learning_starts <= config.replay,
+            ),
+            (
+                "critic_width",
+                config.critic_width,
+                f"be a multiple of algorithm.critic_heads ({config.critic_heads})",
+                config.critic_width % config.critic_heads == 0,
+            ),
+        ):
             if not valid:
                 raise ConfigurationError(f"algorithm.{name} is {value}; it must {requirement}")
         self.critics = nn.ModuleList(self._make_critic() for _ in range(2))
@@ -241,8 +249,9 @@ class SoftActorCritic(Algorithm):
     def _update_targets(self) -> None:
         """Move the target networks towards the networks by `target_rate`."""
         for target, network in (
-            (self.target_critics, self.critics), (self.target_policy, self.policy)
-        ):  # fmt: skip
+            (self.target_critics, self.critics),
+            (self.target_policy, self.policy),
+        ):
             for slow, fast in zip(target.parameters(), network.parameters(), strict=True):
                 slow.lerp_(fast, self.config.target_rate)
 

@@ -12,8 +12,11 @@ from samarl.agents import Agent, build_agent
 from samarl.configuration import load_agent, scenario_in
 
 _AGENTS = {  # one agent per kind of policy
-    "flat": "samarl_flat", "hierarchical": "samarl", "lookahead": "cadrl", "squashed": "msa3cpred",
-}  # fmt: skip
+    "flat": "samarl_flat",
+    "hierarchical": "samarl",
+    "lookahead": "cadrl",
+    "squashed": "msa3cpred",
+}
 
 
 def selected_agent(config: DictConfig) -> DictConfig:

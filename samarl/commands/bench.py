@@ -317,8 +317,12 @@ def _command(
         words.append(f"scenario={scenario.name}")
     column = ("fov_degrees", "humans", "robots")
     words += [f"scenario.{name}={getattr(scenario, name):g}" for name in column]
-    excluded = {*(f"scenario.{name}" for name in column), "scenario.name", "scenario.reward",
-                "evaluation.batch"}  # fmt: skip
+    excluded = {
+        *(f"scenario.{name}" for name in column),
+        "scenario.name",
+        "scenario.reward",
+        "evaluation.batch",
+    }
     for path, instance, default in (
         ("scenario", scenario, named),
         ("scenario.reward", scenario.reward, named.reward),

@@ -20,19 +20,21 @@ from samarl.messages import choice_hint, describe
 _JARGON = re.compile(r"(full_key|object_type|reference_type)\b|See https://hydra\.cc|\^$")
 # Messages of Hydra about `+`, `~` and `@`, and their replacements.
 _REWORDED = {
-    r"Could not append to config\. An item is already at '(.+?)'":
-        r"\1 already exists; write it without +",
-    r"Could not delete from config\. '(.+?)' does not exist":
-        r"~\1 deletes nothing: \1 is not known; see --help",
-    r"Could not delete from config\. The value of '(.+?)' is (.+) and not (.+)\.":
-        r"~\1 has the value \3; it must be \2 or omitted",
-    r"Error merging override ~([^=\n]+)":
-        r"~\1 deletes a required field; set it instead",
-    r"Multiple values for (.+?)\. ":
-        r"\1 is already selected; write \1=NAME without +",
-    r"Could not override '(.+?)'\.\nDid you mean to override (.+?)\?":
-        r"\1 is not known; did you mean \2?",
-}  # fmt: skip
+    r"Could not append to config\. An item is already at '(.+?)'": (
+        r"\1 already exists; write it without +"
+    ),
+    r"Could not delete from config\. '(.+?)' does not exist": (
+        r"~\1 deletes nothing: \1 is not known; see --help"
+    ),
+    r"Could not delete from config\. The value of '(.+?)' is (.+) and not (.+)\.": (
+        r"~\1 has the value \3; it must be \2 or omitted"
+    ),
+    r"Error merging override ~([^=\n]+)": r"~\1 deletes a required field; set it instead",
+    r"Multiple values for (.+?)\. ": r"\1 is already selected; write \1=NAME without +",
+    r"Could not override '(.+?)'\.\nDid you mean to override (.+?)\?": (
+        r"\1 is not known; did you mean \2?"
+    ),
+}
 
 
 def explain(error: BaseException, folder: Path | None = None) -> str:

@@ -41,9 +41,10 @@ def help_text(config_name: str, command: CommandLine) -> str:
         settings = [*command.settings, *search_path]
         config = composed(config_name, settings)
         choices = {
-            group: str(choice) for group, choice in config.hydra.runtime.choices.items()
+            group: str(choice)
+            for group, choice in config.hydra.runtime.choices.items()
             if not group.startswith("hydra/")
-        }  # fmt: skip
+        }
         options = {group: loader.get_group_options(group) for group in choices}
     template = OmegaConf.to_container(config.hydra.help)
     assert isinstance(template, dict)
@@ -55,12 +56,14 @@ def help_text(config_name: str, command: CommandLine) -> str:
     ]
     return "\n".join(
         [
-            template["header"].strip(), "",
+            template["header"].strip(),
+            "",
             *([_GROUPS, *groups, ""] if groups else []),
             "Settings (change with path.of.setting=value; see the examples):",
-            annotated(_shortened(config), meanings), template["footer"].strip(),
+            annotated(_shortened(config), meanings),
+            template["footer"].strip(),
         ]
-    )  # fmt: skip
+    )
 
 
 def _meanings(config: DictConfig, primary: Path, choices: dict[str, str]) -> Meanings:
@@ -172,10 +175,12 @@ def _classes(config: DictConfig) -> dict[str, Any]:
         from samarl.training.trainer import TrainerConfig
 
         classes |= {
-            "trainer": TrainerConfig, "curriculum.stages": CurriculumStage,
-            "curriculum.stages.scenario": Scenario, "curriculum.stages.scenario.reward": Reward,
+            "trainer": TrainerConfig,
+            "curriculum.stages": CurriculumStage,
+            "curriculum.stages.scenario": Scenario,
+            "curriculum.stages.scenario.reward": Reward,
             "algorithm": ALGORITHMS[config.algorithm.name].config,
             "policy": POLICIES[config.policy.name].config,
             "encoder": ENCODERS[config.encoder.name].config,
-        }  # fmt: skip
+        }
     return classes

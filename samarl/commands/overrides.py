@@ -24,18 +24,52 @@ from mrsan import ConfigurationError
 from samarl.files import find_folder
 
 PATH_FIELDS = frozenset(
-    {"checkpoint", "init_from", "lookahead_predictor", "output", "predictor", "recording",
-     "recordings", "results", "resume", "run_dir"}
-)  # fmt: skip
+    {
+        "checkpoint",
+        "init_from",
+        "lookahead_predictor",
+        "output",
+        "predictor",
+        "recording",
+        "recordings",
+        "results",
+        "resume",
+        "run_dir",
+    }
+)
 PATH_SETTINGS = frozenset({"hydra.run.dir", "hydra.sweep.dir", "hydra.sweep.subdir"})
 _FLAGS = frozenset(
-    {"--help", "-h", "--hydra-help", "--version", "--run", "-r", "--multirun", "-m", "--resolve",
-     "--shell-completion", "-sc"}
-)  # fmt: skip
+    {
+        "--help",
+        "-h",
+        "--hydra-help",
+        "--version",
+        "--run",
+        "-r",
+        "--multirun",
+        "-m",
+        "--resolve",
+        "--shell-completion",
+        "-sc",
+    }
+)
 _OPTIONS = frozenset(
-    {"--config-dir", "-cd", "--config-name", "-cn", "--config-path", "-cp", "--cfg", "-c",
-     "--package", "-p", "--info", "-i", "--experimental-rerun"}
-)  # fmt: skip
+    {
+        "--config-dir",
+        "-cd",
+        "--config-name",
+        "-cn",
+        "--config-path",
+        "-cp",
+        "--cfg",
+        "-c",
+        "--package",
+        "-p",
+        "--info",
+        "-i",
+        "--experimental-rerun",
+    }
+)
 # One of several values, in quotes or up to the next comma.
 _ELEMENT = re.compile(r"""\s*('(?:[^'\\]|\\.)*'|"(?:[^"\\]|\\.)*"|[^,]*?)\s*,""", re.DOTALL)
 
@@ -154,8 +188,9 @@ def _quoted_paths(value: str, is_sweep: bool, parser: OverridesParser) -> str:
         return _quoted_path(value, parser)
     override = _parsed(f"x={value}", parser)
     if override is not None and override.value_type in (
-        ValueType.CHOICE_SWEEP, ValueType.GLOB_CHOICE_SWEEP
-    ):  # fmt: skip
+        ValueType.CHOICE_SWEEP,
+        ValueType.GLOB_CHOICE_SWEEP,
+    ):
         return value
     paths = [match[1] for match in _ELEMENT.finditer(f"{value},")]
     return ",".join(_quoted_path(path, parser) or "''" for path in paths)

@@ -66,21 +66,27 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("file", metavar="FILE", type=Path, help="a recording of people")
     parser.add_argument(
-        "--frame-seconds", type=float, metavar="S",
+        "--frame-seconds",
+        type=float,
+        metavar="S",
         help=f"seconds between frame numbers (default: as stated in the file, or {FRAME_SECONDS})",
-    )  # fmt: skip
+    )
     parser.add_argument(
-        "--scale", type=float, metavar="M",
+        "--scale",
+        type=float,
+        metavar="M",
         help="metres per unit of the positions (default: as stated in the file, or 1)",
-    )  # fmt: skip
+    )
     parser.add_argument(
         "--figure", type=Path, metavar="PICTURE", help=f"draw the tracks ({', '.join(_PICTURES)})"
     )
     parser.add_argument(
-        "--output", type=Path, metavar="TABLE",
+        "--output",
+        type=Path,
+        metavar="TABLE",
         help=f"write 'frame id x y' in metres, frames {FRAME_SECONDS} s apart; with commas and a "
         "header if it ends in .csv",
-    )  # fmt: skip
+    )
     parser.add_argument("--no-check", action="store_true", help="accept an implausible recording")
     parser.add_argument("--version", action="version", version=f"samarl {samarl.__version__}")
     return parser
@@ -147,16 +153,22 @@ def _lines(
         ("tracks", f"{s.tracks}{gaps}"),
         ("rows", f"{s.rows}"),
         ("duration", f"{s.seconds:.1f} s"),
-        ("clock", f"{people.frame_seconds:.4g} s between frame numbers "
-                  f"({_origin(arguments.frame_seconds, rows.frame_seconds)})"),
+        (
+            "clock",
+            f"{people.frame_seconds:.4g} s between frame numbers "
+            f"({_origin(arguments.frame_seconds, rows.frame_seconds)})",
+        ),
         ("unit", f"{people.metres:.4g} m ({_origin(arguments.scale, rows.metres)})"),
         ("floor", f"{s.floor[0]:.1f} x {s.floor[1]:.1f} m"),
-        ("speeds", f"median {s.speed_median:.2f}, 95 % below {s.speed_95:.2f}, largest "
-                   f"{s.speed_largest:.2f} m/s"),
+        (
+            "speeds",
+            f"median {s.speed_median:.2f}, 95 % below {s.speed_95:.2f}, largest "
+            f"{s.speed_largest:.2f} m/s",
+        ),
         ("longest gap", f"{s.longest_gap:.2f} s"),
         *(("note", note) for note in rows.notes),
         ("verdict", "implausible" if problem else "plausible"),
-    ]  # fmt: skip
+    ]
     return [f"{name:<12} {value}" for name, value in table]
 
 

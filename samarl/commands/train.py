@@ -115,9 +115,14 @@ def build_trainer(config: DictConfig, command: str) -> Trainer:
 
     settings = settings_in(config)
     return Trainer(
-        Path(config.run_dir), settings.trainer, settings.policy, settings.algorithm,
-        settings.stages, command, settings.init_from,
-    )  # fmt: skip
+        Path(config.run_dir),
+        settings.trainer,
+        settings.policy,
+        settings.algorithm,
+        settings.stages,
+        command,
+        settings.init_from,
+    )
 
 
 def check_training(config: DictConfig) -> None:

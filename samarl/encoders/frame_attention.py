@@ -171,8 +171,10 @@ def _empty_attention(query, key_value, score):
 def _launch_attention(query, key_value, score, out, share):
     heads = score.shape[2]
     query, key_value, out = (
-        unflatten(query, heads), unflatten(key_value, 2, heads), unflatten(out, heads)
-    )  # fmt: skip
+        unflatten(query, heads),
+        unflatten(key_value, 2, heads),
+        unflatten(out, heads),
+    )
     _attend(query, key_value, score, share, out)
 
 
@@ -183,8 +185,10 @@ def _empty_gradients(query, key_value, share, gradient):
 def _launch_gradients(query, key_value, share, gradient, of_query, of_key_value):
     heads = share.shape[1]
     query, key_value, gradient = (
-        unflatten(query, heads), unflatten(key_value, 2, heads), unflatten(gradient, heads)
-    )  # fmt: skip
+        unflatten(query, heads),
+        unflatten(key_value, 2, heads),
+        unflatten(gradient, heads),
+    )
     of_query, of_key_value = unflatten(of_query, heads), unflatten(of_key_value, 2, heads)
     _attend_backward(query, key_value, share, gradient, of_query, of_key_value)
 

@@ -57,8 +57,9 @@ class PairwiseEncoder(Encoder):
         own, least = self.own(both), torch.full_like(ego[:, 0], torch.inf)
         # Slots of those who are not known cost nothing.
         for embed, others, known in (
-            (self.humans, humans, humans_known), (self.robots, robots, robots_known)
-        ):  # fmt: skip
+            (self.humans, humans, humans_known),
+            (self.robots, robots, robots_known),
+        ):
             of, slot = known.nonzero(as_tuple=True)
             values = self.pair(embed(others[of, slot]) + own[of]).squeeze(-1)
             least = least.scatter_reduce(0, of, values, "amin")

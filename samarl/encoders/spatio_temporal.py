@@ -202,9 +202,14 @@ class Block(nn.Module):
         return self._seen(tokens[frame], others[frame], known[frame], kept, window, allowed)
 
     def step(
-        self, ego: Tensor, others: Tensor, known: Tensor, kept: Tensor, kept_known: Tensor,
+        self,
+        ego: Tensor,
+        others: Tensor,
+        known: Tensor,
+        kept: Tensor,
+        kept_known: Tensor,
         count: Tensor,
-    ) -> Seen:  # fmt: skip
+    ) -> Seen:
         """Do the same for one more frame, whose keys and values go into a ring buffer.
 
         Args:
@@ -237,9 +242,14 @@ class Block(nn.Module):
         ]
 
     def _seen(
-        self, tokens: Tensor, others: Tensor, known: Tensor, kept: Tensor, window: Tensor,
+        self,
+        tokens: Tensor,
+        others: Tensor,
+        known: Tensor,
+        kept: Tensor,
+        window: Tensor,
         allowed: Tensor,
-    ) -> Seen:  # fmt: skip
+    ) -> Seen:
         timed = self.temporal(tokens, kept, window, allowed)
         score = nearness(others, known, self.spatial.heads)
         return Seen(self.spatial(tokens, others, known), timed, score)

@@ -44,11 +44,14 @@ class StructuralRNNEncoder(RecurrentGraph):
             {
                 name: nn.Sequential(nn.Linear(inputs, embedding), nn.ReLU())
                 for name, inputs in (
-                    ("humans", other_features), ("robots", other_features),
-                    ("temporal", velocity), ("ego", ego_features), ("edges", 2 * edge),
+                    ("humans", other_features),
+                    ("robots", other_features),
+                    ("temporal", velocity),
+                    ("ego", ego_features),
+                    ("edges", 2 * edge),
                 )
             }
-        )  # fmt: skip
+        )
         self.units = nn.ModuleDict(  # type: ignore[assignment]
             {name: RecurrentUnit(embedding, edge) for name in ("humans", "robots", "temporal")}
             | {"node": RecurrentUnit(2 * embedding, config.node)}

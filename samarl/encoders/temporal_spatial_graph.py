@@ -60,18 +60,23 @@ class TemporalSpatialGraphEncoder(RecurrentGraph):
                 f"({config.heads})"
             )
         e, self.edge, self.node, self.features = (
-            config.embedding, config.edge, config.node, config.features
-        )  # fmt: skip
+            config.embedding,
+            config.edge,
+            config.node,
+            config.features,
+        )
         self.heads, self.scale = config.heads, (config.attention // config.heads) ** -0.5
         self.embed = nn.ModuleDict(
             {
                 name: embedding(inputs, e)
                 for name, inputs in (
-                    ("others", 3), ("temporal", 2), ("ego", ego_features),
+                    ("others", 3),
+                    ("temporal", 2),
+                    ("ego", ego_features),
                     ("found", config.attention),
                 )
             }
-        )  # fmt: skip
+        )
         self.units = nn.ModuleDict(  # type: ignore[assignment]
             {name: RecurrentUnit(e, self.edge) for name in ("others", "temporal")}
             | {"node": RecurrentUnit(2 * e, self.node)}
@@ -90,9 +95,10 @@ class TemporalSpatialGraphEncoder(RecurrentGraph):
 
     def _hidden(self, robots: int, humans: int) -> dict[str, tuple[int, int]]:
         return {
-            "others": (robots + humans, self.edge), "temporal": (1, self.edge),
+            "others": (robots + humans, self.edge),
+            "temporal": (1, self.edge),
             "node": (1, self.node),
-        }  # fmt: skip
+        }
 
     def _temporal(self, frames: Frames) -> Tensor:
         # Eq. 7: how far it went in the last step, which is its velocity but for the time step.

@@ -126,8 +126,10 @@ def _empty_attention(query, key_value, window, allowed, bias):
 def _attend(query, key_value, window, allowed, bias, out, share):
     heads = len(bias)
     query, key_value, out = (
-        unflatten(query, heads), unflatten(key_value, 2, heads), unflatten(out, heads)
-    )  # fmt: skip
+        unflatten(query, heads),
+        unflatten(key_value, 2, heads),
+        unflatten(out, heads),
+    )
     _forward(query, key_value, window, allowed, bias, share, out)
 
 
@@ -138,8 +140,10 @@ def _empty_gradients(query, key_value, window, share, gradient):
 def _attend_backward(query, key_value, window, share, gradient, of_query, of_key_value):
     heads = share.shape[2]
     query, key_value, gradient = (
-        unflatten(query, heads), unflatten(key_value, 2, heads), unflatten(gradient, heads)
-    )  # fmt: skip
+        unflatten(query, heads),
+        unflatten(key_value, 2, heads),
+        unflatten(gradient, heads),
+    )
     of_key_value[:] = 0.0
     of_query, of_key_value = unflatten(of_query, heads), unflatten(of_key_value, 2, heads)
     _backward(query, key_value, window, share, gradient, of_query, of_key_value)

@@ -131,9 +131,13 @@ def mean_interval(scores: NDArray[np.float64]) -> tuple[float, float, float]:
 
 
 @metric(
-    "success_rate", "success_low", "success_high",
-    heading="success % [95 %]", form="{:.1f} [{:.1f}, {:.1f}]", tables=Tables.everywhere,
-)  # fmt: skip
+    "success_rate",
+    "success_low",
+    "success_high",
+    heading="success % [95 %]",
+    form="{:.1f} [{:.1f}, {:.1f}]",
+    tables=Tables.everywhere,
+)
 def _success(episodes: Episodes) -> tuple[float, float, float]:
     """Episodes in which every robot arrived and nobody collided, %, with the Wilson interval."""
     success = episodes.success
@@ -281,9 +285,12 @@ def _heading_change(episodes: Episodes) -> Value:
 
 
 @metric(
-    "path_irregularity", heading="irregularity rad/m", form="{:.2f}", decimals=3,
+    "path_irregularity",
+    heading="irregularity rad/m",
+    form="{:.2f}",
+    decimals=3,
     tables=Tables.driving,
-)  # fmt: skip
+)
 def _path_irregularity(episodes: Episodes) -> Value:
     """Turning per metre driven, mean over the robots that arrived (Guzzi et al., 2013), rad/m.
 

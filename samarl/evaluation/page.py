@@ -22,9 +22,12 @@ best seed."""
 
 
 def page(
-    name: str, about: str, rows: Sequence[Row], improvement_of: Sequence[str] = (),
+    name: str,
+    about: str,
+    rows: Sequence[Row],
+    improvement_of: Sequence[str] = (),
     headline: Sequence[str] = (),
-) -> str:  # fmt: skip
+) -> str:
     """Return the page of a table.
 
     Args:

@@ -7,15 +7,27 @@ from samarl.evaluation.summary import Column
 # SAMARL, Table I: success rate in % (500 cases). Its social score is on another scale.
 PAPER_SUCCESS: dict[Column, dict[str, int]] = {
     Column(90.0, 10, 3): {
-        "ORCA": 25, "CADRL": 55, "SAMARL-PPO": 72, "SAMARL-SRNN": 81, "SAMARL": 93,
+        "ORCA": 25,
+        "CADRL": 55,
+        "SAMARL-PPO": 72,
+        "SAMARL-SRNN": 81,
+        "SAMARL": 93,
     },
     Column(90.0, 10, 5): {
-        "ORCA": 21, "CADRL": 54, "SAMARL-PPO": 71, "SAMARL-SRNN": 82, "SAMARL": 89,
+        "ORCA": 21,
+        "CADRL": 54,
+        "SAMARL-PPO": 71,
+        "SAMARL-SRNN": 82,
+        "SAMARL": 89,
     },
     Column(360.0, 10, 5): {
-        "ORCA": 23, "CADRL": 63, "SAMARL-PPO": 72, "SAMARL-SRNN": 87, "SAMARL": 95,
+        "ORCA": 23,
+        "CADRL": 63,
+        "SAMARL-PPO": 72,
+        "SAMARL-SRNN": 87,
+        "SAMARL": 95,
     },
-}  # fmt: skip
+}
 PAPER_NAME = {"orca": "ORCA"}  # names of our methods in the paper
 
 # MSA3C (Artificial Intelligence Review, 2024), Tables 2 and 3: CSR %, CR %, APL m, NTC and CIR %

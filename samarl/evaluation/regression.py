@@ -9,8 +9,13 @@ from samarl.evaluation.summary import CASE_FIELDS, Row, column_of, first_cases
 from samarl.evaluation.table import column_name, row_settings
 
 _MEASURED = (
-    "episodes", "success_rate", "social_score", "collision_rate", "timeout_rate", *CASE_FIELDS,
-)  # fmt: skip
+    "episodes",
+    "success_rate",
+    "social_score",
+    "collision_rate",
+    "timeout_rate",
+    *CASE_FIELDS,
+)
 
 
 def compare(row: Row, committed: Sequence[Row]) -> str:

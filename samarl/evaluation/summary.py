@@ -57,8 +57,13 @@ PROVENANCE = ("command", "commit", "seed")
 CASE_FIELDS = ("case_success", "case_social_score")
 # Metrics that every row must have; others may be missing in older rows.
 HEADLINE = (
-    "success_rate", "success_low", "success_high", "social_score", "social_low", "social_high",
-)  # fmt: skip
+    "success_rate",
+    "success_low",
+    "success_high",
+    "social_score",
+    "social_low",
+    "social_high",
+)
 _STRING_FIELDS = ("method", "layout", "team_perception", "changes", "scenario", "command", "commit")
 _INTEGER_FIELDS = ("humans", "robots", "episodes", "seed", "training_seeds")
 _SEED_STATISTICS = [
@@ -130,9 +135,14 @@ def changed_fields(instance: Any, default: Any) -> Iterator[tuple[str, Any]]:
 
 
 def summarise(
-    episodes: Episodes, scenario: Scenario, method: str, command: str, commit: str, seed: int,
+    episodes: Episodes,
+    scenario: Scenario,
+    method: str,
+    command: str,
+    commit: str,
+    seed: int,
     named: Scenario | None = None,
-) -> Row:  # fmt: skip
+) -> Row:
     """Return the row of one method in one scenario: rates in percent, lengths in m, times in s.
 
     Args:
@@ -169,8 +179,11 @@ def first_cases(row: Row, cases: int) -> Row:
     scores = np.frombuffer(bytes.fromhex(row["case_social_score"]), np.uint8)[:cases]
     rates = 100 * success.mean(), 100 * low, 100 * high, *mean_interval(scores.astype(np.float64))
     common = {name: row[name] for name in (*IDENTITY, *PROVENANCE) if name in row}
-    return common | {"episodes": cases, **dict(zip(HEADLINE, rates, strict=True)),
-                   **_encode_cases(success, scores)}  # fmt: skip
+    return common | {
+        "episodes": cases,
+        **dict(zip(HEADLINE, rates, strict=True)),
+        **_encode_cases(success, scores),
+    }
 
 
 def _encode_cases(success: NDArray[np.bool_], scores: NDArray[np.uint8]) -> Row:

@@ -91,9 +91,18 @@ class Tracker:
             alive = np.empty(visible.shape, np.bool_)
             worlds = len(observation.ego)
             _track(
-                worlds, observation.ego, seen, visible, self.steps, dt, dt / self.time_step, tracks,
-                age, out, alive,
-            )  # fmt: skip
+                worlds,
+                observation.ego,
+                seen,
+                visible,
+                self.steps,
+                dt,
+                dt / self.time_step,
+                tracks,
+                age,
+                out,
+                alive,
+            )
             known += [out, alive]
         return Tracks(observation.ego, *known)
 

@@ -102,9 +102,20 @@ def predict_outcomes(
     )
     reward, ended = np.empty(shape, np.float32), np.empty(shape, np.bool_)
     _predict_outcomes(
-        len(robots), robots, *tracks, target, commands, kernel_parameters(scenario),
-        own, humans, humans_known, others, others_known, reward, ended,
-    )  # fmt: skip
+        len(robots),
+        robots,
+        *tracks,
+        target,
+        commands,
+        kernel_parameters(scenario),
+        own,
+        humans,
+        humans_known,
+        others,
+        others_known,
+        reward,
+        ended,
+    )
     return Outcomes(Tracks(own, humans, humans_known, others, others_known), reward, ended)
 
 

@@ -150,9 +150,19 @@ def _choose_action(rows, row_offset, count, goal_x, goal_y, plans, scratch_actio
     for index in range(plans.directions * plans.speeds * plans.holds + 1):
         vx, vy, hold = _plan(index, goal_angle, plans, p)
         cost = _cost(
-            rows, row_offset, count, goal_x, goal_y, vx, vy, hold, plans, cheapest,
-            scratch_action, p,
-        )  # fmt: skip
+            rows,
+            row_offset,
+            count,
+            goal_x,
+            goal_y,
+            vx,
+            vy,
+            hold,
+            plans,
+            cheapest,
+            scratch_action,
+            p,
+        )
         if cost < cheapest:
             cheapest = cost
             track_velocity(vx, vy, speed, action, p)

@@ -78,9 +78,12 @@ class Shield:
 
 
 def apply_shield(
-    tracks: Observation | Tracks, action: NDArray[np.float32], scenario: Scenario, shield: Shield,
+    tracks: Observation | Tracks,
+    action: NDArray[np.float32],
+    scenario: Scenario,
+    shield: Shield,
     predicted_offset: NDArray[np.float32] | None = None,
-) -> NDArray[np.float32]:  # fmt: skip
+) -> NDArray[np.float32]:
     """Return the actions [E, N, A], with unsafe ones replaced.
 
     Args:
@@ -149,13 +152,30 @@ def _apply_shield(
                 first_robot = gather_offsets(humans_known[e, i], predicted_offset[e, i], row_offset)
                 _shrink_margins(rows, count, p)
                 if not _is_safe(
-                    rows, row_offset, count, first_robot, goal_x, goal_y, settings, action[e, i],
-                    scratch_action, p,
-                ):  # fmt: skip
+                    rows,
+                    row_offset,
+                    count,
+                    first_robot,
+                    goal_x,
+                    goal_y,
+                    settings,
+                    action[e, i],
+                    scratch_action,
+                    p,
+                ):
                     _choose_continuation(
-                        rows, row_offset, count, first_robot, goal_x, goal_y, settings,
-                        action[e, i], first_action, scratch_action, p,
-                    )  # fmt: skip
+                        rows,
+                        row_offset,
+                        count,
+                        first_robot,
+                        goal_x,
+                        goal_y,
+                        settings,
+                        action[e, i],
+                        first_action,
+                        scratch_action,
+                        p,
+                    )
 
 
 @function
@@ -177,9 +197,20 @@ def _is_safe(
         for k in range(action.shape[0]):
             scratch_action[k] = action[k]
         safe_steps, _, _ = _simulate(
-            rows, row_offset, count, first_robot, goal_x, goal_y, vx, vy, turn_in_place_angle,
-            settings, scratch_action, False, p,
-        )  # fmt: skip
+            rows,
+            row_offset,
+            count,
+            first_robot,
+            goal_x,
+            goal_y,
+            vx,
+            vy,
+            turn_in_place_angle,
+            settings,
+            scratch_action,
+            False,
+            p,
+        )
         if safe_steps >= settings.steps:
             return True
     return False
@@ -187,9 +218,18 @@ def _is_safe(
 
 @function
 def _choose_continuation(
-    rows, row_offset, count, first_robot, goal_x, goal_y, settings, action, first_action,
-    scratch_action, p,
-):  # fmt: skip
+    rows,
+    row_offset,
+    count,
+    first_robot,
+    goal_x,
+    goal_y,
+    settings,
+    action,
+    first_action,
+    scratch_action,
+    p,
+):
     """Write the first action of the best continuation."""
     speed = math.sqrt(rows[0, 2] * rows[0, 2] + rows[0, 3] * rows[0, 3])
     longest, best_score = -_ONE, _ZERO
@@ -199,9 +239,20 @@ def _choose_continuation(
         for k in range(action.shape[0]):
             scratch_action[k] = first_action[k]
         safe_steps, gap, path_length = _simulate(
-            rows, row_offset, count, first_robot, goal_x, goal_y, vx, vy, turn_in_place_angle,
-            settings, scratch_action, True, p,
-        )  # fmt: skip
+            rows,
+            row_offset,
+            count,
+            first_robot,
+            goal_x,
+            goal_y,
+            vx,
+            vy,
+            turn_in_place_angle,
+            settings,
+            scratch_action,
+            True,
+            p,
+        )
         score = min(gap, SUFFICIENT_GAP) - PROGRESS_WEIGHT * path_length
         if safe_steps > longest or (safe_steps == longest and score > best_score + ROUNDING):
             longest, best_score = safe_steps, score
@@ -261,9 +312,18 @@ def _simulate(
             )
         new_x, new_y, vx, vy, heading = step_robot(x, y, vx, vy, heading, action, p)
         gap = _smallest_gap(
-            rows, row_offset, count, first_robot, x, y, new_x, new_y, k,
-            settings.uncertain_steps, p,
-        )  # fmt: skip
+            rows,
+            row_offset,
+            count,
+            first_robot,
+            x,
+            y,
+            new_x,
+            new_y,
+            k,
+            settings.uncertain_steps,
+            p,
+        )
         if gap < _ZERO:
             return np.float32(k) + max(_ONE + gap, _ZERO), _ZERO, path_length
         smallest_gap = min(smallest_gap, gap)

@@ -139,9 +139,14 @@ def attribute_errors_to(path: Path, reason: str = "is damaged") -> Iterator[None
     except ConfigurationError:
         raise
     except (
-        SafetensorError, LookupError, TypeError, ValueError, AttributeError, ArithmeticError,
+        SafetensorError,
+        LookupError,
+        TypeError,
+        ValueError,
+        AttributeError,
+        ArithmeticError,
         RuntimeError,
-    ) as error:  # fmt: skip
+    ) as error:
         what = (str(error).splitlines() or [type(error).__name__])[0]
         raise ConfigurationError(f"{path} {reason} ({what})") from error
 

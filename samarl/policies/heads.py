@@ -45,9 +45,14 @@ class SpreadGaussian(nn.Module):
         super().__init__()
         last = nn.Linear(hidden, 2 * actions)
         self.body = nn.Sequential(
-            nn.Linear(inputs, hidden), nn.LeakyReLU(), nn.Linear(hidden, hidden), nn.LeakyReLU(),
-            nn.Linear(hidden, hidden), nn.LeakyReLU(), last,
-        )  # fmt: skip
+            nn.Linear(inputs, hidden),
+            nn.LeakyReLU(),
+            nn.Linear(hidden, hidden),
+            nn.LeakyReLU(),
+            nn.Linear(hidden, hidden),
+            nn.LeakyReLU(),
+            last,
+        )
         nn.init.orthogonal_(last.weight, gain=0.01)
         nn.init.zeros_(last.bias)
 

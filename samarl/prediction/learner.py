@@ -211,7 +211,10 @@ def save_predictor(path: Path, predictor: RecurrentPredictor, provenance: dict[s
     }
     digest = write_tensors(path, tensors, {})
     card = {
-        "format": FORMAT, "history": predictor.history, "time_step": float(predictor.time_step),
-        "provenance": provenance, "sha256": digest,
-    }  # fmt: skip
+        "format": FORMAT,
+        "history": predictor.history,
+        "time_step": float(predictor.time_step),
+        "provenance": provenance,
+        "sha256": digest,
+    }
     write_json(path.with_suffix(".json"), card)

@@ -34,14 +34,17 @@ def simulate_windows(scenario: Scenario, cases: NDArray[np.int64], training: Tra
     state, snapshots = world.state, []
     for _ in range(training.duration):
         world.step(action)
-        snapshots.append((state.human_position.copy(), state.human_velocity.copy(),
-                     state.human_present.copy()))  # fmt: skip
+        snapshots.append(
+            (state.human_position.copy(), state.human_velocity.copy(), state.human_present.copy())
+        )
     positions, velocities, present = (np.stack(part) for part in zip(*snapshots, strict=True))
     people = training.duration, -1
     return _windows(
-        positions.reshape(*people, 2), velocities.reshape(*people, 2), present.reshape(people),
+        positions.reshape(*people, 2),
+        velocities.reshape(*people, 2),
+        present.reshape(people),
         training,
-    )  # fmt: skip
+    )
 
 
 def recorded_windows(
@@ -75,15 +78,23 @@ def recorded_windows(
 
 
 def _windows(
-    positions: NDArray[np.float32], velocities: NDArray[np.float32], present: NDArray[np.bool_],
+    positions: NDArray[np.float32],
+    velocities: NDArray[np.float32],
+    present: NDArray[np.bool_],
     training: Training,
-) -> Windows:  # fmt: skip
+) -> Windows:
     """Cut series [T, P, ...] into windows half a history apart."""
     history, steps = training.history, training.steps
     windows = []
     for now in range(history - 1, len(positions) - steps, max(history // 2, 1)):
         past, future = slice(now - history + 1, now + 1), slice(now + 1, now + steps + 1)
         stay = present[now] & present[future].all(0)
-        windows.append((positions[past, stay].swapaxes(0, 1), present[past, stay].swapaxes(0, 1),
-                        velocities[now, stay], positions[future, stay].swapaxes(0, 1)))  # fmt: skip
+        windows.append(
+            (
+                positions[past, stay].swapaxes(0, 1),
+                present[past, stay].swapaxes(0, 1),
+                velocities[now, stay],
+                positions[future, stay].swapaxes(0, 1),
+            )
+        )
     return Windows(*(np.concatenate(part) for part in zip(*windows, strict=True)))

@@ -42,13 +42,17 @@ def save_animation(trajectories: Sequence[tuple[Trajectory, str]], path: Path) -
     """
     kind = path.suffix.lower()
     write = {".gif": _write_gif, ".mp4": _write_mp4}[kind]
-    figure = Figure(figsize=(6.0 * len(trajectories), 6.4), dpi=_DPI[kind],
-                    layout="constrained")  # fmt: skip
+    figure = Figure(figsize=(6.0 * len(trajectories), 6.4), dpi=_DPI[kind], layout="constrained")
     steps = max(len(trajectory.robot_position) for trajectory, _ in trajectories) - 1
     time_step = trajectories[0][0].scenario.time_step
     times, seconds = frame_times(steps, time_step, _FRAMES_PER_SECOND[kind])
-    images = tqdm(_frames(figure, trajectories, times), total=len(times), desc=path.name,
-                    unit="frame", disable=None)  # fmt: skip
+    images = tqdm(
+        _frames(figure, trajectories, times),
+        total=len(times),
+        desc=path.name,
+        unit="frame",
+        disable=None,
+    )
     with atomic_write(path) as part:
         write(part, iter(images), seconds)
 
@@ -120,9 +124,13 @@ def _write_mp4(path: Path, frames: Iterator[NDArray[np.uint8]], seconds: float) 
     first = next(frames)
     height, width = first.shape[:2]
     writer = video_encoder().write_frames(
-        str(path), (width, height), fps=1 / seconds, codec="libx264",
-        macro_block_size=2, output_params=["-f", "mp4", "-movflags", "+faststart"],
-    )  # fmt: skip
+        str(path),
+        (width, height),
+        fps=1 / seconds,
+        codec="libx264",
+        macro_block_size=2,
+        output_params=["-f", "mp4", "-movflags", "+faststart"],
+    )
     writer.send(None)
     try:
         writer.send(first.tobytes())
@@ -207,8 +215,13 @@ def _draw_humans(
         radius = float(trajectory.human_radius[j])
         gap = np.linalg.norm(robots - humans[j], axis=-1) - radius - scenario.robot_radius
         intruded = bool((gap[driving] < zone).any())
-        space = _disc(humans[j], radius + zone, color=CONTACT if intruded else MUTED,
-                      alpha=0.2 if intruded else 0.1, linewidth=0)  # fmt: skip
+        space = _disc(
+            humans[j],
+            radius + zone,
+            color=CONTACT if intruded else MUTED,
+            alpha=0.2 if intruded else 0.1,
+            linewidth=0,
+        )
         fill = MUTED if visible[j] else "white"
         body = _disc(humans[j], radius, facecolor=fill, edgecolor=MUTED, zorder=2)
         artists += [axes.add_patch(space), axes.add_patch(body)]
@@ -233,15 +246,27 @@ def _draw_robot(
     artists.append(
         axes.add_patch(_disc(position, radius, facecolor=colour, edgecolor="white", zorder=4))
     )
-    artists.append(axes.text(position[0], position[1], str(i), color="white", fontsize=7, zorder=6,
-                             ha="center", va="center", clip_on=True))  # fmt: skip
+    artists.append(
+        axes.text(
+            position[0],
+            position[1],
+            str(i),
+            color="white",
+            fontsize=7,
+            zorder=6,
+            ha="center",
+            va="center",
+            clip_on=True,
+        )
+    )
     nose = np.array([np.cos(heading), np.sin(heading)])
     ends = np.stack([position + radius * nose, position + 1.6 * radius * nose])
     artists += axes.plot(*ends.T, color=INK, linewidth=1.6, zorder=5)
     collided = trajectory.episodes.outcome[0, i] in (Outcome.hit_human, Outcome.hit_robot)
     if collided and time >= len(trajectory.robot_position) - 1:
-        artists += axes.plot(*position, "x", color=CONTACT, markersize=16, markeredgewidth=2.5,
-                             zorder=7)  # fmt: skip
+        artists += axes.plot(
+            *position, "x", color=CONTACT, markersize=16, markeredgewidth=2.5, zorder=7
+        )
     return artists
 
 
@@ -252,8 +277,15 @@ def _draw_view(
     half, direction = trajectory.scenario.fov_degrees / 2, np.degrees(heading)
     if half >= 180:
         return []
-    sector = Wedge((position[0], position[1]), trajectory.scenario.sensing_range, direction - half,
-                   direction + half, color=colour, alpha=0.07, linewidth=0)  # fmt: skip
+    sector = Wedge(
+        (position[0], position[1]),
+        trajectory.scenario.sensing_range,
+        direction - half,
+        direction + half,
+        color=colour,
+        alpha=0.07,
+        linewidth=0,
+    )
     return [axes.add_patch(sector)]
 
 

@@ -181,9 +181,12 @@ def _build_pages(
 def _environment(**variables: Any) -> Environment:
     """Return the template environment with the functions and variables that templates use."""
     environment = Environment(
-        loader=FileSystemLoader(_TEMPLATES), autoescape=True, trim_blocks=True, lstrip_blocks=True,
+        loader=FileSystemLoader(_TEMPLATES),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
         undefined=StrictUndefined,
-    )  # fmt: skip
+    )
     environment.globals |= variables | {
         "commit": code_version(),
         "grid_of": grid_of,
@@ -278,9 +281,14 @@ def _write_replays(
         words = [f"{scenario.fov_degrees:g}° view", people, f"{scenario.robots} robots"]
         words.append(setting_name(column))
         entries.append(
-            {"key": key, "method": method, "column": ", ".join(filter(None, words)),
-             "case": f"{split} case {case}", "success": bool(trajectory.episodes.success[0])}
-        )  # fmt: skip
+            {
+                "key": key,
+                "method": method,
+                "column": ", ".join(filter(None, words)),
+                "case": f"{split} case {case}",
+                "success": bool(trajectory.episodes.success[0]),
+            }
+        )
     return entries
 
 

@@ -66,8 +66,11 @@ def baselines(rows: Sequence[Row], column: str) -> dict[str, float]:
         return {}
     key = {"success": "success_rate", "social_score": "social_score"}[match[1]]
     setting = Column(float(match[2]), int(match[3]), int(match[4]))
-    return {row["method"]: row[key] for row in rows
-            if row["method"] in _BASELINES and column_of(row) == setting}  # fmt: skip
+    return {
+        row["method"]: row[key]
+        for row in rows
+        if row["method"] in _BASELINES and column_of(row) == setting
+    }
 
 
 def draw_curves(
@@ -160,8 +163,15 @@ def draw_heat_map(rows: Sequence[Row], title: str) -> Figure:
         mesh = axes.pcolormesh(success, cmap="cividis", vmin=0, vmax=100, edgecolors="face")
         for (y, x), value in np.ndenumerate(success):
             if not math.isnan(value):
-                axes.text(x + 0.5, y + 0.5, f"{value:.0f}", ha="center", va="center", fontsize=8,
-                          color=_LIGHT_TEXT if value < 55 else _DARK_TEXT)  # fmt: skip
+                axes.text(
+                    x + 0.5,
+                    y + 0.5,
+                    f"{value:.0f}",
+                    ha="center",
+                    va="center",
+                    fontsize=8,
+                    color=_LIGHT_TEXT if value < 55 else _DARK_TEXT,
+                )
         axes.set_xticks(np.arange(len(views)) + 0.5, [f"{view:g}°" for view in views])
         axes.set_yticks(np.arange(len(crowds)) + 0.5, [f"{h}h {r}r" for h, r in crowds])
         axes.set_xlabel("field of view")
@@ -186,9 +196,11 @@ def draw_lines(
         figure = Figure(figsize=(4.6, 3.0), layout="constrained")
         axes = figure.add_subplot()
         for m, line in enumerate(dict.fromkeys(lines)):
-            points = sorted((x, row["success_rate"], row["success_low"], row["success_high"])
-                            for x, row, name_of_line in zip(values, rows, lines, strict=True)
-                            if name_of_line == line)  # fmt: skip
+            points = sorted(
+                (x, row["success_rate"], row["success_low"], row["success_high"])
+                for x, row, name_of_line in zip(values, rows, lines, strict=True)
+                if name_of_line == line
+            )
             x, rate, low, high = np.array(points).T
             colour = COLOURS[m % len(COLOURS)]
             axes.plot(x, rate, marker="o", markersize=4, color=colour, label=line)
@@ -211,15 +223,23 @@ def draw_bars(rows: Sequence[Row], title: str) -> Figure:
         figure = Figure(figsize=(4.6, height), layout="constrained")
         axes = figure.add_subplot()
         for m, method in enumerate(methods):
-            of_method = [(r, label) for r, label in zip(rows, labels, strict=True)
-                         if r["method"] == method]  # fmt: skip
+            of_method = [
+                (r, label) for r, label in zip(rows, labels, strict=True) if r["method"] == method
+            ]
             rate = np.array([row["success_rate"] for row, _ in of_method])
             low = np.array([row["success_low"] for row, _ in of_method])
             high = np.array([row["success_high"] for row, _ in of_method])
             y = [settings.index(label) - 0.4 + (m + 0.5) * thickness for _, label in of_method]
-            axes.barh(y, rate, 0.9 * thickness, color=COLOURS[m % len(COLOURS)], label=method,
-                      xerr=(rate - low, high - rate), ecolor=INK,
-                      error_kw={"elinewidth": 1, "capsize": 2})  # fmt: skip
+            axes.barh(
+                y,
+                rate,
+                0.9 * thickness,
+                color=COLOURS[m % len(COLOURS)],
+                label=method,
+                xerr=(rate - low, high - rate),
+                ecolor=INK,
+                error_kw={"elinewidth": 1, "capsize": 2},
+            )
         axes.set_yticks(range(len(settings)), settings)
         axes.invert_yaxis()
         axes.set_xlim(0, 100)
@@ -250,16 +270,23 @@ def draw_table(rows: Sequence[Row]) -> Figure:
                 np.array([row[key] for row in cells if row is not None])
                 for key in ("success_rate", "success_low", "success_high", "social_score")
             )
-            axes.barh(y[filled], rate, 0.7, color=COLOURS[5], label="success %, 95 % interval",
-                      xerr=(rate - low, high - rate), ecolor=INK,
-                      error_kw={"elinewidth": 1, "capsize": 2})  # fmt: skip
-            axes.plot(social, y[filled], "D", color=COLOURS[1], markersize=4,
-                      label="social score")  # fmt: skip
+            axes.barh(
+                y[filled],
+                rate,
+                0.7,
+                color=COLOURS[5],
+                label="success %, 95 % interval",
+                xerr=(rate - low, high - rate),
+                ecolor=INK,
+                error_kw={"elinewidth": 1, "capsize": 2},
+            )
+            axes.plot(social, y[filled], "D", color=COLOURS[1], markersize=4, label="social score")
             axes.set_xlim(0, 100)
             axes.set_title(column_name(column), loc="left")
         panels[0].set_yticks(y, methods)
-        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=2,
-                      fontsize=8)  # fmt: skip
+        figure.legend(
+            *panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=2, fontsize=8
+        )
     return figure
 
 
@@ -281,8 +308,10 @@ def sweep_figures(rows: Sequence[Row]) -> Iterable[tuple[str, Figure]]:
     """
     labels = settings_labels(rows)
     has_settings = len(set(labels)) > 1
-    names = [row["method"] + (f", {label}" if has_settings else "")
-             for row, label in zip(rows, labels, strict=True)]  # fmt: skip
+    names = [
+        row["method"] + (f", {label}" if has_settings else "")
+        for row, label in zip(rows, labels, strict=True)
+    ]
     if len(_varied(rows)) == 1 and len(set(names)) <= len(COLOURS):
         yield _lines_over_axis(rows, names)
         return

@@ -47,13 +47,22 @@ def save_tracks(people: People, title: str, path: Path) -> None:
         axes.add_collection(lines)
         x, y = people.position[starts].T
         axes.scatter(
-            x, y, c=people.seconds[starts], cmap=_SHADES, s=20, zorder=3,
-            edgecolors="white", linewidths=0.7,
-        )  # fmt: skip
+            x,
+            y,
+            c=people.seconds[starts],
+            cmap=_SHADES,
+            s=20,
+            zorder=3,
+            edgecolors="white",
+            linewidths=0.7,
+        )
         axes.set(
-            xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin),
-            xlabel="x (m)", ylabel="y (m)", aspect="equal",
-        )  # fmt: skip
+            xlim=(low[0] - margin, high[0] + margin),
+            ylim=(low[1] - margin, high[1] + margin),
+            xlabel="x (m)",
+            ylabel="y (m)",
+            aspect="equal",
+        )
         axes.grid(True, axis="both")
         shown = "\n".join(textwrap.fill(line, 90) for line in title.splitlines())
         axes.set_title(shown, parse_math=False)

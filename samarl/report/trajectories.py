@@ -41,8 +41,14 @@ def save_trajectories(trajectories: Sequence[tuple[Trajectory, str]], path: Path
             draw_trajectories(axes, trajectory, title)
         handles = _legend([trajectory for trajectory, _ in trajectories])
         columns = min(len(handles), 5 * len(trajectories))
-        figure.legend(handles=handles, loc="outside lower center", ncols=columns, fontsize=8,
-                      handletextpad=0.4, columnspacing=1.2)  # fmt: skip
+        figure.legend(
+            handles=handles,
+            loc="outside lower center",
+            ncols=columns,
+            fontsize=8,
+            handletextpad=0.4,
+            columnspacing=1.2,
+        )
     save_figure(figure, path)
 
 
@@ -78,9 +84,15 @@ def _draw_human(axes: Axes, trajectory: Trajectory, j: int, steps_per_mark: int)
             continue
         shade = _HUMAN_SHADES(t / max(last, 1))
         axes.add_patch(
-            Circle(tuple(path[t]), radius, facecolor=shade if t == last else "none",
-                   edgecolor=shade, linewidth=0.8, zorder=2)
-        )  # fmt: skip
+            Circle(
+                tuple(path[t]),
+                radius,
+                facecolor=shade if t == last else "none",
+                edgecolor=shade,
+                linewidth=0.8,
+                zorder=2,
+            )
+        )
 
 
 def _draw_robot(axes: Axes, trajectory: Trajectory, i: int, steps_per_mark: int) -> None:
@@ -95,12 +107,26 @@ def _draw_robot(axes: Axes, trajectory: Trajectory, i: int, steps_per_mark: int)
     marks = [t for t in range(0, last, steps_per_mark) if last - t > steps_per_mark // 2]
     for t in [*marks, last]:
         axes.add_patch(
-            Circle(tuple(path[t]), radius, facecolor="white" if t != last else colour,
-                   edgecolor=colour, linewidth=1.4, zorder=5)
-        )  # fmt: skip
+            Circle(
+                tuple(path[t]),
+                radius,
+                facecolor="white" if t != last else colour,
+                edgecolor=colour,
+                linewidth=1.4,
+                zorder=5,
+            )
+        )
         second = f"{t * trajectory.scenario.time_step:g}"
-        axes.text(path[t, 0], path[t, 1], second, fontsize=6.5, ha="center", va="center",
-                  color="white" if t == last else colour, zorder=6)  # fmt: skip
+        axes.text(
+            path[t, 0],
+            path[t, 1],
+            second,
+            fontsize=6.5,
+            ha="center",
+            va="center",
+            color="white" if t == last else colour,
+            zorder=6,
+        )
         nose = path[t] + radius * np.array([np.cos(heading[t]), np.sin(heading[t])])
         tip = path[t] + 1.6 * radius * np.array([np.cos(heading[t]), np.sin(heading[t])])
         axes.plot(*np.stack([nose, tip]).T, color=colour, linewidth=1.6, zorder=5)
@@ -125,15 +151,30 @@ def _legend(trajectories: Sequence[Trajectory]) -> list[Line2D]:
     if any(trajectory.human_position.shape[1] for trajectory in trajectories):
         handles += [
             Line2D([], [], color="#999999", linewidth=1.2, label="human (later is darker)"),
-            Line2D([], [], marker="o", linestyle="none", color="#777777", markersize=9,
-                   label="human at the end"),
-        ]  # fmt: skip
+            Line2D(
+                [],
+                [],
+                marker="o",
+                linestyle="none",
+                color="#777777",
+                markersize=9,
+                label="human at the end",
+            ),
+        ]
     outcomes = [
         outcome for trajectory in trajectories for outcome in trajectory.episodes.outcome[0]
     ]
     if {Outcome.hit_human, Outcome.hit_robot} & {Outcome(value) for value in outcomes}:
         handles.append(
-            Line2D([], [], marker="x", linestyle="none", color=CONTACT, markersize=9,
-                   markeredgewidth=2, label="contact")
-        )  # fmt: skip
+            Line2D(
+                [],
+                [],
+                marker="x",
+                linestyle="none",
+                color=CONTACT,
+                markersize=9,
+                markeredgewidth=2,
+                label="contact",
+            )
+        )
     return handles

@@ -15,10 +15,21 @@ FORMAT = 2
 
 # What a robot must know of the scenario that it was trained for; of the others nothing is asked.
 ROBOT_FIELDS = (
-    "robots", "humans", "time_step", "time_limit", "kinematics", "robot_radius", "robot_speed",
-    "max_acceleration", "max_turn_rate", "min_turning_radius", "turn_in_place", "fov_degrees",
-    "sensing_range", "reward",
-)  # fmt: skip
+    "robots",
+    "humans",
+    "time_step",
+    "time_limit",
+    "kinematics",
+    "robot_radius",
+    "robot_speed",
+    "max_acceleration",
+    "max_turn_rate",
+    "min_turning_radius",
+    "turn_in_place",
+    "fov_degrees",
+    "sensing_range",
+    "reward",
+)
 
 
 @dataclass

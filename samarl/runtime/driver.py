@@ -132,10 +132,15 @@ class Driver:
 
         ego = np.empty((1, 1, len(EGO_FEATURES)), np.float32)
         ego[0, 0] = (
-            *body(own.goal_x - own.x, own.goal_y - own.y), *body(own.velocity_x, own.velocity_y),
-            *body(-x, -y), cos, sin, s.robot_radius, s.robot_speed,
+            *body(own.goal_x - own.x, own.goal_y - own.y),
+            *body(own.velocity_x, own.velocity_y),
+            *body(-x, -y),
+            cos,
+            sin,
+            s.robot_radius,
+            s.robot_speed,
             min((time - began) / s.time_limit, 1.0),
-        )  # fmt: skip
+        )
         parts: list[NDArray] = []
         for kind, slots in (("humans", self._humans), ("robots", self._robots)):
             rows = np.zeros((1, 1, slots.number, len(OTHER_FEATURES)), np.float32)
@@ -146,8 +151,9 @@ class Driver:
             for slot, d in found:
                 rows[0, 0, slot] = (
                     *body(d.x - own.x, d.y - own.y),
-                    *body(d.velocity_x - own.velocity_x, d.velocity_y - own.velocity_y), d.radius,
-                )  # fmt: skip
+                    *body(d.velocity_x - own.velocity_x, d.velocity_y - own.velocity_y),
+                    d.radius,
+                )
                 visible[0, 0, slot] = True
             parts += [rows, visible]
         nothing = np.zeros((1, 1, 0), np.bool_)  # it is not said who saw whom

@@ -50,8 +50,13 @@ def as_seen(
             there, moves = fixed(x, y), fixed(other_vx, other_vy)
             detections.append(
                 Detection(
-                    own.x + there[0], own.y + there[1], vx + moves[0], vy + moves[1], radius,
-                    is_robot, int(k) if named else None,
+                    own.x + there[0],
+                    own.y + there[1],
+                    vx + moves[0],
+                    vy + moves[1],
+                    radius,
+                    is_robot,
+                    int(k) if named else None,
                 )
-            )  # fmt: skip
+            )
     return own, detections

@@ -133,9 +133,13 @@ class RolloutCollector:
         scenario = self.stage.scenario
         self.active = ~self.world.state.arrived
         self.decision = self.policy.act(
-            self.observation, self.state, self.is_init, scenario,
-            self.stage.noise_correlation, self.active,
-        )  # fmt: skip
+            self.observation,
+            self.state,
+            self.is_init,
+            scenario,
+            self.stage.noise_correlation,
+            self.active,
+        )
         column = self.past + step
         for buffer, tensor in zip(self.frames, self.decision.features, strict=True):
             buffer[:, column] = tensor[:, 0]
@@ -175,9 +179,14 @@ class RolloutCollector:
         world = self.world
         result = world.step(self.decision.action)
         rewards = level_rewards(
-            self.policy, self.shaping, self.stage.scenario, self.observation, result, self.state,
+            self.policy,
+            self.shaping,
+            self.stage.scenario,
+            self.observation,
+            result,
+            self.state,
             self.active,
-        )  # fmt: skip
+        )
         ended = (result.terminated | result.truncated)[:, None]
         terminated = (self._failed() | world.state.arrived.all(1, keepdims=True)) & ended
         if ended.any():
@@ -265,9 +274,14 @@ class RolloutCollector:
         return self.state
 
     def _rollout(
-        self, columns: list[dict[Any, Tensor]], states: list[Frames | None], mask: Tensor,
-        closed: list, encoder_before: Any, episodes: list[Episodes],
-    ) -> Rollout:  # fmt: skip
+        self,
+        columns: list[dict[Any, Tensor]],
+        states: list[Frames | None],
+        mask: Tensor,
+        closed: list,
+        encoder_before: Any,
+        episodes: list[Episodes],
+    ) -> Rollout:
         e, device = self.world.worlds, self.policy.device
         steps = TensorDict({}, [e, self.steps + 1])
         for key in columns[0]:
@@ -293,10 +307,16 @@ class RolloutCollector:
                 for i, of_set in enumerate(encoder_before)
             )
         return Rollout(
-            self.stage.scenario, self.stage.noise_correlation, steps.to(device), frames,
-            begins, encoder_before, None if state is None else state.to(device), episodes,
+            self.stage.scenario,
+            self.stage.noise_correlation,
+            steps.to(device),
+            frames,
+            begins,
+            encoder_before,
+            None if state is None else state.to(device),
+            episodes,
             e * self.steps,
-        )  # fmt: skip
+        )
 
     def state_dict(self) -> dict[str, Any]:
         """Return all that the next `collect` depends on, except networks and torch's generator."""
@@ -322,6 +342,16 @@ class RolloutCollector:
         if self.crowd is not None:
             self.crowd.world.restore(saved["crowd"])
         self.snapshots.snapshots.extend(saved["snapshots"])
-        for name in ("observation", "state", "age", "fresh", "is_init", "frames", "begins",
-                     "decision", "active", "encoder_before"):  # fmt: skip
+        for name in (
+            "observation",
+            "state",
+            "age",
+            "fresh",
+            "is_init",
+            "frames",
+            "begins",
+            "decision",
+            "active",
+            "encoder_before",
+        ):
             setattr(self, name, saved[name])

@@ -28,9 +28,12 @@ class Logger:
                     f"trainer.wandb is {wandb!r}; it needs: pip install wandb"
                 ) from error
             service.init(
-                project=wandb, name=folder.name, dir=folder, config=configuration,
+                project=wandb,
+                name=folder.name,
+                dir=folder,
+                config=configuration,
                 sync_tensorboard=True,
-            )  # fmt: skip
+            )
         self._folder = folder / "tensorboard"
         threading.excepthook = _except_hook
         with self._writing():

@@ -108,8 +108,10 @@ class Trainer:
         sizes = {key: value for key, value in policy.items() if key != "name"}
         self.policy = make_policy(self.name, sizes, stages[0].scenario.action_size)
         self.made: dict[str, Any] = {
-            "command": command, "commit": code_version(), "machine": machine()
-        }  # fmt: skip
+            "command": command,
+            "commit": code_version(),
+            "machine": machine(),
+        }
         if init_from is not None:
             self._load_initial_weights(init_from)
         distributed.init_process_group(config.device)
@@ -186,9 +188,12 @@ class Trainer:
         if first:
             logger = Logger(self.run_dir.folder, c.wandb, self.configuration, self.steps_done)
         bar = tqdm(
-            total=c.steps, initial=self.steps_done, unit="step", unit_scale=True,
+            total=c.steps,
+            initial=self.steps_done,
+            unit="step",
+            unit_scale=True,
             disable=None if first else True,
-        )  # fmt: skip
+        )
         try:
             while self.steps_done < c.steps:
                 before = self.steps_done

@@ -414,12 +414,19 @@ def step(s: dict[str, Any], goal: np.ndarray, actions: np.ndarray, scenario: Sce
     reward = np.array(
         [
             _reward(
-                scenario, margin, bool(contact[i]), bool(reached[i]), team, bool(driving[i]),
-                float(gap[i]), float(to_goal_before[i]), float(to_goal[i]),
+                scenario,
+                margin,
+                bool(contact[i]),
+                bool(reached[i]),
+                team,
+                bool(driving[i]),
+                float(gap[i]),
+                float(to_goal_before[i]),
+                float(to_goal[i]),
             )
             for i in range(n)
         ]
-    )  # fmt: skip
+    )
     tally: dict[str, list[float]] = {}
     for i in range(n):
         edges = [0.45, 1.2, 3.6]
@@ -439,11 +446,21 @@ def step(s: dict[str, Any], goal: np.ndarray, actions: np.ndarray, scenario: Sce
     terminated = bool((scenario.collisions_end and contact.any()) or arrived.all())
     late = int(s["clock"]) + 1 >= scenario.time_limit_steps
     return Outcome(
-        humans, velocity, robots, robot_velocity, headings, arrived,
-        np.where(s["collision"] != 0, s["collision"], contact), contact, last_contact, reward,
-        terminated, late and not terminated,
-        {name: np.array(values) for name, values in tally.items()}, margin,
-    )  # fmt: skip
+        humans,
+        velocity,
+        robots,
+        robot_velocity,
+        headings,
+        arrived,
+        np.where(s["collision"] != 0, s["collision"], contact),
+        contact,
+        last_contact,
+        reward,
+        terminated,
+        late and not terminated,
+        {name: np.array(values) for name, values in tally.items()},
+        margin,
+    )
 
 
 def _reward(

@@ -17,9 +17,12 @@ CROWDS: dict[str, dict[str, Any]] = {
     "people who come and go": {"late_probability": 0.5, "leave_probability": 1.0},
     "recorded": {"crowd": Crowd.recorded, "humans": 64},
     "recorded, with few slots": {
-        "crowd": Crowd.recorded, "humans": 4, "robots": 1, "collisions_end": False
+        "crowd": Crowd.recorded,
+        "humans": 4,
+        "robots": 1,
+        "collisions_end": False,
     },
-}  # fmt: skip
+}
 
 
 def positions_before(world: World) -> np.ndarray:

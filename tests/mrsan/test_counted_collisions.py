@@ -127,9 +127,15 @@ def test_steps_in_the_comfort_zone() -> None:
 def test_msa3cs_reward_by_hand() -> None:
     """Its Eq. 2 without the look ahead, with R = 5 m."""
     reward = Reward(
-        arrival=0.0, team=0.0, progress=0.0, collision=-1.0, discomfort_limit=-0.5,
-        discomfort_distance=0.25, goal_distance=1.0, time=-0.001,
-    )  # fmt: skip
+        arrival=0.0,
+        team=0.0,
+        progress=0.0,
+        collision=-1.0,
+        discomfort_limit=-0.5,
+        discomfort_distance=0.25,
+        goal_distance=1.0,
+        time=-0.001,
+    )
     far = counted([DRIVER], reward=reward)
     assert drive(far, AHEAD, steps=2) == [
         [pytest.approx(-7.75 / 25 - 0.001)],
@@ -150,9 +156,13 @@ def test_goals_anywhere_on_the_circle_are_not_where_one_starts() -> None:
     as likely as any: of mean length 4 R / pi."""
     worlds, radius = 3000, 8.0
     scenario = Scenario(
-        robots=3, humans=0, circle_radius=radius, goal_turn_spread_degrees=180.0, spawn_jitter=0.0,
+        robots=3,
+        humans=0,
+        circle_radius=radius,
+        goal_turn_spread_degrees=180.0,
+        spawn_jitter=0.0,
         spawn_clearance=0.1,
-    )  # fmt: skip
+    )
     world = World(scenario, worlds)
     world.reset(np.arange(worlds))
     start, goal = world.state.robot_start, world.state.robot_goal
@@ -168,9 +178,14 @@ def test_people_change_goals_with_probabilities_of_their_own() -> None:
     binomial one: variances of 1/12 + 1/6/n and 1/4/n."""
     changes, people, worlds = 8, 4, 400
     scenario = Scenario(
-        robots=1, humans=people, goal_change_interval=0.25, goal_change_probability=0.0,
-        goal_change_probability_max=1.0, human_speed_min=0.05, human_speed_max=0.05,
-    )  # fmt: skip
+        robots=1,
+        humans=people,
+        goal_change_interval=0.25,
+        goal_change_probability=0.0,
+        goal_change_probability_max=1.0,
+        human_speed_min=0.05,
+        human_speed_max=0.05,
+    )
     world = World(scenario, worlds)
     world.reset(np.arange(worlds))
     world.step(np.zeros((worlds, 1, 3), np.float32))  # at the start nobody does

@@ -13,8 +13,10 @@ from mrsan.kernels.tally import SOONEST_COLLISION, TALLY
 from mrsan.metrics import episodes_of
 
 UNICYCLE: dict[str, Any] = {
-    "kinematics": Kinematics.unicycle, "robot_speed": 1.0, "max_turn_rate": 360.0,
-}  # fmt: skip
+    "kinematics": Kinematics.unicycle,
+    "robot_speed": 1.0,
+    "max_turn_rate": 360.0,
+}
 STAND, AHEAD, LEFT = [-1.0, 0.0], [1.0, 0.0], [1.0, 1.0]
 COUNTED = [name not in ("path_length", "closest_human", "soonest_collision") for name in TALLY]
 

@@ -70,9 +70,12 @@ def test_where_nothing_can_be_written_kernels_lie_in_a_private_temporary_folder(
         folder.mkdir()
         folder.chmod(0o777)
     done = subprocess.run(
-        [sys.executable, "-c", NOWHERE, str(tmp_path)], capture_output=True, text=True, check=True,
+        [sys.executable, "-c", NOWHERE, str(tmp_path)],
+        capture_output=True,
+        text=True,
+        check=True,
         env={**os.environ, "TMPDIR": str(tmp_path), "NUMBA_CACHE_DIR": ""},
-    )  # fmt: skip
+    )
     (used,) = {path for path in tmp_path.glob("mrsan-kernels-*") if path.stat().st_mode & 0o77 == 0}
     assert done.stdout.startswith(str(used))
     assert done.stderr.count("compiled kernels are cached in") == 1

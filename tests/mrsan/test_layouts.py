@@ -217,9 +217,13 @@ def test_who_leaves_at_its_goal_does_not_come_back() -> None:
 @pytest.mark.parametrize("layout", Layout)
 def test_an_episode_does_not_depend_on_the_batch(layout: Layout) -> None:
     habits = {
-        "stand_probability": 0.2, "hurry_probability": 0.2, "pair_probability": 0.4,
-        "late_probability": 0.3, "leave_probability": 0.5, "goal_turn_spread_degrees": 60.0,
-    }  # fmt: skip
+        "stand_probability": 0.2,
+        "hurry_probability": 0.2,
+        "pair_probability": 0.4,
+        "late_probability": 0.3,
+        "leave_probability": 0.5,
+        "goal_turn_spread_degrees": 60.0,
+    }
     many, one = (World(Scenario(layout=layout, **habits), worlds) for worlds in (9, 1))
     many.reset(np.arange(9))
     one.reset([7])

@@ -49,13 +49,23 @@ def test_an_unknown_keyword_is_a_type_error_that_names_the_fields() -> None:
 def test_videos_are_recorded(kind: str, tmp_path: Path) -> None:
     env: gymnasium.Env | gymnasium.vector.VectorEnv
     if kind == "single":
-        env = RecordVideo(gymnasium.make(NAME, render_mode="rgb_array"), str(tmp_path / "videos"),
-                          video_length=4, disable_logger=True)  # fmt: skip
+        env = RecordVideo(
+            gymnasium.make(NAME, render_mode="rgb_array"),
+            str(tmp_path / "videos"),
+            video_length=4,
+            disable_logger=True,
+        )
     else:
-        envs = gymnasium.make_vec(NAME, 2, vectorization_mode="vector_entry_point",
-                                  render_mode="rgb_array")  # fmt: skip
-        env = RecordVectorVideo(envs, str(tmp_path / "videos"), video_length=4, disable_logger=True,
-                                step_trigger=lambda step: step == 0)  # fmt: skip
+        envs = gymnasium.make_vec(
+            NAME, 2, vectorization_mode="vector_entry_point", render_mode="rgb_array"
+        )
+        env = RecordVectorVideo(
+            envs,
+            str(tmp_path / "videos"),
+            video_length=4,
+            disable_logger=True,
+            step_trigger=lambda step: step == 0,
+        )
     env.reset(seed=0)
     for _ in range(6):
         env.step(np.zeros(env.action_space.shape, np.float32))
@@ -111,8 +121,9 @@ def test_the_state_of_everybody_is_flat_and_true() -> None:
     state, true = env.state(), env.world.state
     assert env.state_space.contains(state)
     robot, humans = state[8:16], state[16:].reshape(3, 6)
-    np.testing.assert_array_equal(robot[[0, 1, 5, 6]], [*true.robot_position[0, 1],
-                                                        *true.robot_goal[0, 1]])  # fmt: skip
+    np.testing.assert_array_equal(
+        robot[[0, 1, 5, 6]], [*true.robot_position[0, 1], *true.robot_goal[0, 1]]
+    )
     np.testing.assert_array_equal(humans[:, 0], true.human_present[0])
     assert not humans[humans[:, 0] == 0].any()
 

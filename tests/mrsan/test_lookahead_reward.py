@@ -107,11 +107,18 @@ def test_after_the_end_nothing_is_paid() -> None:
 
 
 RANDOM = Scenario(
-    robots=3, humans=12, humans_min=4, collisions_end=False, human_radius_max=0.6,
-    human_speed_max=1.5, fov_degrees=200.0,
-    late_probability=0.3, leave_probability=0.3, missed_detection=0.1,
+    robots=3,
+    humans=12,
+    humans_min=4,
+    collisions_end=False,
+    human_radius_max=0.6,
+    human_speed_max=1.5,
+    fov_degrees=200.0,
+    late_probability=0.3,
+    leave_probability=0.3,
+    missed_detection=0.1,
     reward=Reward(lookahead=0.7, lookahead_steps=6, lookahead_distance=0.4),
-)  # fmt: skip
+)
 
 
 def oracle(state: Any, visible: np.ndarray, e: int, i: int, s: Scenario) -> tuple[float, float]:

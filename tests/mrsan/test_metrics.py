@@ -12,14 +12,27 @@ from mrsan.cases import CASES_PER_SPLIT
 def episode(**fields) -> Episodes:
     """One episode of one robot that drove straight to its goal and met nobody."""
     values = {
-        "case": [0], "episode": [0], "duration": [10.0], "outcome": [[Outcome.arrived]],
-        "path_length": [[10.0]], "straight_line": [[10.0]], "time": [[10.0]],
-        "closest_human": [[np.inf]], "close_share": [[0.0]], "personal_share": [[0.0]],
-        "social_share": [[0.0]], "standing_share": [[0.0]], "jerk": [[0.0]],
-        "heading_change": [[0.0]], "soonest_collision": [[np.inf]],
-        "ran_into_human": [[False]], "steps": [40], "arrived": [[True]], "contacts": [[0.0]],
+        "case": [0],
+        "episode": [0],
+        "duration": [10.0],
+        "outcome": [[Outcome.arrived]],
+        "path_length": [[10.0]],
+        "straight_line": [[10.0]],
+        "time": [[10.0]],
+        "closest_human": [[np.inf]],
+        "close_share": [[0.0]],
+        "personal_share": [[0.0]],
+        "social_share": [[0.0]],
+        "standing_share": [[0.0]],
+        "jerk": [[0.0]],
+        "heading_change": [[0.0]],
+        "soonest_collision": [[np.inf]],
+        "ran_into_human": [[False]],
+        "steps": [40],
+        "arrived": [[True]],
+        "contacts": [[0.0]],
         "comfort_share": [[0.0]],
-    }  # fmt: skip
+    }
     return Episodes(**{key: np.array(value) for key, value in (values | fields).items()})
 
 

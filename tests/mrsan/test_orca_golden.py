@@ -26,9 +26,18 @@ def one_step(agents, counts, preferred, max_speed, reach, most, horizon, dt, out
         rows[: counts[e]] = agents[e, : counts[e]]
         for i in range(counts[e]):
             out[e, i, 0], out[e, i, 1] = orca_velocity(
-                rows, counts[e], i, preferred[e, i, 0], preferred[e, i, 1], max_speed[e, i],
-                reach[e], most[e], horizon[e], dt[e], scratch,
-            )  # fmt: skip
+                rows,
+                counts[e],
+                i,
+                preferred[e, i, 0],
+                preferred[e, i, 1],
+                max_speed[e, i],
+                reach[e],
+                most[e],
+                horizon[e],
+                dt[e],
+                scratch,
+            )
 
 
 def test_the_kernel_gives_what_rvo2_gives(golden: dict[str, np.ndarray]) -> None:

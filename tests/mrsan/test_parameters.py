@@ -20,11 +20,17 @@ def test_fields_keep_their_names_and_get_the_kernels_types() -> None:
 def test_durations_angles_and_absent_limits_are_converted() -> None:
     p = kernel_parameters(
         Scenario(
-            time_step=0.1, time_limit=20.0, late_time=3.0, max_turn_rate=90.0, fov_degrees=120.0,
-            humans=7, kinematics=Kinematics.unicycle, circle_radius=4.0,
+            time_step=0.1,
+            time_limit=20.0,
+            late_time=3.0,
+            max_turn_rate=90.0,
+            fov_degrees=120.0,
+            humans=7,
+            kinematics=Kinematics.unicycle,
+            circle_radius=4.0,
             reward=Reward(goal_distance=0.8),
         )
-    )  # fmt: skip
+    )
     assert (p.time_limit_steps, p.late_steps) == (200, 30)
     assert p.max_turn == pytest.approx(np.pi / 20)  # 90 degrees/s for 0.1 s
     assert p.cos_half_fov == pytest.approx(0.5)

@@ -146,8 +146,9 @@ def test_the_network_agrees_with_plain_python() -> None:
             added = added + np.array(hidden) @ w["w_output"]
             place = place + DT * (added + np.array([speed, 0.0]))
             expected = past[0, j, -1] + [
-                cos * place[0] - sin * place[1], sin * place[0] + cos * place[1]
-            ]  # fmt: skip
+                cos * place[0] - sin * place[1],
+                sin * place[0] + cos * place[1],
+            ]
             np.testing.assert_allclose(found[j, k], expected, atol=2e-5)
 
 

@@ -53,19 +53,27 @@ def without(state: State, here: np.ndarray, scenario: Scenario) -> World:
     """The same worlds with only the slots `here`."""
     world = World(scenario, E)
     world.restore(
-        State(*(array[:, here] if name.startswith("human_") else array
-                for name, array in state._asdict().items()))._replace(
-            message_buffer=world.state.message_buffer, last_contact=world.state.last_contact
-        )
-    )  # fmt: skip
+        State(
+            *(
+                array[:, here] if name.startswith("human_") else array
+                for name, array in state._asdict().items()
+            )
+        )._replace(message_buffer=world.state.message_buffer, last_contact=world.state.last_contact)
+    )
     return world
 
 
 @pytest.mark.parametrize("crowd", [Crowd.orca, Crowd.social_force])
 def test_a_world_with_absent_people_is_the_world_without_them(crowd: Crowd) -> None:
     """To the last bit, for whoever leaves in the middle of an episode."""
-    fields = {"robots": 2, "crowd": crowd, "occlusion": True, "fov_degrees": 150.0,
-              "robots_visible": True, "goal_change_probability": 0.0}  # fmt: skip
+    fields = {
+        "robots": 2,
+        "crowd": crowd,
+        "occlusion": True,
+        "fov_degrees": 150.0,
+        "robots_visible": True,
+        "goal_change_probability": 0.0,
+    }
     world = World(Scenario(humans=8, **fields), E)
     world.reset(np.arange(E))
     rng = np.random.default_rng(1)

@@ -74,11 +74,21 @@ def test_the_format_is_recognised(path: Path) -> None:
     assert read_rows(path).format.startswith(FORMATS.get(path.name, "plain table"))
 
 
-@pytest.mark.parametrize("name", [
-    "bom.txt", "crlf.txt", "decimal_comma.csv", "exact_duplicates.txt", "header.csv",
-    "indented_comment.txt", "pedpy_id_first.txt", "semicolon_comment.txt", "unsorted.txt",
-    "utf16.txt",
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "name",
+    [
+        "bom.txt",
+        "crlf.txt",
+        "decimal_comma.csv",
+        "exact_duplicates.txt",
+        "header.csv",
+        "indented_comment.txt",
+        "pedpy_id_first.txt",
+        "semicolon_comment.txt",
+        "unsorted.txt",
+        "utf16.txt",
+    ],
+)
 def test_what_is_only_written_differently_is_the_same_to_the_last_bit(name: str) -> None:
     truth, other = (load_recording(path, None, 0.25) for path in (TRUTH, CASES / name))
     for one, two in zip(truth, other, strict=True):
@@ -94,8 +104,13 @@ def test_a_scenario_names_its_field() -> None:
     assert fast.load_recording().steps == 35  # 223 frames of 0.04 s: 8.92 s
 
 
-ROWS = np.array([(10 * k, person, person + 0.48 * k, 2.5 * person - 0.1 * k)
-                 for k in range(20) for person in (1, 2, 30)])  # fmt: skip
+ROWS = np.array(
+    [
+        (10 * k, person, person + 0.48 * k, 2.5 * person - 0.1 * k)
+        for k in range(20)
+        for person in (1, 2, 30)
+    ]
+)
 
 
 def written(tmp_path: Path, text: str | bytes) -> Path:
@@ -115,7 +130,14 @@ def test_the_clock_and_the_unit_that_a_file_states_are_used_and_checked(tmp_path
     files = {
         # Time in s since 1970, id, x, y and z in mm, velocity, two angles.
         "ATC": lines(
-            1351037270 + 0.04 * frame, person, 1e3 * x, 1e3 * y, 1.7e3 + zero, zero, zero, zero,
+            1351037270 + 0.04 * frame,
+            person,
+            1e3 * x,
+            1e3 * y,
+            1.7e3 + zero,
+            zero,
+            zero,
+            zero,
             separator=",",
         ),
         "PedPy": f"# framerate: 16 fps\n# id frame x/cm y/cm z/cm\n"
@@ -125,12 +147,19 @@ def test_the_clock_and_the_unit_that_a_file_states_are_used_and_checked(tmp_path
         f"{lines(40 * frame, person, 1e3 * x, 1e3 * y, separator=';')}",
         # 10 frames in 0.667 s at 0.72 and -0.15 m/s.
         "obsmat": lines(frame, person, x, zero, y, zero + 0.72, zero, zero - 0.15),
-        "TrajNet++": '{"scene": {"fps": 2.0}}\n' + "".join(
+        "TrajNet++": '{"scene": {"fps": 2.0}}\n'
+        + "".join(
             f'{{"track": {{"f": {f:g}, "p": {p:g}, "x": {a}, "y": {b}}}}}\n' for f, p, a, b in ROWS
         ),
-    }  # fmt: skip
-    clocks = {"ATC": 0.04, "PedPy": 1 / 16, "PedPy without names": 1 / 16, "named": 0.04,
-              "obsmat": 0.0667, "TrajNet++": 0.05}  # fmt: skip
+    }
+    clocks = {
+        "ATC": 0.04,
+        "PedPy": 1 / 16,
+        "PedPy without names": 1 / 16,
+        "named": 0.04,
+        "obsmat": 0.0667,
+        "TrajNet++": 0.05,
+    }
     for name, text in files.items():
         path = written(tmp_path, text)
         people = load(path)
@@ -201,9 +230,15 @@ def test_a_file_that_would_fill_the_memory_is_refused_at_once(tmp_path: Path) ->
 
 def test_boxes_of_people_in_the_picture_are_used(tmp_path: Path) -> None:
     """Of SDD: the middle of a box, of pedestrians that are not lost."""
-    rows = [f'{id} {x} 0 {x + 20} 40 {10 * k} {lost} 0 0 "{label}"\n' for k in range(20)
-            for id, x, lost, label in ((1, 12 * k, 0, "Pedestrian"), (2, 12 * k, 0, "Cart"),
-                                       (3, 12 * k, 1, "Pedestrian"))]  # fmt: skip
+    rows = [
+        f'{id} {x} 0 {x + 20} 40 {10 * k} {lost} 0 0 "{label}"\n'
+        for k in range(20)
+        for id, x, lost, label in (
+            (1, 12 * k, 0, "Pedestrian"),
+            (2, 12 * k, 0, "Cart"),
+            (3, 12 * k, 1, "Pedestrian"),
+        )
+    ]
     people = load(written(tmp_path, "".join(rows)), scale=0.04)
     np.testing.assert_allclose(
         people.position, [[0.04 * (12 * k + 10), 0.8] for k in range(20)], atol=1e-9

@@ -52,21 +52,24 @@ IMPLAUSIBLE = {
     "a constant column": (LINE, "fixy", "y is the same in all rows"),
     "nobody walks": (scaled(position=0.0), "fixy", "nobody moves"),
     "a jump": (
-        moved(of(6), 10, 9.0), "fixy",
+        moved(of(6), 10, 9.0),
+        "fixy",
         r"person 6 moves at [12]\d\.?\d? m/s from frame \d+ \(line 1[01]\) to \d+ \(line 1[12]\)",
     ),
     "two scenes one after the other": (
-        np.concatenate([ROWS, np.add(ROWS, [0, 0, 1, 0])]), "fixy",
+        np.concatenate([ROWS, np.add(ROWS, [0, 0, 1, 0])]),
+        "fixy",
         "person 1 is in frame 340 twice",
     ),
     "somebody far away": (
-        np.concatenate([ROWS, np.add(of(6), [0, 100, 5000, 0])]), "fixy",
+        np.concatenate([ROWS, np.add(of(6), [0, 100, 5000, 0])]),
+        "fixy",
         "floor is 50.* longer side",
     ),
     "all at one place": (CROWD, "fixy", "800 people .* at most 10 per square metre"),
     "too short": (ROWS[ROWS[:, 0] < 140], "fixy", r"lasts 5\.2 s; it must last at least 6 s"),
     "rows far apart": (ROWS[ROWS[:, 0] % 80 == 0], "fixy", "3.2 s apart.*annotate .* more often"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", IMPLAUSIBLE)
@@ -147,9 +150,11 @@ def test_noise_between_frames_is_no_speed(tmp_path: Path) -> None:
 
 
 @given(
-    frame=st.floats(0.01, 100.0), position=st.floats(1e-3, 1e3),
-    shift=st.integers(-(10**6), 10**6), angle=st.floats(0.0, 6.28),
-)  # fmt: skip
+    frame=st.floats(0.01, 100.0),
+    position=st.floats(1e-3, 1e3),
+    shift=st.integers(-(10**6), 10**6),
+    angle=st.floats(0.0, 6.28),
+)
 @settings(max_examples=25, deadline=None)
 def test_what_is_measured_does_not_depend_on_units_places_and_directions(
     tmp_path_factory: pytest.TempPathFactory,

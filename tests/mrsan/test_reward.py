@@ -197,9 +197,16 @@ def test_the_parts_add_up_to_the_reward_exactly(reward: Reward, lookahead: float
 
 def test_every_weight_is_configurable() -> None:
     reward = Reward(
-        arrival=3, team=4, collision=-7, discomfort=0.5, discomfort_limit=-2,
-        discomfort_distance=0.6, progress=8, goal_distance=5, time=-0.5,
-    )  # fmt: skip
+        arrival=3,
+        team=4,
+        collision=-7,
+        discomfort=0.5,
+        discomfort_limit=-2,
+        discomfort_distance=0.6,
+        progress=8,
+        goal_distance=5,
+        time=-0.5,
+    )
     beside = -0.5 - 5 * 3.75 / 25  # 3.75 m from its goal in a circle of radius 5 m
     assert rewards(stage([DRIVER], reward=reward), COAST) == [2 + beside]
     assert rewards(stage([FINISHER], reward=reward), COAST) == [7 - 0.5 - 5 * 0.25 / 25]

@@ -175,8 +175,12 @@ def test_replacing_checks_again() -> None:
 def test_the_defaults_are_samarls() -> None:
     s = Scenario()
     assert (s.robots, s.humans, s.circle_radius, s.time_step, s.time_limit_steps) == (
-        3, 10, 5.0, 0.25, 200,
-    )  # fmt: skip
+        3,
+        10,
+        5.0,
+        0.25,
+        200,
+    )
     assert (s.max_acceleration, s.max_turn_rate, s.min_turning_radius) == (5.0, 60.0, 1.0)
     assert (s.robot_radius, s.robot_speed, s.sensing_range) == (0.3, 1.0, 10.0)
     assert kernel_parameters(s).max_turn == pytest.approx(math.pi / 12)

@@ -50,10 +50,18 @@ def test_an_observation_by_hand() -> None:
     seen = world.observe()
     ego = dict(zip(EGO_FEATURES, seen.ego[0, 0].tolist(), strict=True))
     expected = {
-        "goal_x": 3, "goal_y": 0, "velocity_x": 0.5, "velocity_y": 0, "origin_x": -2,
-        "origin_y": 1, "heading_cos": 0, "heading_sin": 1, "radius": 0.3, "preferred_speed": 1,
+        "goal_x": 3,
+        "goal_y": 0,
+        "velocity_x": 0.5,
+        "velocity_y": 0,
+        "origin_x": -2,
+        "origin_y": 1,
+        "heading_cos": 0,
+        "heading_sin": 1,
+        "radius": 0.3,
+        "preferred_speed": 1,
         "time": 0.25,
-    }  # fmt: skip
+    }
     assert ego == pytest.approx(expected, abs=1e-6)
     # Two ahead, one to the right; walks west, while the robot drives ahead at 0.5.
     np.testing.assert_allclose(seen.humans[0, 0, 0], [2, -1, -0.5, 1, 0.3], atol=1e-6)

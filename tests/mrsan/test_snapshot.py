@@ -10,9 +10,17 @@ from mrsan import Scenario, Step, World
 
 E, STEPS = 24, 60
 SCENARIO = Scenario(
-    robots=2, humans=6, humans_min=2, time_limit=8.0, fov_degrees=120.0, occlusion=True,
-    position_noise=0.1, missed_detection=0.1, robots_visible=True, goal_change_interval=1.0,
-)  # fmt: skip
+    robots=2,
+    humans=6,
+    humans_min=2,
+    time_limit=8.0,
+    fov_degrees=120.0,
+    occlusion=True,
+    position_noise=0.1,
+    missed_detection=0.1,
+    robots_visible=True,
+    goal_change_interval=1.0,
+)
 COUNTED = replace(SCENARIO, humans=12, collisions_end=False, radius_noise=0.1)
 ACTIONS = np.random.default_rng(0).uniform(-1, 1, (STEPS, E, 2, 3)).astype(np.float32)
 SOME = np.arange(E) % 3 == 0
@@ -102,15 +110,27 @@ def test_what_does_not_fit_is_refused_and_nothing_is_written() -> None:
     before = bits(world.state)
     past = World(SCENARIO, E).snapshot()
     for snapshot, worlds, error, message in (
-        (World(SCENARIO, 2).snapshot(), None, ValueError,
-         r"snapshot.case has shape \(2,\); it must have \(24,\)"),
-        (past._replace(tally=past.tally[:, :1]), None, ValueError,
-         r"snapshot.tally has shape \(24, 1, 13\); it must have \(24, 2, 13\)"),
-        (past._replace(clock=past.clock.astype(float)), None, ValueError,
-         "snapshot.clock has type float64; it must have int32"),
+        (
+            World(SCENARIO, 2).snapshot(),
+            None,
+            ValueError,
+            r"snapshot.case has shape \(2,\); it must have \(24,\)",
+        ),
+        (
+            past._replace(tally=past.tally[:, :1]),
+            None,
+            ValueError,
+            r"snapshot.tally has shape \(24, 1, 13\); it must have \(24, 2, 13\)",
+        ),
+        (
+            past._replace(clock=past.clock.astype(float)),
+            None,
+            ValueError,
+            "snapshot.clock has type float64; it must have int32",
+        ),
         (past, [True] * 3, ValueError, "it must be 24 booleans"),
         (past._asdict(), None, TypeError, "snapshot is a dict; it must be a State"),
-    ):  # fmt: skip
+    ):
         with pytest.raises(error, match=message) as caught:
             world.restore(snapshot, worlds)  # type: ignore[arg-type]
         assert len(str(caught.value).splitlines()) == 1

@@ -31,16 +31,23 @@ def smallest_clearance(a, b, radius_a, radius_b) -> float:
 @pytest.mark.parametrize("humans", [0, 10, 64])
 def test_starts_keep_their_clearances(robots: int, humans: int) -> None:
     world = begun(
-        30, robots=robots, humans=humans, human_radius_max=0.5, human_speed_min=0.5,
+        30,
+        robots=robots,
+        humans=humans,
+        human_radius_max=0.5,
+        human_speed_min=0.5,
         human_speed_max=1.5,
-    )  # fmt: skip
+    )
     s = world.state
     assert s.human_present.all()
     r = np.full(robots, 0.3)
     for e in range(30):
         start, goal, people, h = (
-            s.robot_position[e], s.robot_goal[e], s.human_position[e], s.human_radius[e],
-        )  # fmt: skip
+            s.robot_position[e],
+            s.robot_goal[e],
+            s.human_position[e],
+            s.human_radius[e],
+        )
         pairs = [(start, start, r, r), (goal, goal, r, r), (start, people, r, h)]
         pairs += [(people, people, h, h)]
         assert min(smallest_clearance(*pair) for pair in pairs) >= CLEARANCE - 1e-5
@@ -100,9 +107,13 @@ def test_the_number_of_people_is_uniform_from_humans_min() -> None:
 def test_goals_change_at_the_interval_with_the_stated_probability(probability: float) -> None:
     """Every second, that is before steps 5, 9, 13, ... when time is 0.25 s."""
     world = begun(
-        400, robots=1, humans=5, goal_change_interval=1.0, goal_change_probability=probability,
+        400,
+        robots=1,
+        humans=5,
+        goal_change_interval=1.0,
+        goal_change_probability=probability,
         neighbor_distance=0.1,
-    )  # fmt: skip
+    )
     s = world.state
     s.robot_position[:] = 100.0  # out of the way
     trials = changes = 0

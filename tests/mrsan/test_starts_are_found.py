@@ -62,14 +62,28 @@ def test_people_who_find_no_room_on_a_walled_floor_start_beyond_it() -> None:
     [
         ({"crowd": Crowd.recorded, "robots": 16, "spawn_clearance": 10.0}, "scenario.robots is 16"),
         (
-            {"layout": Layout.square, "floor_size": 6.0, "crossing_width": 6.0,
-             "arena_radius": 25.0, "robots": 16, "robot_radius": 2.0},
+            {
+                "layout": Layout.square,
+                "floor_size": 6.0,
+                "crossing_width": 6.0,
+                "arena_radius": 25.0,
+                "robots": 16,
+                "robot_radius": 2.0,
+            },
             "scenario.robots is 16",
         ),
-        ({"humans": 64, "pair_probability": 1.0, "spawn_clearance": 10.0, "human_radius_min": 0.05,
-          "human_radius_max": 2.0}, None),
+        (
+            {
+                "humans": 64,
+                "pair_probability": 1.0,
+                "spawn_clearance": 10.0,
+                "human_radius_min": 0.05,
+                "human_radius_max": 2.0,
+            },
+            None,
+        ),
     ],
-)  # fmt: skip
+)
 def test_a_place_without_room_is_refused_at_once(fields: dict, named: str | None) -> None:
     begin = time.monotonic()
     if named is None:

@@ -69,10 +69,14 @@ def test_a_robot_knows_who_any_in_reach_sees_and_where_they_are() -> None:
 
 @pytest.mark.parametrize(
     "scenario",
-    [team(team_range=0.0), team(team_loss=1.0), team(team_delay=10.0),
-     team(replace(NARROW, fov_degrees=360.0), sensing_range=100.0, position_noise=0.1)],
+    [
+        team(team_range=0.0),
+        team(team_loss=1.0),
+        team(team_delay=10.0),
+        team(replace(NARROW, fov_degrees=360.0), sensing_range=100.0, position_noise=0.1),
+    ],
     ids=["out of reach", "lost", "not yet there", "seen anyway"],
-)  # fmt: skip
+)
 def test_what_nobody_tells_changes_no_bit(scenario: Scenario) -> None:
     without = replace(scenario, team_perception=TeamPerception.none)
     for (told, _), (alone, _) in zip(played(scenario), played(without), strict=True):

@@ -35,8 +35,11 @@ def test_kernels_never_run_on_threads_that_spin_for_long(
     environment = {k: v for k, v in os.environ.items() if k not in unset} | settings
     done = subprocess.run(
         [sys.executable, "-c", f"{first}\n{PLAY}"],
-        env=environment, capture_output=True, text=True, check=True,
-    )  # fmt: skip
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
     assert done.stdout.strip() == expected
 
 
@@ -46,8 +49,11 @@ def test_kernels_leave_torch_the_threads_that_it_was_given(first: str) -> None:
     told = told.replace("numba.set_num_threads(2)", "") + "print(torch.get_num_threads())"
     done = subprocess.run(
         [sys.executable, "-c", told],
-        env=os.environ | {"NUMBA_NUM_THREADS": "2"}, capture_output=True, text=True, check=True,
-    )  # fmt: skip
+        env=os.environ | {"NUMBA_NUM_THREADS": "2"},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
     assert done.stdout.split()[-1] == "1"
 
 

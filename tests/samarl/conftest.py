@@ -36,7 +36,12 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
         header = "steps,seconds,charts/success,validation/success_90_10h_3r,losses/macro_critic"
         (results / f"curves/{name}.csv").write_text("\n".join([header, *lines]))
     save_policy(results / "checkpoints/mine.safetensors", small_policy(), "hierarchical", {})
-    done = report("results=results", "agents=[straight,perimeter,samarl]", "cases=[0,3]",
-                  "output=site", cwd=folder)  # fmt: skip
+    done = report(
+        "results=results",
+        "agents=[straight,perimeter,samarl]",
+        "cases=[0,3]",
+        "output=site",
+        cwd=folder,
+    )
     assert "written to site/index.html" in done.stdout
     return folder / "site"

@@ -166,9 +166,14 @@ def worlds(draw: st.DrawFn) -> Made:
             mask[i, r.choice(ends) + 1 :] = False
     decided = (r.random((s, t, n)) < draw(st.sampled_from([0.1, 0.3, 1.0]))) & active
     return made(
-        active, done, terminated, decided, r.normal(size=(s, t, n)),
-        10 * r.normal(size=(s, t + 1, n)), mask,
-    )  # fmt: skip
+        active,
+        done,
+        terminated,
+        decided,
+        r.normal(size=(s, t, n)),
+        10 * r.normal(size=(s, t + 1, n)),
+        mask,
+    )
 
 
 @given(worlds(), st.sampled_from([0.5, 0.9, 1.0]), st.sampled_from([0.0, 0.8, 0.95, 1.0]))
@@ -211,10 +216,13 @@ def test_robots_with_different_numbers_of_decisions_have_nothing_of_each_other()
 
 def test_macro_rewards_are_discounted_sums_over_their_durations() -> None:
     data = made(
-        active=[[[1]] * 7], done=[[0, 0, 0, 0, 1, 0, 0]], terminated=[[[0]] * 4 + [[1], [0], [0]]],
+        active=[[[1]] * 7],
+        done=[[0, 0, 0, 0, 1, 0, 0]],
+        terminated=[[[0]] * 4 + [[1], [0], [0]]],
         decided=[[[1], [0], [0], [1], [0], [1], [0]]],
-        reward=[[[1], [2], [4], [8], [16], [32], [64]]], value=[[[0]] * 8],
-    )  # fmt: skip
+        reward=[[[1], [2], [4], [8], [16], [32], [64]]],
+        value=[[[0]] * 8],
+    )
     records = macro_records(streams(data.steps), data.decided, data.reward, discount=0.5)
     assert records.reward.flatten().tolist() == [1 + 1 + 1, 8 + 8, 32 + 32]
     assert records.duration.flatten().tolist() == [3, 2, 2]
@@ -228,10 +236,13 @@ def test_macro_rewards_are_discounted_sums_over_their_durations() -> None:
 def test_a_robot_that_has_arrived_waits_in_one_record_and_is_paid_with_the_team() -> None:
     # Robot 0 arrives with step 1 and waits for robot 1, which arrives with step 4: 15 for both.
     data = made(
-        active=[[[1, 1], [1, 1], [0, 1], [0, 1], [0, 1]]], done=[[0, 0, 0, 0, 1]],
-        terminated=[[[0, 0]] * 4 + [[1, 1]]], decided=[[[1, 1]] + [[0, 0]] * 4],
-        reward=[[[0, 0], [2, 0], [0, 0], [0, 0], [15, 17]]], value=[[[0, 0]] * 6],
-    )  # fmt: skip
+        active=[[[1, 1], [1, 1], [0, 1], [0, 1], [0, 1]]],
+        done=[[0, 0, 0, 0, 1]],
+        terminated=[[[0, 0]] * 4 + [[1, 1]]],
+        decided=[[[1, 1]] + [[0, 0]] * 4],
+        reward=[[[0, 0], [2, 0], [0, 0], [0, 0], [15, 17]]],
+        value=[[[0, 0]] * 6],
+    )
     of = streams(data.steps)
     records = macro_records(of, data.decided, data.reward, discount=0.5)
     assert records.duration[0].T.tolist() == [[2, 3], [5, 0]]
@@ -245,10 +256,13 @@ def test_a_robot_that_has_arrived_waits_in_one_record_and_is_paid_with_the_team(
 def test_the_time_limit_and_a_team_mates_collision_bootstrap_from_the_state_before() -> None:
     # Robot 1 collides in step 2; robot 0's last step is taken off, and its state is worth 7.
     data = made(
-        active=[[[1, 1]] * 3], done=[[0, 0, 1]], terminated=[[[0, 0], [0, 0], [0, 1]]],
-        decided=[[[1, 1]] * 3], reward=[[[1, 1], [1, 1], [50, -20]]],
+        active=[[[1, 1]] * 3],
+        done=[[0, 0, 1]],
+        terminated=[[[0, 0], [0, 0], [0, 1]]],
+        decided=[[[1, 1]] * 3],
+        reward=[[[1, 1], [1, 1], [50, -20]]],
         value=[[[5, 5], [6, 6], [7, 7], [99, 99]]],
-    )  # fmt: skip
+    )
     of = streams(data.steps)
     assert of.cut[0].tolist() == [[False, False], [False, False], [True, False]]
     assert of.counts[0].tolist() == [[True, True], [True, True], [False, True]]

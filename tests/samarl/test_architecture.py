@@ -6,12 +6,27 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 # Each room may import from those before it.
 ROOMS = [
-    "mrsan", "samarl.files", "samarl.launch", "samarl.registry", "samarl.distributed",
-    "samarl.observations", "samarl.planning",
-    "samarl.runtime", "samarl.encoders", "samarl.policies", "samarl.rollout", "samarl.algorithms",
-    "samarl.agents", "samarl.export", "samarl.evaluation", "samarl.prediction",
-    "samarl.configuration", "samarl.training", "samarl.report", "samarl.commands",
-]  # fmt: skip
+    "mrsan",
+    "samarl.files",
+    "samarl.launch",
+    "samarl.registry",
+    "samarl.distributed",
+    "samarl.observations",
+    "samarl.planning",
+    "samarl.runtime",
+    "samarl.encoders",
+    "samarl.policies",
+    "samarl.rollout",
+    "samarl.algorithms",
+    "samarl.agents",
+    "samarl.export",
+    "samarl.evaluation",
+    "samarl.prediction",
+    "samarl.configuration",
+    "samarl.training",
+    "samarl.report",
+    "samarl.commands",
+]
 
 
 def modules() -> dict[str, Path]:

@@ -42,8 +42,13 @@ def test_rows_with_fewer_cases_are_not_merged(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     columns = "columns=[{robots: 1, humans: 0}]"
-    played(monkeypatch, "agents=[straight,samarl_flat]", "learned_cases=2", columns,
-           "evaluation.cases=3")  # fmt: skip
+    played(
+        monkeypatch,
+        "agents=[straight,samarl_flat]",
+        "learned_cases=2",
+        columns,
+        "evaluation.cases=3",
+    )
     path = tmp_path / "mine" / "table1.json"
     rows = read_rows(path)
     assert rows is not None
@@ -101,8 +106,10 @@ def test_a_row_of_a_policy_has_its_training_commands() -> None:
     assert row["training_commands"] == [train, other]
     straight = _row(
         _Task("straight", [load_agent("straight")], scenario, Evaluation(cases=1)),
-        scenario, "", [],
-    )  # fmt: skip
+        scenario,
+        "",
+        [],
+    )
     assert "from_training" not in straight
 
 

@@ -35,9 +35,25 @@ from samarl.planning.shield import Shield
 from samarl.training.trainer import TrainerConfig
 
 ODD = [
-    "my data (1)", "Zürich", "a=b", "it's", "x,y", "[a]", "{a: 1}", "1e3", "true", "~/x", "a\\,b",
-    "choice(a,b)", "ends in \\", '"', "a 'b' c", "100 % #1 & co; <x> | y!", "a:b@c", " a",
-]  # fmt: skip
+    "my data (1)",
+    "Zürich",
+    "a=b",
+    "it's",
+    "x,y",
+    "[a]",
+    "{a: 1}",
+    "1e3",
+    "true",
+    "~/x",
+    "a\\,b",
+    "choice(a,b)",
+    "ends in \\",
+    '"',
+    "a 'b' c",
+    "100 % #1 & co; <x> | y!",
+    "a:b@c",
+    " a",
+]
 
 
 def value_of(word: str) -> Any:
@@ -91,8 +107,21 @@ def test_a_sweep_accepts_paths_separated_by_commas() -> None:
 
 def test_every_path_field_is_known() -> None:
     """A new string field must be added to PATH_FIELDS or to the exceptions here."""
-    owners = [Config, Bench, Export, Predictor, Render, Report, Train, Scenario, Reward, Learned,
-              ModelPredictive, Shield, TrainerConfig]  # fmt: skip
+    owners = [
+        Config,
+        Bench,
+        Export,
+        Predictor,
+        Render,
+        Report,
+        Train,
+        Scenario,
+        Reward,
+        Learned,
+        ModelPredictive,
+        Shield,
+        TrainerConfig,
+    ]
     texts = {
         field.name
         for owner in owners
@@ -127,8 +156,12 @@ def test_options_may_stand_anywhere() -> None:
     assert command.folder == Path("a=b (1)")
     assert command.is_sweep
     assert command.quoted().words() == [
-        "--config-dir", "a=b (1)", "-m", "agent=orca", "scenario.robots=1,2",
-    ]  # fmt: skip
+        "--config-dir",
+        "a=b (1)",
+        "-m",
+        "agent=orca",
+        "scenario.robots=1,2",
+    ]
 
 
 def test_recordings_may_have_an_extension_in_capitals(tmp_path: Path) -> None:

@@ -116,10 +116,16 @@ def half(rollout: Rollout, number: int) -> Rollout:
     rows = rollout.rows(which)
     assert rollout.state is not None
     return Rollout(
-        rollout.scenario, rollout.correlation, rollout.steps[which], rollout.frames.of(rows),
-        rollout.is_init[rows], tree_map(lambda tensor: tensor[rows], rollout.encoder),
-        rollout.state.of(rows), [], rollout.environment_steps // 2,
-    )  # fmt: skip
+        rollout.scenario,
+        rollout.correlation,
+        rollout.steps[which],
+        rollout.frames.of(rows),
+        rollout.is_init[rows],
+        tree_map(lambda tensor: tensor[rows], rollout.encoder),
+        rollout.state.of(rows),
+        [],
+        rollout.environment_steps // 2,
+    )
 
 
 def update(which: Callable[[Rollout], Rollout], path: str) -> None:
@@ -166,12 +172,24 @@ LEARNERS: dict[str, tuple[str, str, dict[str, Any]]] = {
 def trainer(folder: str, learner: str) -> Trainer:
     name, encoder, numbers = LEARNERS[learner]
     config = TrainerConfig(
-        steps=10**4, rollout=10, seed=0, threads=1, validate_every=10**6, validation_cases=1,
-        save_every=10**6, ema_decay=0.9,
-    )  # fmt: skip
+        steps=10**4,
+        rollout=10,
+        seed=0,
+        threads=1,
+        validate_every=10**6,
+        validation_cases=1,
+        save_every=10**6,
+        ema_decay=0.9,
+    )
     stage = CurriculumStage(6, scenario=Scenario(humans=2, robots=3, time_limit=4.0))
-    return Trainer(Path(folder), config, policy_numbers(name, encoder),
-                   {"name": learner, **numbers}, [stage], "test")  # fmt: skip
+    return Trainer(
+        Path(folder),
+        config,
+        policy_numbers(name, encoder),
+        {"name": learner, **numbers},
+        [stage],
+        "test",
+    )
 
 
 def rounds(of: Trainer, number: int) -> None:
@@ -207,11 +225,20 @@ def test_every_algorithm_trains_in_two_processes_and_resumes_bit_for_bit(tmp_pat
 
 
 COMMAND = [
-    "samarl-train", "policy=flat", "encoder=gru", "encoder.width=8", "encoder.features=8",
-    "policy.hidden=8", "trainer.steps=1000000", "trainer.rollout=4", "trainer.save_every=16",
-    "trainer.validate_every=1000000", "trainer.threads=1", "run_dir=run",
+    "samarl-train",
+    "policy=flat",
+    "encoder=gru",
+    "encoder.width=8",
+    "encoder.features=8",
+    "policy.hidden=8",
+    "trainer.steps=1000000",
+    "trainer.rollout=4",
+    "trainer.save_every=16",
+    "trainer.validate_every=1000000",
+    "trainer.threads=1",
+    "run_dir=run",
     "curriculum.stages=[{worlds: 4, scenario: {humans: 2, robots: 2}}]",
-]  # fmt: skip
+]
 
 
 def command() -> None:

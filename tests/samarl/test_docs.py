@@ -22,11 +22,16 @@ SMALL = {
     "samarl-evaluate": ["evaluation.cases=2"],
     "samarl-predictor": ["validation_cases=2"],
     "samarl-train": [
-        "trainer.steps=200", "trainer.rollout=10", "trainer.validation_cases=2",
-        "trainer.threads=1", "encoder.width=8", "encoder.features=8", "policy.hidden=8",
+        "trainer.steps=200",
+        "trainer.rollout=10",
+        "trainer.validation_cases=2",
+        "trainer.threads=1",
+        "encoder.width=8",
+        "encoder.features=8",
+        "policy.hidden=8",
         "curriculum.stages=[{worlds: 10, scenario: {humans: 2, robots: 2, time_limit: 2.0}}]",
     ],
-}  # fmt: skip
+}
 
 
 def section(title: str) -> str:
@@ -48,8 +53,11 @@ def run(text: str, folder: Path) -> str:
             command = [sys.executable]
         done = subprocess.run(
             [*command, *arguments, *SMALL.get(program, [])],
-            cwd=folder, capture_output=True, text=True, timeout=240,
-        )  # fmt: skip
+            cwd=folder,
+            capture_output=True,
+            text=True,
+            timeout=240,
+        )
         assert done.returncode == 0, done.stderr
         output += done.stdout
     return output
@@ -86,8 +94,10 @@ def test_an_encoder_of_your_own(tmp_path: Path) -> None:
     checkpoint = "checkpoint=outputs/deep_sets/last.safetensors"
     done = subprocess.run(
         [sys.executable, "-m", "samarl.commands.evaluate", "agent=samarl", checkpoint],
-        cwd=tmp_path, capture_output=True, text=True,
-    )  # fmt: skip
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+    )
     assert done.returncode == 2  # plugins are imported only on request
     assert (
         "encoder.name is 'deep_sets'; it must be one of gru, pairwise, social_attention"
@@ -172,14 +182,17 @@ RADII = [config(f"scenario/{name}.yaml")["circle_radius"] for name in ("5p3r", "
     ("page", "pattern", "numbers"),
     [
         ("concepts.md", r"K = (\d+) steps \(([\d.]+) s\)", [MACRO_STEPS, MACRO_SECONDS]),
-        ("decisions.md", r"every (\d+) steps \(([\d.]+) s, `policy.macro_steps`\)",
-         [MACRO_STEPS, MACRO_SECONDS]),
+        (
+            "decisions.md",
+            r"every (\d+) steps \(([\d.]+) s, `policy.macro_steps`\)",
+            [MACRO_STEPS, MACRO_SECONDS],
+        ),
         ("concepts.md", r"in \[-1, 1\], every ([\d.]+) s", [Scenario().time_step]),
         ("concepts.md", r"radius (\d+), (\d+) and (\d+) m", RADII),
         ("concepts.md", r"(\d+) directions, at full speed", [DIRECTIONS]),
         ("concepts.md", r"for (\w+) seconds of everybody the robot sees", [Shield().horizon]),
     ],
-)  # fmt: skip
+)
 def test_numbers_in_the_docs_agree_with_the_configuration(
     page: str, pattern: str, numbers: list[float]
 ) -> None:

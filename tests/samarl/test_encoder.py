@@ -174,7 +174,7 @@ def test_what_is_not_known_changes_no_bit(name: str) -> None:
         garbage = data._replace(
             humans=data.humans + size * noise(data.humans) * ~data.humans_known[..., None],
             robots=data.robots + size * noise(data.robots) * ~data.robots_known[..., None],
-        )  # fmt: skip
+        )
         assert torch.equal(y, seen(model, garbage, begins))
     known = data.humans + torch.randn_like(data.humans) * data.humans_known.unsqueeze(-1)
     assert not torch.allclose(y, seen(model, data._replace(humans=known), begins), atol=1e-3)

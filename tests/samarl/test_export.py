@@ -123,9 +123,12 @@ def test_a_thousand_decisions_are_those_of_the_policy(name: str, tmp_path: Path)
 
 
 PAIRS = [("flat", name) for name in ENCODERS] + [
-    ("hierarchical", "gru"), ("hierarchical", "spatio_temporal"), ("lookahead", "pairwise"),
-    ("lookahead", "social_attention"), ("squashed", "temporal_spatial_graph"),
-]  # fmt: skip
+    ("hierarchical", "gru"),
+    ("hierarchical", "spatio_temporal"),
+    ("lookahead", "pairwise"),
+    ("lookahead", "social_attention"),
+    ("squashed", "temporal_spatial_graph"),
+]
 
 
 def test_every_policy_is_among_them() -> None:
@@ -169,8 +172,10 @@ def test_the_file_says_what_it_is(tmp_path: Path) -> None:
     path = tmp_path / "policy.onnx"
     export_agent(path, agent, "mine")
     assert sorted(p.name for p in tmp_path.iterdir()) == [
-        "policy.json", "policy.onnx", "policy.safetensors"
-    ]  # fmt: skip
+        "policy.json",
+        "policy.onnx",
+        "policy.safetensors",
+    ]
     assert onnx.load(path).opset_import[0].version == OPSET
     told = Network(path).description
     assert (told.agent, told.opset, told.shield) == ("mine", OPSET, None)

@@ -19,10 +19,17 @@ from samarl.files import find_folder
 
 ONE = ["evaluation.cases=1", "scenario.humans=0", "scenario.robots=1"]
 TINY = [
-    "encoder.width=8", "encoder.heads=1", "encoder.history=2", "encoder.features=8",
-    "policy.hidden=8", "trainer.threads=1", "trainer.rollout=4", "trainer.steps=8",
-    "trainer.validation_cases=1", "curriculum.stages=[{worlds: 1, scenario: {humans: 2}}]",
-]  # fmt: skip
+    "encoder.width=8",
+    "encoder.heads=1",
+    "encoder.history=2",
+    "encoder.features=8",
+    "policy.hidden=8",
+    "trainer.threads=1",
+    "trainer.rollout=4",
+    "trainer.steps=8",
+    "trainer.validation_cases=1",
+    "curriculum.stages=[{worlds: 1, scenario: {humans: 2}}]",
+]
 PREDICTOR = ["predictor=recurrent", "validation_cases=1", "shown_steps=1"]
 
 
@@ -58,9 +65,11 @@ def place(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Path]:
 
 
 def said(
-    command: str, words: list[str], monkeypatch: pytest.MonkeyPatch,
+    command: str,
+    words: list[str],
+    monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
-) -> str:  # fmt: skip
+) -> str:
     """The one line of a command that ends with exit code 2."""
     GlobalHydra.instance().clear()
     monkeypatch.setattr(sys, "argv", [f"samarl-{command}", *words])
@@ -79,18 +88,30 @@ def said(
         ("train", [*TINY, "run_dir=run"], "run/"),
         ("evaluate", [*ONE, "agent=straight", "hydra.run.dir=played"], "played/episodes.jsonl"),
         ("evaluate", ["-m", *ONE, "agent=straight,orca", "hydra.sweep.dir=swept"], "swept"),
-        ("bench", ["agents=[straight]", "evaluation.cases=1", "columns=[{robots: 1, humans: 0}]",
-                   "jobs=1", "output=mine"], "mine/table1.json"),
+        (
+            "bench",
+            [
+                "agents=[straight]",
+                "evaluation.cases=1",
+                "columns=[{robots: 1, humans: 0}]",
+                "jobs=1",
+                "output=mine",
+            ],
+            "mine/table1.json",
+        ),
         ("render", ["agent=straight", "scenario.time_limit=1", "output=a.png"], "a.png"),
         ("report", ["results=results", "cases=[]", "agents=[straight]", "output=site"], "site"),
-        ("predictor", [*PREDICTOR, "output=there"],
-         "there/prediction.json"),
+        ("predictor", [*PREDICTOR, "output=there"], "there/prediction.json"),
     ],
-)  # fmt: skip
+)
 def test_a_full_disk(
-    command: str, words: list[str], path: str, place: Path, monkeypatch: pytest.MonkeyPatch,
+    command: str,
+    words: list[str],
+    path: str,
+    place: Path,
+    monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
-) -> None:  # fmt: skip
+) -> None:
     before = {file for file in place.rglob("*") if file.is_file()}
     with longest_file(1):
         line = said(command, words, monkeypatch, capsys)
@@ -113,9 +134,12 @@ def test_a_full_disk(
     ],
 )
 def test_an_unwritable_folder(
-    command: str, words: list[str], place: Path, monkeypatch: pytest.MonkeyPatch,
+    command: str,
+    words: list[str],
+    place: Path,
+    monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
-) -> None:  # fmt: skip
+) -> None:
     line = said(command, words, monkeypatch, capsys)
     assert line.startswith("error: ")
     assert "taken" in line

@@ -27,17 +27,18 @@ from samarl.policies.policy import POLICIES
 from samarl.registry import Registry
 from samarl.training.run_dir import LAST
 
-KINDS: dict[str, Registry[Any]] = {
-    "encoder": ENCODERS, "policy": POLICIES, "algorithm": ALGORITHMS
-}  # fmt: skip
+KINDS: dict[str, Registry[Any]] = {"encoder": ENCODERS, "policy": POLICIES, "algorithm": ALGORITHMS}
 STAGES = (
     "curriculum.stages=[{worlds: 3, failure_restart_probability: 0.5, noise_correlation: 0.5,"
     "scenario: {humans: 3, robots: 2}}]"
 )
 SMALL = [
-    STAGES, "trainer.rollout=4", "trainer.steps=24", "trainer.threads=1",
+    STAGES,
+    "trainer.rollout=4",
+    "trainer.steps=24",
+    "trainer.threads=1",
     "trainer.validation_cases=1",
-]  # fmt: skip
+]
 VALUES = "policy=lookahead encoder=pairwise algorithm=value_learning algorithm.learning_starts=4"
 PPO = "algorithm.minibatches=2 algorithm.epochs=1"
 SOFT = (
@@ -45,9 +46,11 @@ SOFT = (
     "algorithm.learning_starts=8 algorithm.updates=2 algorithm.batch=2"
 )
 TOGETHER = {
-    "policy=lookahead": VALUES, "algorithm=value_learning": VALUES,
-    "policy=squashed": SOFT, "algorithm=soft_actor_critic": SOFT,
-}  # fmt: skip
+    "policy=lookahead": VALUES,
+    "algorithm=value_learning": VALUES,
+    "policy=squashed": SOFT,
+    "algorithm=soft_actor_critic": SOFT,
+}
 """What only works with others; everything else works with the defaults."""
 
 

@@ -86,9 +86,29 @@ def deleted_key(r: random.Random) -> list[str]:
 
 def broken_syntax(r: random.Random) -> list[str]:
     name, _ = r.choice(FIELDS)
-    forms = ["{n}", "{n}=[1", "{n}={{a:", "{n}==1", "={v}", "{n} =,", "{n}=1,2,", "{n}=(1", "+",
-             "~", "{n}='1", "{n}=1]", "{n}:3", "{n}=${{", "{n}=${{1", "+={v}", "=", "{n}=range(1",
-             "{n}=a(1)", "{n}=choice(1,2)", "{n}=1,2"]  # fmt: skip
+    forms = [
+        "{n}",
+        "{n}=[1",
+        "{n}={{a:",
+        "{n}==1",
+        "={v}",
+        "{n} =,",
+        "{n}=1,2,",
+        "{n}=(1",
+        "+",
+        "~",
+        "{n}='1",
+        "{n}=1]",
+        "{n}:3",
+        "{n}=${{",
+        "{n}=${{1",
+        "+={v}",
+        "=",
+        "{n}=range(1",
+        "{n}=a(1)",
+        "{n}=choice(1,2)",
+        "{n}=1,2",
+    ]
     return [r.choice(forms).format(n=name, v=r.randint(0, 9))]
 
 
@@ -119,9 +139,23 @@ def bad_knob(r: random.Random) -> list[str]:
 
 
 def bad_target(r: random.Random) -> list[str]:
-    targets = ["null", "3", "nothing", "no.such.module.Agent", "os.system", "builtins.int", "[1]",
-               "samarl.agents.planners.orca", "samarl.agents.planners.orca.Nobody", "''", "a b",
-               "samarl.agents.agent.Agent", "mrsan.Scenario", ".Orca", "samarl..Orca"]  # fmt: skip
+    targets = [
+        "null",
+        "3",
+        "nothing",
+        "no.such.module.Agent",
+        "os.system",
+        "builtins.int",
+        "[1]",
+        "samarl.agents.planners.orca",
+        "samarl.agents.planners.orca.Nobody",
+        "''",
+        "a b",
+        "samarl.agents.agent.Agent",
+        "mrsan.Scenario",
+        ".Orca",
+        "samarl..Orca",
+    ]
     agent = r.choice(["orca", "straight"])
     return [f"agent={agent}", f"agent._target_={r.choice(targets)}"]
 
@@ -159,10 +193,25 @@ def contradiction(r: random.Random) -> list[str]:
 
 
 KINDS: list[Callable[[random.Random], list[str]]] = [
-    out_of_range, out_of_range, out_of_range, not_finite, wrong_type, wrong_type, bad_name,
-    unknown_key, unknown_key, deleted_key, broken_syntax, broken_syntax, bad_choice, bad_knob,
-    bad_target, bad_interpolation, missing_value, contradiction,
-]  # fmt: skip
+    out_of_range,
+    out_of_range,
+    out_of_range,
+    not_finite,
+    wrong_type,
+    wrong_type,
+    bad_name,
+    unknown_key,
+    unknown_key,
+    deleted_key,
+    broken_syntax,
+    broken_syntax,
+    bad_choice,
+    bad_knob,
+    bad_target,
+    bad_interpolation,
+    missing_value,
+    contradiction,
+]
 
 
 def malformed(chunk: int) -> list[list[str]]:
@@ -295,11 +344,13 @@ def test_the_message_names_the_field_the_value_and_the_range(
         ("agent/a.yaml", "_target_: x".encode("utf-16"), "agent/a.yaml is not UTF-8 text"),
         ("agent/a.yaml", b"a: [1", "agent/a.yaml is not YAML: line 1: expected ',' or ']'"),
         (
-            "scenario/a.yaml", b"defaults: [samarl]\nrobots: [1, 2]",
+            "scenario/a.yaml",
+            b"defaults: [samarl]\nrobots: [1, 2]",
             "scenario/a.yaml: scenario.robots is [1, 2]; it must be a whole number in [1, 16]",
         ),
         (
-            "scenario/a.yaml", b"defaults: [samarl]\nrobotz: 3",
+            "scenario/a.yaml",
+            b"defaults: [samarl]\nrobotz: 3",
             "scenario/a.yaml: scenario.robotz is not known; did you mean scenario.robots?",
         ),
         (
@@ -308,11 +359,15 @@ def test_the_message_names_the_field_the_value_and_the_range(
             "agent.radius is [1]; it must lie in",
         ),
     ],
-)  # fmt: skip
+)
 def test_the_message_names_the_file_of_the_user(
-    name: str, content: bytes, message: str, bare: None, monkeypatch: pytest.MonkeyPatch,
+    name: str,
+    content: bytes,
+    message: str,
+    bare: None,
+    monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
-) -> None:  # fmt: skip
+) -> None:
     path = Path("my conf (1)", name)
     path.parent.mkdir(parents=True)
     path.write_bytes(content)
@@ -339,9 +394,12 @@ def test_the_message_names_the_file_of_the_user(
     ],
 )
 def test_every_cell_of_a_sweep_is_checked_before_the_first_is_run(
-    swept: list[str], message: str, bare: None, monkeypatch: pytest.MonkeyPatch,
+    swept: list[str],
+    message: str,
+    bare: None,
+    monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
-) -> None:  # fmt: skip
+) -> None:
     monkeypatch.setattr(evaluate, "run_cases", lambda *_: pytest.fail("played", pytrace=False))
     assert run(["-m", "agent=straight", *swept], monkeypatch) == 2
     said = capsys.readouterr().err.splitlines()

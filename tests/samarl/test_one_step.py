@@ -64,9 +64,13 @@ def test_outcomes_match_the_simulator_if_others_keep_their_velocity(
 ) -> None:
     """Contacts, discomfort, arrivals and next positions in random crowds."""
     scenario = Scenario(
-        robots=3, humans=4, kinematics=kinematics, crowd=Crowd.still,
-        collisions_end=collisions_end, reward=Reward(goal_distance=7.0, time=-0.5),
-    )  # fmt: skip
+        robots=3,
+        humans=4,
+        kinematics=kinematics,
+        crowd=Crowd.still,
+        collisions_end=collisions_end,
+        reward=Reward(goal_distance=7.0, time=-0.5),
+    )
     e, rng = 200, np.random.default_rng(0)
     world = World(scenario, e)
     world.reset(np.arange(e))

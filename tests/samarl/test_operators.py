@@ -90,9 +90,16 @@ def test_an_operator_is_one_node_of_a_compiled_graph(name: str) -> None:
 def trained(folder: Path, compiled: bool) -> tuple[dict[str, float], dict[str, Tensor]]:
     """The losses of one round and the weights after it."""
     config = TrainerConfig(
-        steps=1000, rollout=8, seed=0, threads=1, validate_every=1000, validation_cases=1,
-        save_every=1000, ema_decay=0.9, compile=compiled,
-    )  # fmt: skip
+        steps=1000,
+        rollout=8,
+        seed=0,
+        threads=1,
+        validate_every=1000,
+        validation_cases=1,
+        save_every=1000,
+        ema_decay=0.9,
+        compile=compiled,
+    )
     stages = [CurriculumStage(3, scenario=Scenario(humans=3, robots=2))]
     encoder = {"name": "spatio_temporal", **ENCODERS["spatio_temporal"], "one_block": True}
     policy, algorithm = policy_numbers("flat", encoder_numbers=encoder), {"name": "mappo"}

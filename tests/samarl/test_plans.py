@@ -15,18 +15,31 @@ from samarl.planning.sampling import PlanParameters, _cost, plan_parameters
 from samarl.planning.velocity_control import gather_rows, track_velocity
 
 PLANS = {
-    "horizon": 2.0, "directions": 7, "speeds": 2, "holds": 2, "human_margin": 0.05,
-    "robot_margin": 0.15, "comfort": 1.0, "comfort_weight": 12.0, "collision_weight": 100.0,
+    "horizon": 2.0,
+    "directions": 7,
+    "speeds": 2,
+    "holds": 2,
+    "human_margin": 0.05,
+    "robot_margin": 0.15,
+    "comfort": 1.0,
+    "comfort_weight": 12.0,
+    "collision_weight": 100.0,
     "collision_discount": 0.6561,
-}  # fmt: skip
+}
 TWO_PI = np.float32(2.0 * math.pi)
 
 
 @pytest.mark.parametrize("kinematics", list(Kinematics))
-@pytest.mark.parametrize("numbers", [
-    {}, {"collision_discount": 0.0}, {"collision_discount": 1.0},
-    {"collision_weight": 2.0, "comfort_weight": 120.0}, {"collision_weight": 0.0},
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "numbers",
+    [
+        {},
+        {"collision_discount": 0.0},
+        {"collision_discount": 1.0},
+        {"collision_weight": 2.0, "comfort_weight": 120.0},
+        {"collision_weight": 0.0},
+    ],
+)
 def test_pruning_keeps_the_cheapest_plan(kinematics: Kinematics, numbers: dict[str, float]) -> None:
     """In a dense crowd, against an exhaustive search that simulates every plan to its end."""
     scenario = Scenario(kinematics=kinematics, humans=12, robots=3, circle_radius=4.0)
@@ -35,11 +48,22 @@ def test_pruning_keeps_the_cheapest_plan(kinematics: Kinematics, numbers: dict[s
     p, best = kernel_parameters(scenario), np.empty(scenario.action_size, np.float32)
     plans = plan_parameters(planner, scenario)
     assert plans == PlanParameters(  # 2 s are 8 steps of 0.25 s
-        8, 7, 2, 2, *(np.float32(value) for value in (
-            0.05, 0.15, 1.0, settings["comfort_weight"] / 4, settings["collision_weight"],
-            settings["collision_discount"] ** 0.25,
-        )),
-    )  # fmt: skip
+        8,
+        7,
+        2,
+        2,
+        *(
+            np.float32(value)
+            for value in (
+                0.05,
+                0.15,
+                1.0,
+                settings["comfort_weight"] / 4,
+                settings["collision_weight"],
+                settings["collision_discount"] ** 0.25,
+            )
+        ),
+    )
     world = World(scenario, 4, auto_reset=True)
     observation = world.reset(range(4))
     for _ in range(25):
@@ -59,9 +83,15 @@ def cheapest_action(visible, p, plans, best):  # type: ignore[no-untyped-def]
     horizon, directions, speeds, holds = plans[:4]
     rows = np.empty((1 + len(humans) + len(robots), 5), np.float32)
     count = gather_rows(
-        ego, humans, humans_visible, robots, robots_visible, plans.human_margin,
-        plans.robot_margin, rows,
-    )  # fmt: skip
+        ego,
+        humans,
+        humans_visible,
+        robots,
+        robots_visible,
+        plans.human_margin,
+        plans.robot_margin,
+        rows,
+    )
     speed = math.sqrt(rows[0, 2] * rows[0, 2] + rows[0, 3] * rows[0, 3])
     goal_x, goal_y = ego[GOAL_X], ego[GOAL_Y]
     goal_angle, cheapest = math.atan2(goal_y, goal_x), np.float32(np.inf)
@@ -75,9 +105,19 @@ def cheapest_action(visible, p, plans, best):  # type: ignore[no-untyped-def]
             velocity, hold = np.float32(0.0), horizon
         vx, vy = velocity * math.cos(angle), velocity * math.sin(angle)
         cost = _cost(
-            rows, zero_offset, count, goal_x, goal_y, vx, vy, hold, plans, np.float32(np.inf),
-            scratch, p,
-        )  # fmt: skip
+            rows,
+            zero_offset,
+            count,
+            goal_x,
+            goal_y,
+            vx,
+            vy,
+            hold,
+            plans,
+            np.float32(np.inf),
+            scratch,
+            p,
+        )
         if cost < cheapest:
             cheapest = cost
             track_velocity(vx, vy, speed, best, p)

@@ -23,9 +23,18 @@ from samarl.prediction.training import Training
 from samarl.prediction.windows import recorded_windows, simulate_windows
 
 SMALL = Training(
-    hidden=6, history=5, steps=4, rounds=20, worlds=2, duration=20, batch=64,
-    learning_rate=0.01, max_gradient_norm=1.0, newly_seen=0.3, seed=3,
-)  # fmt: skip
+    hidden=6,
+    history=5,
+    steps=4,
+    rounds=20,
+    worlds=2,
+    duration=20,
+    batch=64,
+    learning_rate=0.01,
+    max_gradient_norm=1.0,
+    newly_seen=0.3,
+    seed=3,
+)
 DT = 0.25
 
 
@@ -59,8 +68,11 @@ def test_windows_of_a_recording_lie_within_the_recorded_tracks(tmp_path: Path) -
     windows = recorded_windows(path, 0.25, 0.25, SMALL)
     assert len(windows.past) == 2  # of eleven moments with a velocity, at the fifth and seventh
     np.testing.assert_allclose(windows.velocity[0], [1, 0], atol=1e-5)
-    np.testing.assert_allclose(windows.future[0] - windows.past[0, -1], [
-        [0.25, 0], [0.25, 0.25], [0.25, 0.5], [0.25, 0.75]], atol=1e-5)  # fmt: skip
+    np.testing.assert_allclose(
+        windows.future[0] - windows.past[0, -1],
+        [[0.25, 0], [0.25, 0.25], [0.25, 0.5], [0.25, 0.75]],
+        atol=1e-5,
+    )
     with pytest.raises(
         ConfigurationError, match=r"recordings: .* has no track of at least 109 steps"
     ):
@@ -243,9 +255,13 @@ def test_the_command_trains_evaluates_and_reports_errors(
     from samarl.commands import predictor as command
 
     small = [
-        "training.rounds=2", "training.worlds=2", "training.duration=20", "training.hidden=4",
-        "validation_cases=2", "output=mine",
-    ]  # fmt: skip
+        "training.rounds=2",
+        "training.worlds=2",
+        "training.duration=20",
+        "training.hidden=4",
+        "validation_cases=2",
+        "output=mine",
+    ]
     recordings = tmp_path / "recordings"
     recordings.mkdir()
     rows = [(k, 1, 0.3 * k, 0.0) for k in range(60)]
@@ -265,13 +281,18 @@ def test_the_command_trains_evaluates_and_reports_errors(
     assert provenance["command"].startswith("samarl-predictor training.rounds=2")
     result = json.loads((tmp_path / "mine/prediction.json").read_text())
     assert result["errors"] == provenance["errors"]
-    said("recordings=recordings", "+frame_seconds.street=0.25",
-         "predictor=mine/recurrent.safetensors", "output=again")  # fmt: skip
+    said(
+        "recordings=recordings",
+        "+frame_seconds.street=0.25",
+        "predictor=mine/recurrent.safetensors",
+        "output=again",
+    )
     again = json.loads((tmp_path / "again/prediction.json").read_text())
     assert again["errors"] == result["errors"]
     assert sorted(path.name for path in (tmp_path / "again").iterdir()) == [
-        "prediction.json", "prediction.md",
-    ]  # fmt: skip
+        "prediction.json",
+        "prediction.md",
+    ]
     for words, message in (
         (["shown_steps=9"], "shown_steps is 9; it must be at most training.steps (8)"),
         (["training.duration=10"], "training.duration is 10; it must be at least"),

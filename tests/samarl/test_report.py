@@ -99,10 +99,15 @@ def test_all_results_are_shown(site: Path) -> None:
     figures = {figure.stem for figure in (site / "figures").glob("*.svg")}
     assert figures == {figure.stem for figure in (site / "figures").glob("*.png")}
     assert figures == {
-        "curve-charts-success", "curve-validation-success-90-10h-3r", "curve-losses-macro-critic",
-        "noise-90-10h-3r", "table-1", "places-other-layouts", "places-recorded-people",
+        "curve-charts-success",
+        "curve-validation-success-90-10h-3r",
+        "curve-losses-macro-critic",
+        "noise-90-10h-3r",
+        "table-1",
+        "places-other-layouts",
+        "places-recorded-people",
         *(slug(f"views {row['method']}") for row in rows),
-    }  # fmt: skip
+    }
     assert len(list((site / "replays").glob("mine-*.js"))) == 4 * 2
     assert "position noise" in (site / "figures/noise-90-10h-3r.svg").read_text()
 
@@ -127,8 +132,10 @@ def test_methods_are_in_groups_best_first_with_a_description(site: Path) -> None
     groups = {line.name: line.group for line in ranking}
     assert [*dict.fromkeys(groups.values())] == ["learned", "ablation", "planner"]
     assert (groups["samarl"], groups["orca"], groups["samarl_flat"]) == (
-        "learned", "planner", "ablation",
-    )  # fmt: skip
+        "learned",
+        "planner",
+        "ablation",
+    )
     for group in GROUPS:
         means = [line.success for line in ranking if line.group == group]
         assert means == sorted(means, reverse=True)
@@ -223,8 +230,11 @@ def test_the_figure_of_a_sweep_depends_on_what_it_varies() -> None:
     np.testing.assert_allclose(axes.lines[0].get_xdata(), [0.0, 0.1])
     (axes,) = drawn([with_setting("team_delay=0.5"), one]).values()  # 0 by default
     np.testing.assert_allclose(axes.lines[0].get_xdata(), [0.0, 0.5])
-    pairs = [other | {"fov_degrees": view} for view in (60.0, 90.0)
-             for other in (one, with_setting("occlusion=true"))]  # fmt: skip
+    pairs = [
+        other | {"fov_degrees": view}
+        for view in (60.0, 90.0)
+        for other in (one, with_setting("occlusion=true"))
+    ]
     (axes,) = drawn(pairs).values()
     assert [line.get_label() for line in axes.lines] == ["orca, default", "orca, occlusion=true"]
     np.testing.assert_allclose(axes.lines[1].get_xdata(), [60.0, 90.0])
@@ -321,8 +331,16 @@ def test_an_agent_without_its_checkpoint_is_skipped(tmp_path: Path) -> None:
     (tmp_path / "results").mkdir()
     (tmp_path / "conf/agent").mkdir(parents=True)
     (tmp_path / "conf/agent/mine.yaml").write_text("defaults:\n  - samarl\ncheckpoint: nowhere\n")
-    done = report("--config-dir", "conf", "results=results", "agents=[mine]", "cases=[0]",
-                  "output=site", "columns=[{robots: 2}]", cwd=tmp_path)  # fmt: skip
+    done = report(
+        "--config-dir",
+        "conf",
+        "results=results",
+        "agents=[mine]",
+        "cases=[0]",
+        "output=site",
+        "columns=[{robots: 2}]",
+        cwd=tmp_path,
+    )
     assert done.stdout.startswith("skipped: mine, 360° view: checkpoint is 'nowhere'")
     assert [page.name for page in (tmp_path / "site").glob("*.html")] == ["index.html"]
     assert "The results folder contains no table." in (tmp_path / "site/index.html").read_text()

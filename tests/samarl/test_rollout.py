@@ -52,10 +52,14 @@ def test_rollouts_overlap_by_the_step_that_was_decided_and_not_taken() -> None:
     going = collector(policy(), 6, 5, noise_correlation=0.75)
     first, second = going.collect(), going.collect()
     for key in (
-        "is_init", ("agents", "action"), ("agents", "sample_log_prob"),
+        "is_init",
+        ("agents", "action"),
+        ("agents", "sample_log_prob"),
         ("agents", "waypoint_features"),
-        ("agents", "previous_noise"), ("agents", "speed"), ("agents", "macro", "action"),
-    ):  # fmt: skip
+        ("agents", "previous_noise"),
+        ("agents", "speed"),
+        ("agents", "macro", "action"),
+    ):
         assert torch.equal(first.steps[key][:, -1], second.steps[key][:, 0]), key
     assert torch.equal(first.frames.ego[:, -1], second.frames.ego[:, 3])
     assert not first.steps["next", "agents", "reward"][:, -1].any()
@@ -154,9 +158,11 @@ def test_a_collision_is_tried_again_from_shortly_before() -> None:
             same = [
                 e
                 for e in range(24)
-                if torch.equal(rollout.steps["agents", "action"][e, 0],
-                               rollout.steps["agents", "action"][sequence, 0])
-            ]  # fmt: skip
+                if torch.equal(
+                    rollout.steps["agents", "action"][e, 0],
+                    rollout.steps["agents", "action"][sequence, 0],
+                )
+            ]
             (e,) = same
             back = [
                 k

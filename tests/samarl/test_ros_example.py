@@ -30,11 +30,17 @@ def message(fields: Any) -> Any:
 def test_odometry_and_goal(conversion: ModuleType) -> None:
     # It heads along y, 90 degrees to the left, and drives ahead at 0.5 m/s, to the left at 0.1.
     half = math.sqrt(0.5)
-    odometry = message({
-        "pose": {"pose": {"position": {"x": 1.0, "y": 2.0, "z": 0.0},
-                          "orientation": {"x": 0.0, "y": 0.0, "z": half, "w": half}}},
-        "twist": {"twist": {"linear": {"x": 0.5, "y": 0.1, "z": 0.0}}},
-    })  # fmt: skip
+    odometry = message(
+        {
+            "pose": {
+                "pose": {
+                    "position": {"x": 1.0, "y": 2.0, "z": 0.0},
+                    "orientation": {"x": 0.0, "y": 0.0, "z": half, "w": half},
+                }
+            },
+            "twist": {"twist": {"linear": {"x": 0.5, "y": 0.1, "z": 0.0}}},
+        }
+    )
     goal = message({"pose": {"position": {"x": 1.0, "y": 2.2, "z": 0.0}}})
     own = conversion.own_state(odometry, goal)
     assert own == pytest.approx(OwnState(1.0, 2.0, math.pi / 2, -0.1, 0.5, 1.0, 2.2))

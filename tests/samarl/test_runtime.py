@@ -158,13 +158,21 @@ def test_an_invalid_input_is_named_and_changes_nothing(
 
 
 ANYTHING = st.one_of(
-    st.none(), st.booleans(), st.integers(), st.floats(), st.complex_numbers(), st.text(max_size=3),
-    st.binary(max_size=3), st.fractions(), st.decimals(), st.lists(st.floats(), max_size=2),
+    st.none(),
+    st.booleans(),
+    st.integers(),
+    st.floats(),
+    st.complex_numbers(),
+    st.text(max_size=3),
+    st.binary(max_size=3),
+    st.fractions(),
+    st.decimals(),
+    st.lists(st.floats(), max_size=2),
     st.dictionaries(st.integers(), st.none(), max_size=1),
     st.sampled_from(
         [np.float32(2.0), np.int64(3), np.array(1.0), np.array([1.0]), np.zeros((2, 2)), object()]
     ),
-)  # fmt: skip
+)
 OFTEN_VALID = st.floats(-5.0, 5.0) | ANYTHING
 OWN_STATES = st.builds(OwnState, *[OFTEN_VALID] * 7) | ANYTHING
 DETECTIONS = st.builds(
@@ -260,8 +268,10 @@ def test_a_team_mate_is_a_robot(driver: Driver, tracks: list[Tracks]) -> None:
 
 
 def test_the_shield_steps_in(driver: Driver) -> None:
-    wall = [Detection(1.0 + 0.75 * math.cos(a), 2.0 + 0.75 * math.sin(a), 0.0, 0.0)
-            for a in (-0.9, 0.0, 0.9)]  # fmt: skip
+    wall = [
+        Detection(1.0 + 0.75 * math.cos(a), 2.0 + 0.75 * math.sin(a), 0.0, 0.0)
+        for a in (-0.9, 0.0, 0.9)
+    ]
     command = driver.step(OWN._replace(velocity_x=1.0), wall, 0.0)
     assert command.shielded
     assert command.acceleration == pytest.approx(-4.0)  # from 1 m/s in 0.25 s
@@ -293,9 +303,11 @@ assert not {{"torch", "torchrl", "tensordict", "gymnasium", "omegaconf"}} & set(
 def test_it_needs_numpy_numba_and_onnxruntime_alone(path: Path, driver: Driver) -> None:
     steps = [(list(OWN), [list(PERSON._replace(x=4.0 - 0.25 * k))], 0.25 * k) for k in range(8)]
     done = subprocess.run(
-        [sys.executable, "-c", ALONE, str(path)], input="\n".join(map(json.dumps, steps)),
-        capture_output=True, text=True,
-    )  # fmt: skip
+        [sys.executable, "-c", ALONE, str(path)],
+        input="\n".join(map(json.dumps, steps)),
+        capture_output=True,
+        text=True,
+    )
     assert done.returncode == 0, done.stderr
     for line, (own, seen, time) in zip(done.stdout.splitlines(), steps, strict=True):
         command = driver.step(OwnState(*own), [Detection(*one) for one in seen], time)

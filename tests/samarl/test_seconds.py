@@ -56,9 +56,14 @@ def test_the_shield_looks_two_seconds_ahead(time_step: float, gap: float, replac
 
 def test_every_duration_of_a_scenario_is_converted_once() -> None:
     scenario = Scenario(
-        time_step=0.1, time_limit=30.0, team_delay=0.5, late_time=12.0, goal_change_interval=5.0,
-        recorded_start_clear=2.0, recorded_slot_rest=6.0,
-    )  # fmt: skip
+        time_step=0.1,
+        time_limit=30.0,
+        team_delay=0.5,
+        late_time=12.0,
+        goal_change_interval=5.0,
+        recorded_start_clear=2.0,
+        recorded_slot_rest=6.0,
+    )
     p = kernel_parameters(scenario)
     assert (p.time_limit_steps, p.team_delay_steps, p.late_steps) == (300, 5, 120)
     assert (p.goal_change_steps, p.recorded_start_clear_steps) == (50, 20)
@@ -91,10 +96,13 @@ def test_a_slot_rests_for_so_long_before_another_person_has_it(time_step: float)
         ({"robot_speed": 1.5}, "a robot speed of 1 m/s", "1.5 m/s"),
         ({"robot_radius": 0.5}, "a robot radius of 0.3 m", "0.5 m"),
         ({"fov_degrees": 90.0}, "a view of 360 degrees", "90 degrees"),
-        ({"fov_degrees": 90.0, "time_step": 0.5}, "a view of 360 degrees and a time step of 0.25 s",
-         "90 degrees and 0.5 s"),
+        (
+            {"fov_degrees": 90.0, "time_step": 0.5},
+            "a view of 360 degrees and a time step of 0.25 s",
+            "90 degrees and 0.5 s",
+        ),
     ],
-)  # fmt: skip
+)
 def test_a_policy_names_what_it_was_not_trained_for(
     fields: dict[str, float], trained: str, here: str
 ) -> None:

@@ -11,11 +11,15 @@ def test_mean_and_range_of_three_seeds_by_hand() -> None:
     rows = [row(success_rate=s, social_score=s - 10.0) for s in (96.0, 90.0, 99.0)]
     assert across_seeds(rows) == {
         "training_seeds": 3,
-        "success_of_seeds": [96.0, 90.0, 99.0], "success_seed_mean": 95.0,
-        "success_seed_min": 90.0, "success_seed_max": 99.0,
-        "social_of_seeds": [86.0, 80.0, 89.0], "social_seed_mean": 85.0,
-        "social_seed_min": 80.0, "social_seed_max": 89.0,
-    }  # fmt: skip
+        "success_of_seeds": [96.0, 90.0, 99.0],
+        "success_seed_mean": 95.0,
+        "success_seed_min": 90.0,
+        "success_seed_max": 99.0,
+        "social_of_seeds": [86.0, 80.0, 89.0],
+        "social_seed_mean": 85.0,
+        "social_seed_min": 80.0,
+        "social_seed_max": 89.0,
+    }
 
 
 def test_the_probability_of_improvement_by_hand() -> None:

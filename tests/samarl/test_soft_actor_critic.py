@@ -195,9 +195,12 @@ def test_concatenation_is_told_the_others_in_order() -> None:
 
 
 def batch_of(
-    active: list[list[list[bool]]], reward: list[list[list[float]]], done: list[list[bool]],
-    terminated: list[list[list[bool]]], team: bool,
-) -> TensorDict:  # fmt: skip
+    active: list[list[list[bool]]],
+    reward: list[list[list[float]]],
+    done: list[list[bool]],
+    terminated: list[list[list[bool]]],
+    team: bool,
+) -> TensorDict:
     """Sequences [S, T + 1, N] as `sequences_of` makes them of a rollout with nobody in view."""
     on_way = torch.tensor(active)
     s, t, n = on_way.shape
@@ -246,20 +249,24 @@ def test_where_values_are_learned_and_where_they_end() -> None:
     alone = batch_of(ACTIVE, REWARD, DONE, TERMINATED, team=False)
     assert alone["valued"].tolist() == alone["acts"].tolist()
     assert alone["acts"].tolist() == [
-        [[o, o], [o, o], [x, o]], [[o, o], [x, x], [o, o]], [[o, o], [o, o], [x, o]]
-    ]  # fmt: skip
-    assert alone["continues"][alone["acts"]].tolist() == [
-        o, o, x, o, x, o, o, o, o, o, o, o, o, x
-    ]  # fmt: skip
+        [[o, o], [o, o], [x, o]],
+        [[o, o], [x, x], [o, o]],
+        [[o, o], [o, o], [x, o]],
+    ]
+    assert alone["continues"][alone["acts"]].tolist() == [o, o, x, o, x, o, o, o, o, o, o, o, o, x]
     assert alone["reward"].tolist() == [row[:3] for row in REWARD]
     team = batch_of(ACTIVE, REWARD, DONE, TERMINATED, team=True)
     # Robot 0 waits in the last step of the first sequence, and is paid as robot 1 is.
     assert team["valued"].tolist() == [
-        [[o, o], [o, o], [o, o]], [[o, o], [x, x], [o, o]], [[o, o], [o, o], [o, o]]
-    ]  # fmt: skip
+        [[o, o], [o, o], [o, o]],
+        [[o, o], [x, x], [o, o]],
+        [[o, o], [o, o], [o, o]],
+    ]
     assert team["acts"].tolist() == [
-        [[o, o], [o, o], [x, o]], [[o, o], [x, x], [o, o]], [[o, o], [o, o], [o, o]]
-    ]  # fmt: skip
+        [[o, o], [o, o], [x, o]],
+        [[o, o], [x, x], [o, o]],
+        [[o, o], [o, o], [o, o]],
+    ]
     ends = ~team["continues"]
     assert ends.nonzero().tolist() == [[0, 2, 0], [0, 2, 1], [2, 2, 0], [2, 2, 1]]
     assert team["reward"][0].tolist() == [[3.0, 3.0], [13.0, 13.0], [-20.0, -20.0]]
@@ -420,9 +427,15 @@ def test_it_learns_to_drive_to_the_goal() -> None:
     )
     policy = squashed(encoder="social_attention")
     algorithm = learner(
-        policy, learning_starts=400, updates=10, batch=16, learning_rate=2e-3, team_reward=False,
-        target_rate=0.03, discount=0.9,
-    )  # fmt: skip
+        policy,
+        learning_starts=400,
+        updates=10,
+        batch=16,
+        learning_rate=2e-3,
+        team_reward=False,
+        target_rate=0.03,
+        discount=0.9,
+    )
     going = RolloutCollector(CurriculumStage(16, scenario=scenario), policy, 10, 0)
     paid = []
     for _ in range(30):

@@ -97,29 +97,57 @@ def four_episodes() -> Episodes:
 def test_a_row_by_hand() -> None:
     row = summarise(four_episodes(), Scenario(robots=2), "mine", "command", "abc", 7)
     expected: dict[str, Any] = {
-        "method": "mine", "fov_degrees": 360.0, "humans": 10, "robots": 2, "layout": "circle",
-        "goal_turn_degrees": 0.0, "team_perception": "none", "recording": None, "changes": "",
-        "scenario": "samarl", "collisions_end": True, "episodes": 4,
-        "success_rate": 25.0, "success_low": 4.56, "success_high": 69.94,
+        "method": "mine",
+        "fov_degrees": 360.0,
+        "humans": 10,
+        "robots": 2,
+        "layout": "circle",
+        "goal_turn_degrees": 0.0,
+        "team_perception": "none",
+        "recording": None,
+        "changes": "",
+        "scenario": "samarl",
+        "collisions_end": True,
+        "episodes": 4,
+        "success_rate": 25.0,
+        "success_low": 4.56,
+        "success_high": 69.94,
         "robot_success_rate": 37.5,  # three of eight
         # 100, 100 (1/4 + 1/2 (1/4 + 1/4)) = 50, 100 (5/12 + 1/2) = 91.67 and five zeros;
         # means of 75, 45.83, 0 and 0 per episode, so 30.21 -+ 1.96 * 31.92 / 2, cut off at 0.
-        "social_score": 30.21, "social_low": 0.0, "social_high": 61.49,
-        "collision_rate": 50.0, "human_collision_rate": 25.0, "robot_on_person_rate": 25.0,
-        "person_on_robot_rate": 0.0, "robot_collision_rate": 25.0,
-        "timeout_rate": 25.0, "path_length": 14.0, "time_to_goal": 11.0,
+        "social_score": 30.21,
+        "social_low": 0.0,
+        "social_high": 61.49,
+        "collision_rate": 50.0,
+        "human_collision_rate": 25.0,
+        "robot_on_person_rate": 25.0,
+        "person_on_robot_rate": 0.0,
+        "robot_collision_rate": 25.0,
+        "timeout_rate": 25.0,
+        "path_length": 14.0,
+        "time_to_goal": 11.0,
         "closest_human": 0.9,
         # One of four, two collisions in four; of the one 10 + 20 m in 40 steps; of 93 s driven
         # 0.3 of 10, 0.5 of 2 and 0.1 of 50.
-        "csr": 25.0, "cr": 50.0, "apl": 30.0, "ntc": 40.0, "cir": 9.68,
-        "close_share": 12.5, "personal_share": 25.0, "social_share": 25.0,
+        "csr": 25.0,
+        "cr": 50.0,
+        "apl": 30.0,
+        "ntc": 40.0,
+        "cir": 9.68,
+        "close_share": 12.5,
+        "personal_share": 25.0,
+        "social_share": 25.0,
         "soonest_collision": 4.0,  # the median of 0, 2, 3, 4, 5, 6 and 10
-        "jerk": 2.0, "standing_share": 5.0, "heading_change": 2.0,
+        "jerk": 2.0,
+        "standing_share": 5.0,
+        "heading_change": 2.0,
         "path_irregularity": 0.15,  # of 1 rad on 10 m, 2 on 20 and 3 on 12
-        "command": "command", "commit": "abc", "seed": 7,
+        "command": "command",
+        "commit": "abc",
+        "seed": 7,
         "case_success": "80",  # 1000 0000
         "case_social_score": "4b00002e",  # 75, 0, 0, 46
-    }  # fmt: skip
+    }
     assert row == expected
     assert list(row) == row_fields()
 
@@ -196,8 +224,13 @@ def test_a_table_of_several_kinds_of_columns() -> None:
     header, lines = rows_as_cells(rows)
     setting = header.index("setting")
     assert [line[setting] for line in lines] == [
-        "", "square", "-30°", "team", "zara", "occlusion position noise 0.1"
-    ]  # fmt: skip
+        "",
+        "square",
+        "-30°",
+        "team",
+        "zara",
+        "occlusion position noise 0.1",
+    ]
     assert "setting" not in rows_as_cells(rows[:1])[0]
     many = column_of(row(changes="a=1 b=2 c=3 d=4"))
     assert column_name(many) == "360° 10h 2r a 1 b 2 ..."
@@ -304,8 +337,11 @@ def test_the_page_compares_training_seeds() -> None:
     text = page("table1", "Title", rows, ["samarl"])
     (line,) = [line for line in text.splitlines() if line.startswith("| samarl (2 seeds)")]
     assert [cell.strip() for cell in line.split("|")][1:-2] == [
-        "samarl (2 seeds)", "ppo (2 seeds)", "360° 10h 2r", "0.75 [0.00, 1.00]"
-    ]  # fmt: skip
+        "samarl (2 seeds)",
+        "ppo (2 seeds)",
+        "360° 10h 2r",
+        "0.75 [0.00, 1.00]",
+    ]
     assert "improvement" not in page("table1", "Title", rows)
 
 
@@ -362,8 +398,9 @@ def test_committed_rows_have_every_metric_of_the_printed_table() -> None:
             name for name in row_fields() if name in one
         ]
     assert {tuple(name for name in one if name in seed_fields) for one in rows} == {
-        (), tuple(seed_fields)
-    }  # fmt: skip
+        (),
+        tuple(seed_fields),
+    }
 
 
 def test_a_row_without_driving_metrics_has_empty_cells() -> None:
@@ -376,24 +413,45 @@ def test_a_row_without_driving_metrics_has_empty_cells() -> None:
     assert has_driving_metrics([old, row()])
     header, (line, of_now) = rows_as_cells([old, row()], table=Tables.driving)
     assert header[4:] == (
-        "success % [95 %]", "robots' success %", "robot on person %", "person on robot %",
-        "hit robot %", "close %", "personal %", "social %", "soonest collision s", "not moving %",
-        "heading change rad", "irregularity rad/m",
-    )  # fmt: skip
+        "success % [95 %]",
+        "robots' success %",
+        "robot on person %",
+        "person on robot %",
+        "hit robot %",
+        "close %",
+        "personal %",
+        "social %",
+        "soonest collision s",
+        "not moving %",
+        "heading change rad",
+        "irregularity rad/m",
+    )
     assert line[4:] == ["25.0 [4.6, 69.9]", "", "", "", "25.0", "12.5", "", "", "", "", "", ""]
     assert of_now[4:] == [
-        "25.0 [4.6, 69.9]", "37.5", "25.0", "0.0", "25.0", "12.5", "25.0", "25.0", "4.0", "5.0",
-        "2.00", "0.15",
-    ]  # fmt: skip
+        "25.0 [4.6, 69.9]",
+        "37.5",
+        "25.0",
+        "0.0",
+        "25.0",
+        "12.5",
+        "25.0",
+        "25.0",
+        "4.0",
+        "5.0",
+        "2.00",
+        "0.15",
+    ]
     assert rows_as_markdown([old]) == rows_as_markdown([row()])
 
 
 @pytest.fixture
 def longest(monkeypatch: pytest.MonkeyPatch) -> None:
     """Register another metric during a test."""
-    monkeypatch.setitem(METRICS, "longest", Metric(
-        ("longest",), "longest s", "{:.1f}", 2, lambda episodes: episodes.duration.max()
-    ))  # fmt: skip
+    monkeypatch.setitem(
+        METRICS,
+        "longest",
+        Metric(("longest",), "longest s", "{:.1f}", 2, lambda episodes: episodes.duration.max()),
+    )
 
 
 @pytest.mark.usefixtures("longest")

@@ -34,8 +34,11 @@ def test_the_scenarios_are_those_of_msa3c(name: str) -> None:
     assert (s.humans, s.circle_radius) == SCENES[name]
     assert (s.robots, s.time_step, s.time_limit_steps, s.collisions_end) == (3, 0.25, 150, False)
     assert (s.kinematics, s.robot_speed, s.sensing_range, s.fov_degrees) == (
-        Kinematics.holonomic, 1.0, 10.0, 360.0,
-    )  # fmt: skip
+        Kinematics.holonomic,
+        1.0,
+        10.0,
+        360.0,
+    )
     # Its radii of 0.6 and 0.5 to 1.3 m are taken for diameters.
     assert (2 * s.robot_radius, 2 * s.human_radius_min, 2 * s.human_radius_max) == (0.6, 0.5, 1.3)
     assert (s.human_speed_min, s.human_speed_max) == (0.5, 1.5)
@@ -43,8 +46,13 @@ def test_the_scenarios_are_those_of_msa3c(name: str) -> None:
     assert (s.crowd, s.robots_visible, s.radius_noise > 0) == ("social_force", False, True)
     r = s.reward
     assert (r.collision, r.time, r.goal_distance, r.arrival, r.team, r.progress) == (
-        -1.0, -0.001, 1.0, 0.0, 0.0, 0.0,
-    )  # fmt: skip
+        -1.0,
+        -0.001,
+        1.0,
+        0.0,
+        0.0,
+        0.0,
+    )
     assert (r.discomfort_limit, r.discomfort_distance) == (-0.5, 0.25)
     assert -r.discomfort / r.discomfort_distance <= r.discomfort_limit  # the same everywhere
 
@@ -79,8 +87,9 @@ def test_every_column_has_results_of_the_paper() -> None:
     ]
     assert {(place.scenario, place.changes) for place in places} == set(PAPER_CO_PLANNING)
     assert [column_name(place) for place in places] == [
-        *SCENES, *(f"{name} sensing range 5.0" for name in SCENES),
-    ]  # fmt: skip
+        *SCENES,
+        *(f"{name} sensing range 5.0" for name in SCENES),
+    ]
     assert len({place.kind for place in places}) == 1
 
 
@@ -89,9 +98,14 @@ def test_the_command_of_a_named_scenario_has_only_its_changes() -> None:
     stage_two = replace(named, humans=7, reward=replace(named.reward, collision=-5.0))
     words = shlex.split(_command("orca", stage_two, named, Evaluation()))
     assert words == [
-        "samarl-evaluate", "agent=orca", "scenario=10p3r", "scenario.fov_degrees=360",
-        "scenario.humans=7", "scenario.robots=3", "scenario.reward.collision=-5.0",
-    ]  # fmt: skip
+        "samarl-evaluate",
+        "agent=orca",
+        "scenario=10p3r",
+        "scenario.fov_degrees=360",
+        "scenario.humans=7",
+        "scenario.robots=3",
+        "scenario.reward.collision=-5.0",
+    ]
     assert scenario_column(stage_two, named).changes == "humans=7"
 
 
@@ -118,8 +132,13 @@ def test_invalid_columns_are_refused(
 def played(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, list[Row]]:
     folder = tmp_path_factory.mktemp("table2")
     with pytest.MonkeyPatch.context() as patch:
-        words = ["agents=[straight,orca]", "evaluation.cases=4", "jobs=1", f"output={folder}",
-                 "columns=[{scenario: 5p3r},{scenario: 20p3r, sensing_range: 5.0}]"]  # fmt: skip
+        words = [
+            "agents=[straight,orca]",
+            "evaluation.cases=4",
+            "jobs=1",
+            f"output={folder}",
+            "columns=[{scenario: 5p3r},{scenario: 20p3r, sensing_range: 5.0}]",
+        ]
         patch.setattr(sys, "argv", ["samarl-bench", "table=table2", *words])
         main()
     rows = read_rows(Path(folder) / "table2.json")
@@ -133,14 +152,24 @@ def test_the_results_of_the_paper_are_below_ours(played: tuple[str, list[Row]]) 
     lines = [re.split(r" *\| *", line)[1:-1] for line in grid.splitlines() if line[:1] == "|"]
     header, _, *cells = lines
     assert header == [
-        "scenario", "method", "success % [95 %]", "CSR %", "CR %", "APL m", "NTC", "CIR %",
-    ]  # fmt: skip
+        "scenario",
+        "method",
+        "success % [95 %]",
+        "CSR %",
+        "CR %",
+        "APL m",
+        "NTC",
+        "CIR %",
+    ]
     far = "20p3r sensing range 5.0"
     assert [line[:2] for line in cells] == [
-        ["5p3r", "straight"], ["5p3r", "orca"],
+        ["5p3r", "straight"],
+        ["5p3r", "orca"],
         *(["5p3r", f"paper: {name}"] for name in PAPER_CO_PLANNING["5p3r", ""]),
-        [far, "straight"], [far, "orca"], [far, "paper: MSA3CPred"],
-    ]  # fmt: skip
+        [far, "straight"],
+        [far, "orca"],
+        [far, "paper: MSA3CPred"],
+    ]
     assert cells[-1][2:] == ["", "89.5", "16.6", "43.6", "84.3", "3.8"]
     assert cells[0][3] == f"{rows[0]['csr']:.1f}" == "100.0"  # nothing stops who drives straight
     assert rows[0]["cr"] > 100  # more than one collision in an episode

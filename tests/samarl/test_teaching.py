@@ -77,9 +77,13 @@ def test_the_policy_learns_what_the_shield_would_do_where_it_is_unsafe() -> None
 def test_every_decision_counts_the_same_whatever_its_level() -> None:
     policy = learning.policy("hierarchical")
     learner = learning.algorithm(
-        policy, minibatches=1, critic_coefficient=0.0, action_limit_penalty=0.0,
-        entropy_coefficient=0.0, clip_epsilon=0.5,
-    )  # fmt: skip
+        policy,
+        minibatches=1,
+        critic_coefficient=0.0,
+        action_limit_penalty=0.0,
+        entropy_coefficient=0.0,
+        clip_epsilon=0.5,
+    )
     rollout = learning.collector(policy, 6, 12).collect()
     statistics: dict[str, list[float]] = defaultdict(list)
     prepared = learner.prepare([rollout], statistics)

@@ -29,9 +29,15 @@ def trainer(folder: Path, stages: list[CurriculumStage] = STAGES, **numbers: Any
     algorithm = {"name": "mappo", **PPO_NUMBERS, **numbers.pop("algorithm", {})}
     policy = numbers.pop("policy", policy_numbers())
     config: dict[str, Any] = {
-        "steps": 10**6, "rollout": 12, "seed": 0, "threads": 1, "validate_every": 10**6,
-        "validation_cases": 1, "save_every": 10**6, "ema_decay": 0.9,
-    }  # fmt: skip
+        "steps": 10**6,
+        "rollout": 12,
+        "seed": 0,
+        "threads": 1,
+        "validate_every": 10**6,
+        "validation_cases": 1,
+        "save_every": 10**6,
+        "ema_decay": 0.9,
+    }
     made = TrainerConfig(**{**config, **numbers})
     return Trainer(folder, made, policy, algorithm, stages, "test")
 

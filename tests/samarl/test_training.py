@@ -30,11 +30,19 @@ SMALL = [
     "curriculum.stages=[{worlds: 8, scenario: {humans: 3, humans_min: 0, robots: 2}, end: 0.5},"
     "{worlds: 8, scenario: {humans: 3, robots: 3, fov_degrees: 90}, begin: 0.5,"
     "midway_start_probability: 0.5, failure_restart_probability: 0.5, noise_correlation: 0.5}]",
-    "encoder.width=8", "encoder.heads=1", "encoder.history=3", "encoder.features=8",
-    "policy.hidden=8", "trainer.steps=1024", "trainer.rollout=16", "trainer.save_every=128",
-    "trainer.validate_every=512", "trainer.validation_cases=4", "trainer.threads=1",
+    "encoder.width=8",
+    "encoder.heads=1",
+    "encoder.history=3",
+    "encoder.features=8",
+    "policy.hidden=8",
+    "trainer.steps=1024",
+    "trainer.rollout=16",
+    "trainer.save_every=128",
+    "trainer.validate_every=512",
+    "trainer.validation_cases=4",
+    "trainer.threads=1",
     "run_dir=run",
-]  # fmt: skip
+]
 
 
 def start(folder: Path, *more: str) -> subprocess.Popen[str]:
@@ -44,9 +52,14 @@ def start(folder: Path, *more: str) -> subprocess.Popen[str]:
 def start_with(folder: Path, *overrides: str) -> subprocess.Popen[str]:
     environment = os.environ | {"NUMBA_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
     return subprocess.Popen(
-        [sys.executable, "-m", "samarl.commands.train", *overrides], cwd=folder, env=environment,
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=heed_ctrl_c,
-    )  # fmt: skip
+        [sys.executable, "-m", "samarl.commands.train", *overrides],
+        cwd=folder,
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=heed_ctrl_c,
+    )
 
 
 def heed_ctrl_c() -> None:
@@ -307,9 +320,12 @@ def test_a_foreign_or_damaged_checkpoint_is_refused_in_words(tmp_path: Path) -> 
     ],
 )
 def test_a_curriculum_with_a_mistake_is_refused(
-    stages: str, message: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
+    stages: str,
+    message: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
     tmp_path: Path,
-) -> None:  # fmt: skip
+) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "argv", ["samarl-train", f"curriculum.stages={stages}"])
     with pytest.raises(SystemExit) as stopped:

@@ -80,8 +80,10 @@ def test_people_come_and_go(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> 
     trajectory = record_episode(agent, SCENARIO, 3)
     steps = np.arange(len(trajectory.human_position))
     assert trajectory.human_present.T.tolist() == [
-        (steps >= 4).tolist(), (steps < 4).tolist(), [True] * len(steps)
-    ]  # fmt: skip
+        (steps >= 4).tolist(),
+        (steps < 4).tolist(),
+        [True] * len(steps),
+    ]
     assert trajectory.human_position.shape[1:] == (3, 2)
     assert not trajectory.humans_visible[~trajectory.human_present[:, None].repeat(3, 1)].any()
     assert as_replay(trajectory)["humansPresent"] == [[4], [0, 4], [0]]
@@ -169,9 +171,16 @@ def test_animations_are_smooth_and_as_fast_as_the_episode(tmp_path: Path) -> Non
 
 @pytest.mark.parametrize(
     ("time_step", "rate", "frames_a_second"),
-    [(0.25, 20.0, 20.0), (0.25, 10.0, 12.0), (0.04, 20.0, 25.0), (0.01, 20.0, 20.0),
-     (0.01, 10.0, 10.0), (0.03, 20.0, 100 / 3), (1.0, 10.0, 10.0)],
-)  # fmt: skip
+    [
+        (0.25, 20.0, 20.0),
+        (0.25, 10.0, 12.0),
+        (0.04, 20.0, 25.0),
+        (0.01, 20.0, 20.0),
+        (0.01, 10.0, 10.0),
+        (0.03, 20.0, 100 / 3),
+        (1.0, 10.0, 10.0),
+    ],
+)
 def test_short_steps_do_not_make_more_frames(
     time_step: float, rate: float, frames_a_second: float
 ) -> None:

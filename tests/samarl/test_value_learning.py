@@ -213,10 +213,14 @@ def test_attention_instead_of_the_minimum_needs_an_encoder_alone(
 
 
 def rollout_of(
-    active: list[list[list[bool]]], reward: list[list[list[float]]], done: list[list[bool]],
-    terminated: list[list[list[bool]]], ego: torch.Tensor | None = None,
-    mask: list[list[bool]] | None = None, humans: int = 2,
-) -> Rollout:  # fmt: skip
+    active: list[list[list[bool]]],
+    reward: list[list[list[float]]],
+    done: list[list[bool]],
+    terminated: list[list[list[bool]]],
+    ego: torch.Tensor | None = None,
+    mask: list[list[bool]] | None = None,
+    humans: int = 2,
+) -> Rollout:
     """S sequences of T steps, and the step after them, of N robots; [S, T + 1, (N)]."""
     on_way = torch.tensor(active)
     s, t, n = on_way.shape
@@ -240,9 +244,11 @@ def rollout_of(
         ego[..., 0] = torch.arange(t)
         ego[..., 1] = torch.arange(s * n).unsqueeze(1)
     nobody = (
-        torch.zeros(s * n, t, humans, 10), torch.zeros(s * n, t, humans, dtype=torch.bool),
-        torch.zeros(s * n, t, n - 1, 10), torch.zeros(s * n, t, n - 1, dtype=torch.bool),
-    )  # fmt: skip
+        torch.zeros(s * n, t, humans, 10),
+        torch.zeros(s * n, t, humans, dtype=torch.bool),
+        torch.zeros(s * n, t, n - 1, 10),
+        torch.zeros(s * n, t, n - 1, dtype=torch.bool),
+    )
     scenario = Scenario(robots=n, humans=humans)
     begins = torch.zeros(s * n, t, dtype=torch.bool)
     return Rollout(scenario, 0.0, steps, Frames(ego, *nobody), begins, ({},), None, [], s * t)
@@ -288,14 +294,19 @@ def test_what_a_value_is_regressed_on() -> None:
         )
     }
     assert found == {
-        (0, 0, 0): (1.0, True), (0, 0, 1): (2.0, True),
-        (0, 1, 0): (10.0, False), (0, 1, 1): (3.0, True),
+        (0, 0, 0): (1.0, True),
+        (0, 0, 1): (2.0, True),
+        (0, 1, 0): (10.0, False),
+        (0, 1, 1): (3.0, True),
         (0, 2, 1): (-20.0, False),
-        (1, 0, 0): (4.0, True), (1, 0, 1): (5.0, True),
-        (1, 2, 0): (6.0, True), (1, 2, 1): (7.0, True),
-        (2, 1, 0): (8.0, True), (2, 1, 1): (0.5, True),
+        (1, 0, 0): (4.0, True),
+        (1, 0, 1): (5.0, True),
+        (1, 2, 0): (6.0, True),
+        (1, 2, 1): (7.0, True),
+        (2, 1, 0): (8.0, True),
+        (2, 1, 1): (0.5, True),
         (2, 2, 1): (-20.0, False),
-    }  # fmt: skip
+    }
     algorithm = learner(lookahead())
     with torch.no_grad():
         for parameter in algorithm.policy.parameters():
@@ -314,10 +325,12 @@ def test_values_come_to_what_the_behaviour_is_paid_from_there_on() -> None:
     ego = torch.zeros(1, 4, 11)
     ego[0, :3, :3] = torch.eye(3)
     rollout = rollout_of(
-        active=[[[True]] * 4], reward=[[[r] for r in [*rewards, 0.0]]],
+        active=[[[True]] * 4],
+        reward=[[[r] for r in [*rewards, 0.0]]],
         done=[[False, False, True, False]],
-        terminated=[[[False], [False], [True], [False]]], ego=ego,
-    )  # fmt: skip
+        terminated=[[[False], [False], [True], [False]]],
+        ego=ego,
+    )
     algorithm = learner(
         lookahead(), learning_starts=1, updates=50, target_every=1, learning_rate=3e-3
     )
@@ -333,11 +346,14 @@ def test_values_come_to_what_the_behaviour_is_paid_from_there_on() -> None:
 def test_scenarios_of_other_sizes_share_a_replay() -> None:
     rollouts = [
         rollout_of(
-            active=[[[True] * n] * 3], reward=[[[1.0] * n] * 3], done=[[False] * 3],
-            terminated=[[[False] * n] * 3], humans=humans,
+            active=[[[True] * n] * 3],
+            reward=[[[1.0] * n] * 3],
+            done=[[False] * 3],
+            terminated=[[[False] * n] * 3],
+            humans=humans,
         )
         for n, humans in ((1, 3), (3, 0), (2, 5))
-    ]  # fmt: skip
+    ]
     algorithm = learner(lookahead(), learning_starts=1)
     algorithm.update(rollouts[:2])
     assert algorithm.slots == [3, 3, 2, 2]
@@ -357,8 +373,13 @@ def test_orca_drives_first_and_epsilon_falls_then() -> None:
         algorithm.set_progress(share)
         found.append((algorithm.policy.imitating, round(algorithm.policy.epsilon, 6)))
     assert found == [
-        (True, 0.5), (True, 0.5), (False, 0.5), (False, 0.3), (False, 0.1), (False, 0.1)
-    ]  # fmt: skip
+        (True, 0.5),
+        (True, 0.5),
+        (False, 0.5),
+        (False, 0.3),
+        (False, 0.1),
+        (False, 0.1),
+    ]
 
 
 STAGES = [
@@ -369,9 +390,15 @@ STAGES = [
 
 def trainer(folder: Path) -> Trainer:
     config = TrainerConfig(
-        steps=2400, rollout=20, seed=0, threads=1, validate_every=10**6, validation_cases=2,
-        save_every=1000, ema_decay=0.9,
-    )  # fmt: skip
+        steps=2400,
+        rollout=20,
+        seed=0,
+        threads=1,
+        validate_every=10**6,
+        validation_cases=2,
+        save_every=1000,
+        ema_decay=0.9,
+    )
     policy = policy_numbers("lookahead", "pairwise")
     algorithm = {"name": "value_learning", **VALUE_NUMBERS}
     return Trainer(folder, config, policy, algorithm, STAGES, "test")

@@ -26,15 +26,24 @@ def run(
     environment.pop("HYDRA_FULL_ERROR", None)
     done = subprocess.run(
         [sys.executable, "-m", f"samarl.commands.{command}", *arguments],
-        cwd=cwd, env=environment, capture_output=True, text=True,
-    )  # fmt: skip
+        cwd=cwd,
+        env=environment,
+        capture_output=True,
+        text=True,
+    )
     assert done.returncode == code, done.stderr
     return done
 
 
 def test_one_evaluation_writes_its_row_and_its_episodes(tmp_path: Path) -> None:
-    done = run("evaluate", "agent=straight", "evaluation.cases=6", "scenario.robots=2",
-               "hydra.run.dir=here", cwd=tmp_path)  # fmt: skip
+    done = run(
+        "evaluate",
+        "agent=straight",
+        "evaluation.cases=6",
+        "scenario.robots=2",
+        "hydra.run.dir=here",
+        cwd=tmp_path,
+    )
     saved = json.loads((tmp_path / "here/row.json").read_text())
     row = saved["row"]
     assert list(row) == row_fields()
@@ -61,8 +70,13 @@ def test_one_evaluation_writes_its_row_and_its_episodes(tmp_path: Path) -> None:
 
 
 def test_a_sweep_writes_a_table_and_resumes(tmp_path: Path) -> None:
-    sweep = ["-m", "agent=straight", "scenario.fov_degrees=90,360", "scenario.robots=2,3",
-             "evaluation.cases=4"]  # fmt: skip
+    sweep = [
+        "-m",
+        "agent=straight",
+        "scenario.fov_degrees=90,360",
+        "scenario.robots=2,3",
+        "evaluation.cases=4",
+    ]
     first = run("evaluate", *sweep, cwd=tmp_path)
     (folder,) = (tmp_path / "outputs/sweep").iterdir()
     assert folder.name.startswith("fov_degrees-robots-")
@@ -93,8 +107,13 @@ def test_a_sweep_writes_a_table_and_resumes(tmp_path: Path) -> None:
 
 
 def test_a_sweep_of_a_cluster_resumes_on_one_machine(tmp_path: Path) -> None:
-    sweep = ["-m", "agent=straight", "scenario.fov_degrees=90,360", "scenario.robots=2,3",
-             "evaluation.cases=4"]  # fmt: skip
+    sweep = [
+        "-m",
+        "agent=straight",
+        "scenario.fov_degrees=90,360",
+        "scenario.robots=2,3",
+        "evaluation.cases=4",
+    ]
     run("evaluate", *sweep, "hydra/launcher=submitit_local", cwd=tmp_path)
     (folder,) = (tmp_path / "outputs/sweep").iterdir()
     assert len(list(folder.glob("*/row.json"))) == 4
@@ -110,8 +129,9 @@ def test_a_sweep_of_a_cluster_resumes_on_one_machine(tmp_path: Path) -> None:
 
 
 def test_the_bench_writes_table_1_in_the_documented_form(tmp_path: Path) -> None:
-    done = run("bench", "evaluation.cases=2", "agents=[orca,perimeter]", "output=mine",
-               cwd=tmp_path)  # fmt: skip
+    done = run(
+        "bench", "evaluation.cases=2", "agents=[orca,perimeter]", "output=mine", cwd=tmp_path
+    )
     rows = json.loads((tmp_path / "mine/table1.json").read_text())
     assert [list(row) for row in rows] == [row_fields()] * len(rows)
     columns = [(90.0, 10, 3), (90.0, 10, 5), (360.0, 10, 5), (360.0, 10, 3)]
@@ -122,9 +142,10 @@ def test_the_bench_writes_table_1_in_the_documented_form(tmp_path: Path) -> None
     page = (tmp_path / "mine/table1.md").read_text()
     assert "paper: SAMARL" in page
     verdicts = [
-        line for line in done.stdout.splitlines()
+        line
+        for line in done.stdout.splitlines()
         if line.split(" ")[0] in ("same", "close", "DIFFERS", "new", "other")
-    ]  # fmt: skip
+    ]
     assert len(verdicts) == len(rows)
 
 
@@ -135,8 +156,11 @@ def test_the_bench_evaluates_other_layouts_and_recordings(tmp_path: Path) -> Non
     done = run("bench", *words, columns, f"recordings={shipped}", cwd=tmp_path)
     rows = json.loads((tmp_path / "mine/transfer.json").read_text())
     settings = {(r["layout"], r["team_perception"], r["recording"]) for r in rows}
-    assert settings == {("square", "none", None), ("circle", "tracks", None),
-                        ("circle", "none", "synthetic.txt")}  # fmt: skip
+    assert settings == {
+        ("square", "none", None),
+        ("circle", "tracks", None),
+        ("circle", "none", "synthetic.txt"),
+    }
     assert len(rows) == 6
     page = (tmp_path / "mine/transfer.md").read_text()
     assert "Cases that no agent solves: 360° 3r synthetic " in page
@@ -185,8 +209,11 @@ def test_a_closed_pipe_is_not_an_error(tmp_path: Path) -> None:
     words = ["agent=straight", "evaluation.cases=2", "hydra.run.dir=here"]
     with subprocess.Popen(
         [sys.executable, "-m", "samarl.commands.evaluate", *words],
-        cwd=tmp_path, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-    ) as process:  # fmt: skip
+        cwd=tmp_path,
+        text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    ) as process:
         assert process.stdout is not None
         assert process.stderr is not None
         process.stdout.close()
@@ -200,11 +227,23 @@ def test_render_draws_a_case(tmp_path: Path) -> None:
     picture = (tmp_path / "case.png").read_bytes()
     assert picture.startswith(b"\x89PNG\r\n")
     assert len(picture) > 10_000
-    run("render", "agent=straight", "case=3", "scenario.time_limit=1", "output=case.gif",
-        cwd=tmp_path)  # fmt: skip
+    run(
+        "render",
+        "agent=straight",
+        "case=3",
+        "scenario.time_limit=1",
+        "output=case.gif",
+        cwd=tmp_path,
+    )
     assert (tmp_path / "case.gif").read_bytes().startswith(b"GIF89a")
-    run("render", "agent=straight", f"case={2**41 + 3}", "scenario.robots=2", "output=same.png",
-        cwd=tmp_path)  # fmt: skip
+    run(
+        "render",
+        "agent=straight",
+        f"case={2**41 + 3}",
+        "scenario.robots=2",
+        "output=same.png",
+        cwd=tmp_path,
+    )
     assert (tmp_path / "same.png").read_bytes() == picture  # a case number as in episodes.jsonl
     run("render", "agent=straight", "against=straight", "case=3", "output=two.png", cwd=tmp_path)
     with Image.open(tmp_path / "two.png") as two, Image.open(tmp_path / "case.png") as one:
@@ -242,8 +281,15 @@ def test_a_custom_agent_is_one_class_and_one_yaml_file(tmp_path: Path) -> None:
     (tmp_path / "my_planner.py").write_text(OWN_AGENT)
     (tmp_path / "conf/agent").mkdir(parents=True)
     (tmp_path / "conf/agent/slow.yaml").write_text("_target_: my_planner.Slow\nthrottle: 0.5\n")
-    words = ["--config-dir", "conf", "agent=slow", "scenario.humans=0", "scenario.robots=1",
-             "evaluation.cases=3", "hydra.run.dir=here"]  # fmt: skip
+    words = [
+        "--config-dir",
+        "conf",
+        "agent=slow",
+        "scenario.humans=0",
+        "scenario.robots=1",
+        "evaluation.cases=3",
+        "hydra.run.dir=here",
+    ]
     run("evaluate", *words, cwd=tmp_path)
     row = json.loads((tmp_path / "here/row.json").read_text())["row"]
     assert (row["method"], row["success_rate"]) == ("slow", 100.0)
@@ -339,8 +385,14 @@ def test_a_policy_outside_of_its_views_prints_a_warning(tmp_path: Path) -> None:
 
 
 def test_an_ascii_terminal_is_enough(tmp_path: Path) -> None:
-    done = run("evaluate", "agent=straight", "evaluation.cases=2", "hydra.run.dir=here",
-               cwd=tmp_path, PYTHONIOENCODING="ascii")  # fmt: skip
+    done = run(
+        "evaluate",
+        "agent=straight",
+        "evaluation.cases=2",
+        "hydra.run.dir=here",
+        cwd=tmp_path,
+        PYTHONIOENCODING="ascii",
+    )
     assert "| straight | 360? |" in done.stdout
 
 
@@ -358,6 +410,7 @@ def test_the_planner_in_the_readme_runs(tmp_path: Path) -> None:
     (tmp_path / "my_planner.py").write_text(python)
     (tmp_path / "my_conf/agent").mkdir(parents=True)
     (tmp_path / "my_conf/agent/mine.yaml").write_text(yaml)
-    done = run("evaluate", "--config-dir", "my_conf", "agent=mine", "evaluation.cases=3",
-               cwd=tmp_path)  # fmt: skip
+    done = run(
+        "evaluate", "--config-dir", "my_conf", "agent=mine", "evaluation.cases=3", cwd=tmp_path
+    )
     assert "| mine   |" in done.stdout

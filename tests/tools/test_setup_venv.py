@@ -95,9 +95,12 @@ def test_a_failed_installation_leaves_no_stamp(root: Path, monkeypatch: pytest.M
 def test_a_missing_torch_pin_is_reported_in_one_line(root: Path) -> None:
     (root / "constraints.txt").write_text("numpy==1\n")
     result = subprocess.run(
-        [sys.executable, "-m", "tools.setup_venv"], cwd=root, capture_output=True, text=True,
+        [sys.executable, "-m", "tools.setup_venv"],
+        cwd=root,
+        capture_output=True,
+        text=True,
         env=os.environ | {"PYTHONPATH": str(Path(setup_venv.__file__).parents[1])},
-    )  # fmt: skip
+    )
     assert result.returncode == 1
     assert len(result.stderr.splitlines()) == 1
     assert "torch==" in result.stderr

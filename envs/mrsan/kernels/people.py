@@ -23,18 +23,35 @@ _TINY = np.float32(1e-6)
 def orca_crowd(agents, count, i, preferred_x, preferred_y, max_speed, p, settings, scratch):
     """Optimal reciprocal collision avoidance; `settings` is `mrsan.crowds.OrcaSettings`."""
     return orca_velocity(
-        agents, count, i, preferred_x, preferred_y, max_speed, settings.neighbor_distance,
-        settings.max_neighbors, settings.time_horizon, p.time_step, scratch,
-    )  # fmt: skip
+        agents,
+        count,
+        i,
+        preferred_x,
+        preferred_y,
+        max_speed,
+        settings.neighbor_distance,
+        settings.max_neighbors,
+        settings.time_horizon,
+        p.time_step,
+        scratch,
+    )
 
 
 @function
 def social_force_crowd(agents, count, i, preferred_x, preferred_y, max_speed, p, settings, scratch):
     """Social forces; `settings` is `mrsan.crowds.SocialForceSettings`."""
     return social_force_velocity(
-        agents, count, i, preferred_x, preferred_y, max_speed, settings.relaxation_time,
-        settings.force_strength, settings.force_range, p.time_step,
-    )  # fmt: skip
+        agents,
+        count,
+        i,
+        preferred_x,
+        preferred_y,
+        max_speed,
+        settings.relaxation_time,
+        settings.force_strength,
+        settings.force_range,
+        p.time_step,
+    )
 
 
 @function
@@ -83,8 +100,12 @@ def walk_to_goals(
             renew = rng.uniform(key, rng.GOAL_CHANGE, j, step, 0) < rng.uniform_between(
                 p.goal_change_probability,
                 p.goal_change_probability_max,
-                key, rng.HUMAN_TRAITS, j, 0, 2,
-            )  # fmt: skip
+                key,
+                rng.HUMAN_TRAITS,
+                j,
+                0,
+                2,
+            )
         old_x, old_y = goal[e, j, 0], goal[e, j, 1]
         if walks_along(key, j, p) and state.human_present[e, j - 1]:
             goal[e, j, 0], goal[e, j, 1] = old_x + goal_change_x, old_y + goal_change_y

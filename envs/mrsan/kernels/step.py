@@ -80,9 +80,17 @@ def advance(chunks, state, action, p, crowd_settings, recording, reward, parts):
             update_presence(state, e, p, recording)
             present = slots[: _list_present(state.human_present[e], slots)]
             choose_velocities(
-                state, e, p, crowd_settings, recording, present, agents, human_velocities, scratch,
+                state,
+                e,
+                p,
+                crowd_settings,
+                recording,
+                present,
+                agents,
+                human_velocities,
+                scratch,
                 crowd_velocity,
-            )  # fmt: skip
+            )
             _move_robots(state, e, action, p, displacement)
             _move_humans(state, e, p, present, human_velocities)
             _find_contacts(state, e, p, present, displacement, human_gap, contact)

@@ -24,9 +24,17 @@ _ZERO = np.float32(0.0)
 
 @kernel
 def share_tracks(
-    chunks, worlds, state, p, humans, humans_visible, robots, robots_visible, humans_reported,
+    chunks,
+    worlds,
+    state,
+    p,
+    humans,
+    humans_visible,
+    robots,
+    robots_visible,
+    humans_reported,
     robots_reported,
-):  # fmt: skip
+):
     """Add the agents that team-mates in range saw `team_delay` ago, and their poses.
 
     A person whom several team-mates report is taken from the first of them. Positions are
@@ -79,13 +87,25 @@ def share_tracks(
                             continue
                     message = messages[e, received, k]
                     _read_message(
-                        message, 0, m, delay, pose, humans[e, i], humans_visible[e, i],
+                        message,
+                        0,
+                        m,
+                        delay,
+                        pose,
+                        humans[e, i],
+                        humans_visible[e, i],
                         humans_reported[e, i],
-                    )  # fmt: skip
+                    )
                     _read_message(
-                        message, m, i, delay, pose, robots[e, i], robots_visible[e, i],
+                        message,
+                        m,
+                        i,
+                        delay,
+                        pose,
+                        robots[e, i],
+                        robots_visible[e, i],
                         robots_reported[e, i],
-                    )  # fmt: skip
+                    )
 
 
 @function

@@ -57,8 +57,11 @@ def _from_table(table: Table) -> Rows:
     if table.columns:
         return _from_named_columns(table)
     if _frame_rate(table) and width >= 4:
-        return replace(_from_columns(table, 1, 0, 2, 3), frame_seconds=_frame_rate(table),
-                       format="PedPy or JuPedSim (id frame x y)")  # fmt: skip
+        return replace(
+            _from_columns(table, 1, 0, 2, 3),
+            frame_seconds=_frame_rate(table),
+            format="PedPy or JuPedSim (id frame x y)",
+        )
     if length == 4 and width > 4:
         return _transposed(table)
     if width == 4:
@@ -142,9 +145,11 @@ def _obsmat(table: Table) -> Rows:
     seconds = _estimated_frame_seconds(rows, velocity)
     notes = () if seconds is None else (f"its velocities imply frames {seconds:g} s apart",)
     return replace(
-        rows, format="obsmat.txt of ETH (frame id x z y and velocities)", frame_seconds=seconds,
+        rows,
+        format="obsmat.txt of ETH (frame id x z y and velocities)",
+        frame_seconds=seconds,
         notes=notes,
-    )  # fmt: skip
+    )
 
 
 def _estimated_frame_seconds(rows: Rows, velocity: Floats) -> float | None:

@@ -49,9 +49,13 @@ def load_recording(
 
 @lru_cache(maxsize=16)
 def _load(
-    path: Path, modified: int, frame_seconds: float | None, time_step: float, scale: float | None,
+    path: Path,
+    modified: int,
+    frame_seconds: float | None,
+    time_step: float,
+    scale: float | None,
     check: bool,
-) -> Recording:  # fmt: skip
+) -> Recording:
     people = read_people(path, frame_seconds, scale)
     problem = find_problem(people) if check else None
     if problem:

@@ -114,8 +114,16 @@ def find_problem(people: People, summary: Summary | None = None) -> str | None:
     """
     summary = summary or summarize(people)
     problems = (
-        _contradiction, _ids, _sparse, _too_fast, _too_slow, _floor, _jump, _too_short, _too_dense
-    )  # fmt: skip
+        _contradiction,
+        _ids,
+        _sparse,
+        _too_fast,
+        _too_slow,
+        _floor,
+        _jump,
+        _too_short,
+        _too_dense,
+    )
     return next(filter(None, (problem(people, summary) for problem in problems)), None)
 
 

@@ -128,9 +128,10 @@ def read_table(lines: Sequence[str]) -> Table:
         if line.strip() and not line.lstrip().startswith(comments)
     ]
     rows = [
-        (number, line) for number, line in numbered
+        (number, line)
+        for number, line in numbered
         if PLACEHOLDER not in line or PLACEHOLDER not in _split(line, separator)
-    ]  # fmt: skip
+    ]
     if not rows:
         raise RecordingError(f"every position is {PLACEHOLDER!r}; it must have some positions")
     cells = _cells(rows, separator)
