@@ -14,7 +14,6 @@ import time
 from collections.abc import Iterator
 from typing import Any
 
-import numpy as np
 import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
@@ -25,11 +24,13 @@ from tqdm import trange
 
 from benchmarks.training import default_trainer
 from benchmarks.workload import add_output, interruptible, positive_whole_number, provenance
-from mrsan import Observation
+from mrsan import Entities, Observation
 from mrsan.features import VELOCITY
 from mrsan.scenario import Scenario
+from mrsan.sensors.suite import SensorSuite
 from mrsan.torchrl_env import TorchRLEnv
 from samarl.files import write_json
+from samarl.observations.features import empty_frames
 from samarl.observations.frames import Frames
 from samarl.policies.policy import LOCAL
 from samarl.policies.stochastic import StochasticPolicy
@@ -38,9 +39,10 @@ from samarl.training.collector import RolloutCollector
 from samarl.training.curriculum import CurriculumStage
 
 WORLDS, STEPS = 96, 32
-# Without the last two fields, which hold what team-mates share.
-OBSERVATION_KEYS = [("agents", "observation", name) for name in Observation._fields[:5]]
-FRAME_KEYS = [("agents", "known", name) for name in Frames._fields]
+OBSERVATION_KEYS = [
+    ("agents", "observation", name) for name in SensorSuite(Scenario()).empty(1).arrays()
+]
+FRAME_KEYS = {name: ("agents", "known", name) for name in empty_frames(Scenario()).named()}
 
 
 def main() -> None:
@@ -86,13 +88,18 @@ class Actor(TensorDictModuleBase):
         self.state = policy.initial_state(worlds, scenario)
         self.in_keys = [*OBSERVATION_KEYS, ("agents", "active_mask"), "is_init"]
         recorded = ("action", "unclipped_action", "sample_log_prob", "previous_noise")
-        self.out_keys = [*(("agents", name) for name in recorded), *FRAME_KEYS]
+        self.out_keys = [*(("agents", name) for name in recorded), *FRAME_KEYS.values()]
 
     def forward(self, step: TensorDictBase) -> TensorDictBase:
         """Choose the actions of all robots of all worlds."""
-        no_messages = np.empty((*step["agents", "active_mask"].shape[:2], 0), np.bool_)
-        sensed = (step[key].numpy() for key in OBSERVATION_KEYS)
-        observation = Observation._make((*sensed, no_messages, no_messages))
+        ego, humans, humans_visible, robots, robots_visible = (
+            step[key].numpy() for key in OBSERVATION_KEYS
+        )
+        entities = {
+            "humans": Entities(humans, humans_visible),
+            "robots": Entities(robots, robots_visible),
+        }
+        observation = Observation(ego, entities, {}, {})
         is_init, active = step["is_init"][:, 0].numpy(), step["agents", "active_mask"][..., 0]
         decision = self.policy.act(
             observation, self.state, is_init, self.scenario, 0.0, active.numpy()
@@ -102,8 +109,8 @@ class Actor(TensorDictModuleBase):
         step["agents", "unclipped_action"] = level.action
         step["agents", "sample_log_prob"] = level.log_prob
         step["agents", "previous_noise"] = decision.step.previous_noise
-        for key, tensor in zip(FRAME_KEYS, decision.features, strict=True):
-            step[key] = tensor.view(*active.shape, *tensor.shape[2:])
+        for name, tensor in decision.features.named().items():
+            step[FRAME_KEYS[name]] = tensor.view(*active.shape, *tensor.shape[2:])
         return step
 
 
@@ -138,7 +145,9 @@ def torchrl_rollouts(
 
 def _frames(steps: TensorDictBase) -> tuple[Frames, Tensor]:
     """Return the frames [B, T, ...] of steps [E, T] and where episodes begin, [B, T]."""
-    frames = Frames(*(steps[key].transpose(1, 2).flatten(0, 1) for key in FRAME_KEYS))
+    frames = Frames.from_named(
+        {name: steps[key].transpose(1, 2).flatten(0, 1) for name, key in FRAME_KEYS.items()}
+    )
     robots = steps["agents", "active_mask"].shape[2]
     return frames, steps["is_init"][..., 0].repeat_interleave(robots, 0)
 

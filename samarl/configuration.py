@@ -49,7 +49,8 @@ def register_schemas() -> None:
     store = ConfigStore.instance()
     store.store(name="config_schema", node=Config)
     scenario = OmegaConf.structured(Scenario)
-    OmegaConf.set_struct(scenario.crowd_settings, False)  # its names depend on the crowd model
+    for name in ("crowd_settings", "sensors"):  # their keys depend on what is registered
+        OmegaConf.set_struct(scenario[name], False)
     store.store(group="scenario", name="schema", node=scenario)
     store.store(group="evaluation", name="schema", node=Evaluation)
 

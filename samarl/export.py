@@ -1,4 +1,4 @@
-"""From a trained policy to one ONNX file that `samarl.runtime` drives with."""
+"""Export a trained policy to one ONNX file, which `samarl.runtime` runs on a robot."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ import onnxruntime
 import torch
 from torch import Tensor, nn
 
-from mrsan import EGO_FEATURES, ConfigurationError, Scenario
+from mrsan import ConfigurationError, Scenario
 from samarl.agents import Agent
 from samarl.agents.learned import Learned
 from samarl.agents.shielded import Shielded
 from samarl.files import atomic_write
-from samarl.observations.features import frames_of
-from samarl.observations.tracker import TRACK_FEATURES, Tracks
+from samarl.observations.features import empty_tracks
+from samarl.observations.tracker import Tracks
 from samarl.planning.one_step import command_set
 from samarl.planning.shield import Shield
 from samarl.planning.track_predictor import CONSTANT_VELOCITY
@@ -27,58 +27,62 @@ from samarl.policies.hierarchical import Waypoints
 from samarl.policies.lookahead import LookaheadPolicy
 from samarl.policies.policy import Policy, PolicyState
 from samarl.policies.stochastic import StochasticPolicy
-from samarl.runtime.description import KEY, Description, robot_fields
+from samarl.runtime.description import KEY, MEMORY, NEXT_MEMORY, Description, robot_fields
 
-SAME = 1e-4  # a file may differ by so much from the policy, of the largest number
-OPSET = 18  # the first with the smallest of scattered elements, which CADRL's minimum becomes
+TOLERANCE = 1e-4  # largest difference between file and policy, relative to the largest output
+OPSET = 18  # the first with a minimum over scattered elements, which CADRL needs
 
 
-class Driving(nn.Module):
-    """`StochasticPolicy.step` of one robot, from its tracks and memory."""
+class StepModule(nn.Module):
+    """`StochasticPolicy.step` of one robot as a function of its tracks and its memory."""
 
-    def __init__(
-        self, policy: StochasticPolicy, scenario: Scenario, memory: dict[str, Tensor]
-    ) -> None:
-        """Prepare a policy for a robot that knows as many others as `scenario` has."""
+    def __init__(self, policy: StochasticPolicy, scenario: Scenario, names: list[str]) -> None:
+        """Create the module; `names` are those of all inputs, see `Description`."""
         super().__init__()
-        self.policy, self.scenario, self.names = policy, scenario, list(memory)
+        self.policy, self.scenario, self.names = policy, scenario, names
 
     def forward(self, *inputs: Tensor) -> tuple[Tensor, ...]:
-        """See `Description`: tracks, `is_init`, `route`, the memory."""
-        tracks, is_init, route = Tracks(*inputs[:5]), inputs[5], inputs[6]  # type: ignore[arg-type]
-        features = frames_of(tracks, self.scenario, self.policy.config.known_origin)
-        memory = dict(zip(self.names, (tensor.clone() for tensor in inputs[7:]), strict=True))
-        pose = inputs[0][:, 0]
-        step, state = self.policy.step(features, pose, route, is_init, _state_of(memory))
-        following = _memory_of(state)
-        return step.action, *(following[name] for name in self.names)
+        """Return the action and the next memory."""
+        named = dict(zip(self.names, inputs, strict=True))
+        is_init, route = named.pop("is_init"), named.pop("route")
+        memory = {
+            name.removeprefix(MEMORY): named.pop(name).clone()
+            for name in self.names
+            if name.startswith(MEMORY)
+        }
+        features = self.policy.extract_features(Tracks.from_named(named), self.scenario)
+        state = _state_of(memory)
+        step, state = self.policy.step(features, named["ego"][:, 0], route, is_init, state)
+        next_memory = _memory_of(state)
+        return step.action, *(next_memory[name] for name in memory)
 
 
-class Valuing(nn.Module):
-    """What predicted outcomes are worth to a policy that looks ahead."""
+class ValueModule(nn.Module):
+    """`LookaheadPolicy.value` as a function of the tracks of predicted outcomes."""
 
-    def __init__(self, policy: LookaheadPolicy, scenario: Scenario) -> None:
-        """For a robot that knows of so many others."""
+    def __init__(self, policy: LookaheadPolicy, scenario: Scenario, names: list[str]) -> None:
+        """Create the module; `names` are those of all inputs, see `Description`."""
         super().__init__()
-        self.policy, self.scenario = policy, scenario
+        self.policy, self.scenario, self.names = policy, scenario, names
 
-    def forward(self, *given: Tensor) -> Tensor:
-        """See `Description`: tracks."""
-        frames = frames_of(Tracks(*given), self.scenario, self.policy.config.known_origin)  # type: ignore[arg-type]
-        return self.policy.value(frames, torch.zeros(len(given[0]), dtype=torch.long))
+    def forward(self, *inputs: Tensor) -> Tensor:
+        """Return the values, [C]."""
+        tracks = Tracks.from_named(dict(zip(self.names, inputs, strict=True)))
+        rows = torch.zeros(len(inputs[0]), dtype=torch.long)
+        return self.policy.value(self.policy.extract_features(tracks, self.scenario), rows)
 
 
 def export_agent(path: Path, agent: Agent, name: str) -> None:
-    """Write a trained agent and all that the runtime must know, whole or not at all.
+    """Write a trained agent and everything that the runtime needs to know, atomically.
 
     Args:
         path: of the file.
-        agent: built for the robot, its clock and its view; `humans` and `robots` of its scenario
-            say of how many people and robots it can know at once.
+        agent: built for the robot, its time step and its sensors; `humans` and `robots` of its
+            scenario limit how many people and robots it can know at once.
         name: in `conf/agent/`.
 
     Raises:
-        ConfigurationError: it is not trained, or cannot be exported.
+        ConfigurationError: the agent is not a trained one, or cannot be exported.
     """
     shield: Shield | None = None
     if isinstance(agent, Shielded):
@@ -88,6 +92,42 @@ def export_agent(path: Path, agent: Agent, name: str) -> None:
             f"agent is {name}; it must be a trained one, such as samarl_flat: only policies are "
             "exported"
         )
+    _check_exportable(agent, shield, name)
+    policy, scenario = agent.policy, agent.scenario
+    # At least one slot for each kind of agent: the exporter fails on empty tensors.
+    scenario = replace(scenario, humans=max(scenario.humans, 1), robots=max(scenario.robots, 2))
+    memory: dict[str, Tensor] = {}
+    if isinstance(policy, LookaheadPolicy):
+        rows = len(command_set(policy.config, scenario.kinematics))
+        inputs, outputs = _example_tracks(policy, scenario, rows), ["value"]
+        network: nn.Module = ValueModule(policy, scenario, list(inputs))
+    else:
+        assert isinstance(policy, StochasticPolicy)
+        memory = _memory_of(policy.initial_policy_state(1, scenario))
+        inputs = _example_tracks(policy, scenario, 1)
+        inputs |= {"is_init": torch.ones(1, dtype=torch.bool), "route": torch.ones(1, 2)}
+        inputs |= {f"{MEMORY}{name}": tensor for name, tensor in memory.items()}
+        outputs = ["action", *(f"{NEXT_MEMORY}{name}" for name in memory)]
+        network = StepModule(policy, scenario, list(inputs))
+    content = _onnx_bytes(network.eval(), inputs, outputs)
+    _check_equivalence(content, network, inputs)
+    description = Description(
+        name,
+        OPSET,
+        asdict(agent.card),
+        robot_fields(scenario),
+        None if shield is None else asdict(shield),
+        _slots(policy, scenario, memory),
+    )
+    _write(path, content, description)
+
+
+def _check_exportable(agent: Learned, shield: Shield | None, name: str) -> None:
+    """Refuse agents that need more than one robot knows.
+
+    Raises:
+        ConfigurationError: names the setting.
+    """
     if agent.waypoints is not Waypoints.learned:
         raise ConfigurationError(
             f"agent.waypoints is {agent.waypoints.name}; it must be learned to be exported"
@@ -97,135 +137,123 @@ def export_agent(path: Path, agent: Agent, name: str) -> None:
             f"agent.shield.predictor is {shield.predictor}; it must be {CONSTANT_VELOCITY} "
             "to be exported"
         )
-    policy, scenario = agent.policy, agent.scenario
     if agent.kinematics_mismatch:
         raise ConfigurationError(
-            f"scenario.kinematics is {scenario.kinematics.name}; it must be that of the robots "
-            f"{name} was trained on to be exported"
+            f"scenario.kinematics is {agent.scenario.kinematics.name}; it must be that of the "
+            f"robots {name} was trained on to be exported"
         )
-    if policy.config.num_parameter_sets != 1:
+    if agent.policy.config.num_parameter_sets != 1:
         raise ConfigurationError(
-            f"policy.num_parameter_sets is {policy.config.num_parameter_sets}; it must be 1 to be "
-            "exported: a robot alone does not know which of them is its own"
+            f"policy.num_parameter_sets is {agent.policy.config.num_parameter_sets}; it must be 1 "
+            "to be exported: a robot alone does not know which of them is its own"
         )
-    # One place of each kind at least: no network is made for none.
-    scenario = replace(scenario, humans=max(scenario.humans, 1), robots=max(scenario.robots, 2))
-    others, humans = scenario.robots - 1, scenario.humans
-    memory: dict[str, Tensor] = {}
-    if isinstance(policy, LookaheadPolicy):
-        rows = len(command_set(policy.config, scenario.kinematics))
-        network: nn.Module = Valuing(policy, scenario)
-        inputs, outputs = _tracks(rows, others, humans), ["value"]
-    else:
-        assert isinstance(policy, StochasticPolicy)
-        memory = _memory_of(policy.initial_policy_state(1, scenario.robots, humans))
-        network = Driving(policy, scenario, memory)
-        inputs = _tracks(1, others, humans)
-        inputs |= {"is_init": torch.ones(1, dtype=torch.bool), "route": torch.ones(1, 2)}
-        inputs |= {f"state.{name}": kept for name, kept in memory.items()}
-        outputs = ["action", *(f"next.{name}" for name in memory)]
-    content = _traced(network.eval(), inputs, outputs)
-    _check_same(content, network, inputs)
-    description = Description(
-        name,
-        OPSET,
-        asdict(agent.card),
-        robot_fields(scenario),
-        None if shield is None else asdict(shield),
-        _slots(policy, others, humans, memory),
-    )
-    _write(path, content, description)
 
 
 def _memory_of(state: PolicyState) -> dict[str, Tensor]:
-    """Return what a robot remembers, by name: of the encoder and of the levels."""
+    """Return the tensors of a robot's memory by name: of the encoder and of the levels."""
     memory = {name: tensor for name, tensor in state.items() if name not in ("encoder", "noise")}
     return {**state["encoder"][0], **memory}
 
 
 def _state_of(memory: dict[str, Tensor]) -> PolicyState:
-    """Return the policy state of a robot; every tensor is at hand for all parts of the policy."""
+    """Return the policy state of a robot's memory; the encoder and the levels see all of it."""
     return {**memory, "encoder": (memory,), "noise": torch.zeros(())}
 
 
-def _tracks(rows: int, robots: int, humans: int) -> dict[str, Tensor]:
-    """Tracks, as inputs."""
-    own = torch.zeros(rows, 1, len(EGO_FEATURES))
-
-    def of(number: int) -> tuple[Tensor, Tensor]:
-        known = torch.ones(rows, 1, number, dtype=torch.bool)
-        return torch.zeros(rows, 1, number, len(TRACK_FEATURES)), known
-
-    tracks = Tracks(own, *of(humans), *of(robots))  # type: ignore[arg-type]
-    return tracks._asdict()
+def _example_tracks(policy: Policy, scenario: Scenario, rows: int) -> dict[str, Tensor]:
+    """Return the tracks of one robot in `rows` worlds by name, everything known and zero."""
+    tracks = {
+        name: torch.from_numpy(array[:, :1].copy())
+        for name, array in empty_tracks(scenario, rows).named().items()
+    }
+    observed = policy.sizes.entities.keys() | policy.sizes.sensors.keys() | {"ego"}
+    return {
+        name: torch.ones_like(tensor) if tensor.dtype == torch.bool else tensor
+        for name, tensor in tracks.items()
+        if name.removesuffix("_known") in observed
+    }
 
 
 def _slots(
-    policy: Policy, robots: int, humans: int, memory: dict[str, Tensor]
+    policy: Policy, scenario: Scenario, memory: dict[str, Tensor]
 ) -> dict[str, tuple[str, int]]:
-    """Which axis of the memory has a place for every human or robot: that which grows by one."""
-    found = {}
+    """Return which axis of each tensor of the memory has a slot for every human or robot.
+
+    It is the axis that grows with their number.
+    """
+    slots = {}
     if isinstance(policy, StochasticPolicy):
-        one_robot = _memory_of(policy.initial_policy_state(1, robots + 2, humans))
-        one_human = _memory_of(policy.initial_policy_state(1, robots + 1, humans + 1))
-        for name, kept in memory.items():
-            for axis, size in enumerate(kept.shape):
-                grows = one_robot[name].shape[axis] > size, one_human[name].shape[axis] > size
+        few, more_robots, more_humans = (
+            _memory_of(
+                policy.initial_policy_state(
+                    1, replace(scenario, robots=robots, humans=humans, humans_min=None)
+                )
+            )
+            for robots, humans in ((2, 1), (3, 1), (2, 2))
+        )
+        for name in memory:
+            for axis, size in enumerate(few[name].shape):
+                grows = more_robots[name].shape[axis] > size, more_humans[name].shape[axis] > size
                 if any(grows):
                     kinds = {(True, False): "robots", (False, True): "humans"}
-                    found[name] = kinds.get(grows, "everybody"), axis
-    return found
+                    slots[name] = kinds.get(grows, "everybody"), axis
+    return slots
 
 
-def _traced(network: nn.Module, inputs: dict[str, Tensor], outputs: list[str]) -> bytes:
-    """The ONNX file."""
-    into = io.BytesIO()
-    # The exporter of torch.jit: ten times as fast as that of torch.export for the same graph, and
-    # it knows nonzero elements. It warns of every size that it takes for constant; they are.
-    fast = torch.backends.mha.get_fastpath_enabled()
-    torch.backends.mha.set_fastpath_enabled(False)  # kernels that ONNX does not have
+def _onnx_bytes(network: nn.Module, inputs: dict[str, Tensor], outputs: list[str]) -> bytes:
+    """Return the content of the ONNX file."""
+    file = io.BytesIO()
+    # The TorchScript exporter is ten times as fast as that of torch.export for the same graph, and
+    # it supports nonzero. It warns about every size that it takes for constant; they are.
+    fast_path = torch.backends.mha.get_fastpath_enabled()
+    torch.backends.mha.set_fastpath_enabled(False)  # ONNX does not have its kernels
     try:
         with warnings.catch_warnings(), torch.no_grad():
             warnings.simplefilter("ignore")
             torch.onnx.export(
                 network,
                 tuple(inputs.values()),
-                into,
-                input_names=list(inputs),  # type: ignore[arg-type]
+                file,  # type: ignore[arg-type]
+                input_names=list(inputs),
                 output_names=outputs,
                 opset_version=OPSET,
                 dynamo=False,
             )
     finally:
-        torch.backends.mha.set_fastpath_enabled(fast)
-    return into.getvalue()
+        torch.backends.mha.set_fastpath_enabled(fast_path)
+    return file.getvalue()
 
 
-def _check_same(content: bytes, network: nn.Module, inputs: dict[str, Tensor]) -> None:
-    """Compare the file with the policy among random people: the exporter knows not everything."""
+def _check_equivalence(content: bytes, network: nn.Module, inputs: dict[str, Tensor]) -> None:
+    """Compare the file with the policy on random tracks: the exporter may translate wrongly.
+
+    Raises:
+        ConfigurationError: an output differs.
+    """
     session = onnxruntime.InferenceSession(content, providers=["CPUExecutionProvider"])
-    given, random = dict(inputs), torch.Generator().manual_seed(0)
+    values, random = dict(inputs), torch.Generator().manual_seed(0)
+    tracks = [
+        name for name in inputs if name not in ("is_init", "route") and not name.startswith(MEMORY)
+    ]
     for step in range(3):
-        for name in Tracks._fields:
-            drawn = torch.randn(given[name].shape, generator=random)
-            given[name] = drawn > 0.0 if given[name].dtype == torch.bool else drawn
-        if "is_init" in given:
-            given["is_init"] = torch.tensor([step == 0])
-        fed = {put.name: given[put.name].numpy() for put in session.get_inputs()}
+        for name in tracks:
+            drawn = torch.randn(values[name].shape, generator=random)
+            values[name] = drawn > 0.0 if values[name].dtype == torch.bool else drawn
+        if "is_init" in values:
+            values["is_init"] = torch.tensor([step == 0])
         with torch.no_grad():
-            right = network(*given.values())
-        right = right if isinstance(right, tuple) else (right,)
-        for put, mine, found in zip(
-            session.get_outputs(), right, session.run(None, fed), strict=True
-        ):
-            wrong = (mine.float() - torch.from_numpy(found).float()).abs().max().item()
-            if not wrong <= SAME * max(1.0, mine.float().abs().max().item()):
+            expected = network(*values.values())
+        expected = expected if isinstance(expected, tuple) else (expected,)
+        actual = session.run(None, {i.name: values[i.name].numpy() for i in session.get_inputs()})
+        for output, right, array in zip(session.get_outputs(), expected, actual, strict=True):
+            error = (right.float() - torch.from_numpy(array).float()).abs().max().item()
+            if not error <= TOLERANCE * max(1.0, right.float().abs().max().item()):
                 raise ConfigurationError(
-                    f"the policy cannot be exported: {put.name} differs by {wrong:.2g} in ONNX, "
-                    "so it has an operation that torch.onnx.export translates wrongly"
+                    f"the policy cannot be exported: {output.name} differs by {error:.2g} in "
+                    "ONNX, so it has an operation that torch.onnx.export translates wrongly"
                 )
-            if put.name.startswith("next."):
-                given[f"state.{put.name.removeprefix('next.')}"] = mine
+            if output.name.startswith(NEXT_MEMORY):
+                values[f"{MEMORY}{output.name.removeprefix(NEXT_MEMORY)}"] = right
 
 
 def _write(path: Path, content: bytes, description: Description) -> None:

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
+import torch
+from torch import Tensor
 
-from mrsan import Observation, Scenario
+from mrsan import Entities, Observation, Scenario
 from mrsan.features import GOAL, HEADING_COS, PREFERRED_SPEED, RADIUS, VELOCITY_X
+from samarl.observations.frames import Frames
 from samarl.observations.tracker import Tracker, Tracks
 from samarl.planning.one_step import Commands
 
+KNOWN = ("humans_known", "robots_known")
 COMMANDS = Commands(turns=5, speeds=5, directions=16)
 
 
@@ -28,5 +32,19 @@ def scene_of(
     people = np.zeros((1, 1, len(humans), 6), np.float32)
     for j, row in enumerate(humans):
         people[0, 0, j, : len(row)] = row
-    others = np.zeros((1, 1, 0, 6), np.float32), np.zeros((1, 1, 0), np.bool_)
-    return Tracks(ego, people, np.ones((1, 1, len(humans)), np.bool_), *others)
+    entities = {
+        "humans": Entities(people, np.ones((1, 1, len(humans)), np.bool_)),
+        "robots": Entities(np.zeros((1, 1, 0, 6), np.float32), np.zeros((1, 1, 0), np.bool_)),
+    }
+    return Tracks(ego, entities, {})
+
+
+def changed(frames: Frames, **tensors: Tensor) -> Frames:
+    """The same frames with some of their `named` tensors replaced."""
+    return Frames.from_named(frames.named() | tensors)
+
+
+def blind(frames: Frames) -> Frames:
+    """The same with nobody known."""
+    unknown = {name: torch.zeros_like(frames.named()[name]) for name in KNOWN}
+    return changed(frames, **unknown)

@@ -14,10 +14,12 @@ from mrsan.crowds import register_crowd
 from mrsan.features import EGO_FEATURES, OTHER_FEATURES
 from mrsan.fields import ConfigurationError
 from mrsan.metrics import Episodes, Outcome, social_score
+from mrsan.observation import Entities, Observation
 from mrsan.reward import RewardParts
 from mrsan.scenario import Reward, Scenario
+from mrsan.sensors import EntitySensor, ValueSensor, register_sensor
 from mrsan.state import State
-from mrsan.world import ActionError, Observation, Step, World
+from mrsan.world import ActionError, Step, World
 
 __version__ = version("samarl")  # one distribution holds both packages
 
@@ -27,6 +29,8 @@ __all__ = [
     "ActionError",
     "ConfigurationError",
     "Crowd",
+    "Entities",
+    "EntitySensor",
     "Episodes",
     "Kinematics",
     "Layout",
@@ -39,8 +43,10 @@ __all__ = [
     "State",
     "Step",
     "TeamPerception",
+    "ValueSensor",
     "World",
     "register_crowd",
+    "register_sensor",
     "social_score",
 ]
 

@@ -15,46 +15,38 @@ from mrsan.features import (
     EGO_FEATURES,
     HEADING_COS,
     HEADING_SIN,
-    OTHER_FEATURES,
     PREFERRED_SPEED,
     RADIUS,
     TIME,
 )
 from mrsan.fields import ConfigurationError
 from mrsan.metrics import Outcome, episodes_of, social_score
+from mrsan.observation import Observation
 from mrsan.rendering import RENDER_MODES, Renderer
 from mrsan.scenario import Scenario, overridden
-from mrsan.world import ActionError, Observation, Step, World
+from mrsan.sensors.suite import SensorSuite
+from mrsan.world import ActionError, Step, World
 
 Array = NDArray[Any]
 
 
 def as_spaces(scenario: Scenario) -> tuple[spaces.Dict, spaces.Box]:
     """Return the observation and the action space of one robot."""
-
-    def floats(*shape: int) -> spaces.Box:
-        return spaces.Box(-np.inf, np.inf, shape, np.float32)
-
     low = np.full(len(EGO_FEATURES), -np.inf, np.float32)
     high = -low
     low[[HEADING_COS, HEADING_SIN]], high[[HEADING_COS, HEADING_SIN]] = -1.0, 1.0
     low[[RADIUS, PREFERRED_SPEED, TIME]], high[TIME] = 0.0, 1.0
 
-    def flags(*shape: int) -> spaces.Box:
-        return spaces.Box(0, 1, shape, np.int8)
-
-    features, others = len(OTHER_FEATURES), scenario.robots - 1
-    entries: dict[str, spaces.Space[Any]] = {
-        "ego": spaces.Box(low, high, dtype=np.float32),
-        "humans": floats(scenario.humans, features),
-        "humans_visible": flags(scenario.humans),
-        "robots": floats(others, features),
-        "robots_visible": flags(others),
-    }
-    if scenario.team_tracks:
-        entries |= {"humans_reported": flags(scenario.humans), "robots_reported": flags(others)}
-    # Without empty spaces, which some libraries drop from spaces but not from observations.
-    entries = {key: space for key, space in entries.items() if 0 not in (space.shape or ())}
+    entries: dict[str, spaces.Space[Any]] = {"ego": spaces.Box(low, high, dtype=np.float32)}
+    for key, array in _arrays(SensorSuite(scenario).empty(1)).items():
+        if key != "ego":
+            shape = array.shape[2:]
+            is_flag = array.dtype == np.int8
+            entries[key] = (
+                spaces.Box(0, 1, shape, np.int8)
+                if is_flag
+                else spaces.Box(-np.inf, np.inf, shape, np.float32)
+            )
     return spaces.Dict(entries), spaces.Box(-1.0, 1.0, (scenario.action_size,), np.float32)
 
 
@@ -82,9 +74,13 @@ def end_info(world: World, index: int, robot: int) -> dict[str, Any]:
 
 
 def _arrays(observation: Observation) -> dict[str, Array]:
+    """Return the arrays of an observation, masks as integers.
+
+    Without empty ones, which some libraries drop from spaces but not from observations.
+    """
     return {
         key: value.view(np.int8) if value.dtype == np.bool_ else value
-        for key, value in observation._asdict().items()
+        for key, value in observation.arrays().items()
         if 0 not in value.shape[2:]
     }
 

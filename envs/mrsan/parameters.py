@@ -110,7 +110,7 @@ def kernel_parameters(scenario: Scenario) -> Parameters:
     return Parameters(**_numbers(scenario))
 
 
-class Sensor(NamedTuple):
+class SensorParameters(NamedTuple):
     """The part of `Parameters` that decides what a robot sees: a short tuple is passed faster."""
 
     robot_radius: np.float32
@@ -125,6 +125,6 @@ class Sensor(NamedTuple):
     missed_detection: np.float32
 
     @classmethod
-    def of(cls, parameters: Parameters) -> Sensor:
-        """Return the sensor of a scenario's parameters."""
+    def of(cls, parameters: Parameters) -> SensorParameters:
+        """Return what a scenario's parameters say about the sensor."""
         return cls(*(getattr(parameters, name) for name in cls._fields))

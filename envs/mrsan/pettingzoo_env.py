@@ -15,9 +15,10 @@ from mrsan.gymnasium_env import (
     robot_observations,
     robot_reward_parts,
 )
+from mrsan.observation import Observation
 from mrsan.rendering import RENDER_MODES, Renderer
 from mrsan.scenario import Scenario, overridden
-from mrsan.world import ActionError, Observation, World
+from mrsan.world import ActionError, World
 
 Array = NDArray[Any]
 

@@ -14,6 +14,7 @@ from mrsan.consistency import check_consistency
 from mrsan.crowds import check_crowd
 from mrsan.fields import ConfigurationError, UnknownFieldError, check_numbers, number, setting
 from mrsan.recording import NOBODY, Recording, RecordingError, load_recording
+from mrsan.sensors.sensor import check_sensors
 
 
 @dataclass
@@ -147,6 +148,11 @@ class Scenario:
         0.0, 0.0, 1.0, help="probability of missing an agent, per step"
     )
 
+    sensors: dict[str, Any] = field(
+        default_factory=dict,
+        metadata={"help": "further sensors, with their settings: sensors.name.setting=value"},
+    )
+
     # What robots report to each other.
     team_perception: TeamPerception = setting(
         TeamPerception.none, help="what robots report to each other"
@@ -262,6 +268,7 @@ class Scenario:
         check_numbers(self.reward, "scenario.reward")
         check_crowd(self.crowd, self.crowd_settings)
         self.crowd = str(self.crowd)
+        check_sensors(self.sensors)
         check_consistency(self)
 
     @property

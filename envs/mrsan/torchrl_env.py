@@ -10,10 +10,11 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
-from mrsan.features import EGO_FEATURES, OTHER_FEATURES
+from mrsan.observation import Observation
 from mrsan.reward import RewardParts
 from mrsan.scenario import Scenario, overridden
-from mrsan.world import Observation, World
+from mrsan.sensors.suite import SensorSuite
+from mrsan.world import World
 
 
 class TorchRLEnv(EnvBase):
@@ -21,7 +22,7 @@ class TorchRLEnv(EnvBase):
 
     - `("agents", "observation", *)`: `ego` [E, N, 11], `humans` [E, N, M, 5], `robots`
       [E, N, N - 1, 5] and the masks `humans_visible` and `robots_visible`; with team perception
-      also `humans_reported` and `robots_reported`.
+      also `humans_reported` and `robots_reported`; and the sensors of `Scenario.sensors`.
     - `("agents", "active_mask")` [E, N, 1]: False once a robot has parked.
     - `("agents", "action")` [E, N, A].
     - `("agents", "reward")` [E, N, 1].
@@ -66,8 +67,7 @@ class TorchRLEnv(EnvBase):
         self._set_seed(int(np.random.default_rng().integers(2**31)) if seed is None else seed)
 
     def _make_specs(self) -> None:
-        e, n, m = self.world.worlds, self.scenario.robots, self.scenario.humans
-        ego, other = len(EGO_FEATURES), len(OTHER_FEATURES)
+        e, n = self.world.worlds, self.scenario.robots
 
         def floats(*shape: int) -> Unbounded:
             return Unbounded(shape=(e, n, *shape), dtype=torch.float32, device=self.device)
@@ -75,18 +75,10 @@ class TorchRLEnv(EnvBase):
         def flags(*shape: int) -> Binary:
             return Binary(shape=(e, *shape), dtype=torch.bool, device=self.device)
 
-        observation = Composite(
-            ego=floats(ego),
-            humans=floats(m, other),
-            humans_visible=flags(n, m),
-            robots=floats(n - 1, other),
-            robots_visible=flags(n, n - 1),
-            shape=(e, n),
-        )
-        if self.scenario.team_tracks:
-            observation.set("humans_reported", flags(n, m))
-            observation.set("robots_reported", flags(n, n - 1))
-        self._observation_keys = list(observation.keys())
+        observation = Composite(shape=(e, n))
+        for key, array in SensorSuite(self.scenario).empty(1).arrays().items():
+            shape = array.shape[2:]
+            observation.set(key, flags(n, *shape) if array.dtype == np.bool_ else floats(*shape))
         parts = Composite({name: floats(1) for name in RewardParts._fields}, shape=(e, n))
         agents = Composite(
             observation=observation, active_mask=flags(n, 1), reward_parts=parts, shape=(e, n)
@@ -136,9 +128,7 @@ class TorchRLEnv(EnvBase):
         e, n = self.batch_size[0], self.scenario.robots
         arrived, collision = self.world.state.arrived, self.world.state.collision
         terms = {name: torch.from_numpy(part[..., None]) for name, part in parts._asdict().items()}
-        features = {
-            key: torch.from_numpy(getattr(observation, key)) for key in self._observation_keys
-        }
+        features = {key: torch.from_numpy(array) for key, array in observation.arrays().items()}
         out = TensorDict(
             {
                 "agents": TensorDict(

@@ -7,56 +7,30 @@ frame of the observing robot (x ahead, y to the left).
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from mrsan.crowds import crowd_model, step_kernel
-from mrsan.features import EGO_FEATURES, OTHER_FEATURES
+from mrsan.features import OTHER_FEATURES
 from mrsan.fields import ConfigurationError
-from mrsan.kernels.sensing import observe
 from mrsan.kernels.spawn import NO_ROOM_FOR_ROBOTS, begin_episodes
 from mrsan.kernels.tally import TALLY
-from mrsan.kernels.team import share_tracks
 from mrsan.lookahead import LookaheadReward
 from mrsan.metrics import Episodes, episodes_of
-from mrsan.parameters import Sensor, kernel_parameters
+from mrsan.observation import Observation
+from mrsan.parameters import kernel_parameters
 from mrsan.reward import RewardParts
 from mrsan.scenario import Scenario
-from mrsan.state import Bools, Floats, Ints, State
+from mrsan.sensors.suite import SensorSuite
+from mrsan.state import Bools, Floats, State
 
 _RESET_BATCH = 128  # worlds that begin an episode between two chances to stop with Ctrl-C
 
 
 class ActionError(ValueError):
     """An action that cannot be executed; the message says of which robot, and why."""
-
-
-class Observation(NamedTuple):
-    """The observations of all robots. Each slot belongs to one agent; invisible agents are zero.
-
-    With team perception, agents that team-mates report count as visible too; the last two masks
-    mark those that were only reported. Without it they are empty.
-    """
-
-    ego: Floats  # [E, N, 11], EGO_FEATURES
-    humans: Floats  # [E, N, M, 5], OTHER_FEATURES
-    humans_visible: Bools  # [E, N, M]
-    robots: Floats  # [E, N, N - 1, 5], the others in the order of their numbers
-    robots_visible: Bools  # [E, N, N - 1]
-    humans_reported: Bools  # [E, N, M] or [E, N, 0]
-    robots_reported: Bools  # [E, N, N - 1] or [E, N, 0]
-
-    @property
-    def perception(self) -> tuple[Floats, Floats, Bools, Floats, Bools]:
-        """Return the arrays that planners use: all but the masks of reported agents."""
-        return self[:5]
-
-    def of_worlds(self, worlds: Ints | Bools) -> Observation:
-        """Return a copy of the rows of some worlds."""
-        return Observation._make(rows[worlds] for rows in self)
 
 
 class Step(NamedTuple):
@@ -111,8 +85,8 @@ class World:
         crowd = crowd_model(scenario.crowd)
         self._advance, self._crowd_settings = step_kernel(crowd), crowd.kernel_settings(scenario)
         self._recording = scenario.load_recording()
-        self._sensor = Sensor.of(self._parameters)
-        self._all_seeing = Sensor.of(kernel_parameters(_without_limits(scenario)))
+        self._sensors = SensorSuite(scenario)
+        self._all_seeing = SensorSuite(scenario, all_seeing=True)
 
     def reset(self, cases: ArrayLike | None = None, worlds: ArrayLike | None = None) -> Observation:
         """Begin an episode in all or some worlds.
@@ -205,30 +179,10 @@ class World:
         Args:
             all_seeing: observe without limits or noise, for central critics.
         """
-        scenario, others = self.scenario, len(OTHER_FEATURES)
-        robots = (self.worlds, scenario.robots)
-        with_reports = scenario.team_tracks and not all_seeing
-        observation = Observation(
-            ego=np.empty((*robots, len(EGO_FEATURES)), np.float32),
-            humans=np.empty((*robots, scenario.humans, others), np.float32),
-            humans_visible=np.empty((*robots, scenario.humans), np.bool_),
-            robots=np.empty((*robots, scenario.robots - 1, others), np.float32),
-            robots_visible=np.empty((*robots, scenario.robots - 1), np.bool_),
-            humans_reported=np.empty((*robots, scenario.humans * with_reports), np.bool_),
-            robots_reported=np.empty((*robots, (scenario.robots - 1) * with_reports), np.bool_),
-        )
-        everywhere = np.ones(self.worlds, np.bool_)
-        if all_seeing:
-            observe(self.worlds, everywhere, self.state, self._all_seeing, *observation.perception)
-        else:
-            self._write_observation(observation, everywhere)
+        sensors = self._all_seeing if all_seeing else self._sensors
+        observation = sensors.empty(self.worlds)
+        sensors.observe(self.state, np.ones(self.worlds, np.bool_), observation)
         return observation
-
-    def _write_observation(self, observation: Observation, worlds: Bools) -> None:
-        """Write the observations of some worlds [E]."""
-        observe(self.worlds, worlds, self.state, self._sensor, *observation.perception)
-        if self._parameters.team_tracks:
-            share_tracks(self.worlds, worlds, self.state, self._parameters, *observation[1:])
 
     def step(self, actions: ArrayLike) -> Step:
         """Move every world by one time step.
@@ -269,7 +223,7 @@ class World:
         finished = episodes_of(state, self.scenario, done)
         state.episode[done] += 1
         self._begin(done)
-        self._write_observation(observation, done)
+        self._sensors.observe(state, done, observation)
         return Step(observation, reward, parts, terminated, truncated, final, finished)
 
     def _add_lookahead(
@@ -309,20 +263,6 @@ class World:
                 "every element must lie in [-1, 1]"
             )
         return action
-
-
-def _without_limits(scenario: Scenario) -> Scenario:
-    """Return the same scenario with a perfect sensor."""
-    return replace(
-        scenario,
-        fov_degrees=360.0,
-        sensing_range=1000.0,
-        occlusion=False,
-        position_noise=0.0,
-        velocity_noise=0.0,
-        radius_noise=0.0,
-        missed_detection=0.0,
-    )
 
 
 def _empty_state(e: int, scenario: Scenario, history: int) -> State:

@@ -32,9 +32,9 @@ class SetEncoder(nn.Module):
         """Return the features [P, out] of `frames` [P, ...]."""
         own = self.own(frames.ego)
         pooled = [own]
-        for pool, embed, others, known in (
-            (self.humans, self.embed_humans, frames.humans, frames.humans_known),
-            (self.robots, self.embed_robots, frames.robots, frames.robots_known),
+        for pool, embed, (others, known) in (
+            (self.humans, self.embed_humans, frames.entities["humans"]),
+            (self.robots, self.embed_robots, frames.entities["robots"]),
         ):
             score = nearness(others, known, self.heads)
             pooled.append(pool(own, torch.relu(embed(others)), score))

@@ -231,7 +231,7 @@ class PPO(Algorithm):
 
     def _critic_features(self, rollout: Rollout) -> Tensor:
         """Return the critics' view of all steps, [S, T + 1, N, F]."""
-        frames = Frames(*(x.flatten(0, 1) for x in self._critic_frames(rollout)))
+        frames = self._critic_frames(rollout).map(lambda x: x.flatten(0, 1))
         features = torch.cat([self.encoder(part) for part in frames.split(CHUNK_SIZE)])
         s, n = len(rollout.steps), rollout.robots
         return features.view(s, n, -1, features.shape[-1]).transpose(1, 2)
@@ -409,7 +409,7 @@ class PPO(Algorithm):
         """Return the value loss (Yu et al., 2022) over the policy's samples and waiting robots."""
         local = batch[LOCAL]
         row, step = (selected | (local["valued"] & ~local["decides"])).nonzero(as_tuple=True)
-        frames = Frames(*(x[rows[row], step] for x in self._critic_frames(rollout)))
+        frames = self._critic_frames(rollout).map(lambda x: x[rows[row], step])
         features = self.encoder(frames)
         total = features.new_zeros(())
         for level, data in batch.items():

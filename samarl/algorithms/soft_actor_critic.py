@@ -115,7 +115,8 @@ class SoftActorCritic(Algorithm):
                 raise ConfigurationError(f"algorithm.{name} is {value}; it must {requirement}")
         self.critics = nn.ModuleList(self._make_critic() for _ in range(2))
         self.target_critics = nn.ModuleList(self._make_critic() for _ in range(2))
-        self.target_policy = type(policy)(policy.config, policy.action_size)  # for its encoders
+        # For its encoders:
+        self.target_policy = type(policy)(policy.config, policy.action_size, policy.sizes)
         self.target_critics.load_state_dict(self.critics.state_dict())
         self.target_policy.load_state_dict(policy.state_dict())
         self.target_critics.requires_grad_(False)
@@ -289,7 +290,7 @@ def q_of(
 
 def features(policy: SquashedPolicy, batch: TensorDict) -> Tensor:
     """Return Y of all robots in all steps and in the one after them, [S, T + 1, N, F]."""
-    frames = Frames(*(part.flatten(0, 1) for part in Frames(**batch["frames"])))
+    frames = Frames.from_named(batch["frames"]).map(lambda part: part.flatten(0, 1))
     states = tuple(
         {name: part.flatten(0, 1) for name, part in batch.get(f"encoder {i}", {}).items()}
         for i in range(len(policy.networks))
@@ -330,9 +331,7 @@ def sequences_of(rollout: Rollout, team: bool) -> TensorDict:
         valued, continues = stream.acts, ~stream.terminated & active[:, 1:]
     sequences = TensorDict(
         {
-            "frames": {
-                k: part.unflatten(0, (s, n)) for k, part in rollout.frames._asdict().items()
-            },
+            "frames": {k: part.unflatten(0, (s, n)) for k, part in rollout.frames.named().items()},
             "is_init": rollout.is_init.unflatten(0, (s, n)),
             "action": steps["agents", "action"][:, :-1].tanh(),
             "reward": after["reward"][:, :-1],

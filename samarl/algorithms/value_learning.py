@@ -85,7 +85,7 @@ class ValueLearning(Algorithm):
                 f"algorithm.learning_starts is {config.learning_starts}; it must not exceed "
                 f"algorithm.replay ({config.replay})"
             )
-        self.target = type(policy)(policy.config, policy.action_size)
+        self.target = type(policy)(policy.config, policy.action_size, policy.sizes)
         self.target.load_state_dict(policy.state_dict())
         self.target.requires_grad_(False)
         self.register_buffer("rounds", torch.zeros((), dtype=torch.long))
@@ -117,7 +117,7 @@ class ValueLearning(Algorithm):
         total = torch.zeros(4, device=self.policy.device)
         for _ in range(c.updates):
             batch = self.replay.sample(c.batch)
-            value = self.policy.value(Frames(**batch["now"]), batch["robot"])
+            value = self.policy.value(Frames.from_named(batch["now"]), batch["robot"])
             target = self.targets(batch)
             loss = functional.mse_loss(value, target)
             self.optimiser.zero_grad(set_to_none=True)
@@ -138,7 +138,7 @@ class ValueLearning(Algorithm):
     @torch.no_grad()
     def targets(self, samples: TensorDict) -> Tensor:
         """Return the targets of the values of samples [P]: r + discount V(next), [P]."""
-        following = self.target.value(Frames(**samples["next"]), samples["robot"])
+        following = self.target.value(Frames.from_named(samples["next"]), samples["robot"])
         return samples["reward"] + self.policy.config.discount * following * samples["continues"]
 
     def _empty_replay(self) -> ReplayBuffer:
@@ -173,7 +173,7 @@ def samples_of(rollout: Rollout) -> TensorDict:
     continues = steps["agents", "active_mask"][:, 1:] & ~stream.terminated
 
     def frames(step: Tensor) -> TensorDict:
-        parts = rollout.frames._asdict().items()
+        parts = rollout.frames.named().items()
         return TensorDict({name: part[row, step, None] for name, part in parts}, [len(row)])
 
     return TensorDict(

@@ -132,13 +132,15 @@ def check_training(config: DictConfig) -> None:
         ConfigurationError: a setting is not valid.
     """
     from samarl.algorithms import ALGORITHMS
+    from samarl.observations.features import empty_frames
     from samarl.policies.checkpoint import make_policy
 
     if config.resume is not None:
         config = resumed_config(config)
     settings = settings_in(config)
     sizes = {key: value for key, value in settings.policy.items() if key != "name"}
-    make_policy(settings.policy["name"], sizes, settings.stages[0].scenario.action_size)
+    scenario = settings.stages[0].scenario
+    make_policy(settings.policy["name"], sizes, scenario.action_size, empty_frames(scenario).sizes)
     for stage in settings.stages:
         stage.scenario.load_recording()
     ALGORITHMS.config(settings.algorithm)

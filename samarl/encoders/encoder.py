@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 from torch.utils._pytree import tree_map
 
-from samarl.observations.frames import Frames
+from samarl.observations.frames import FeatureSizes, Frames
 from samarl.registry import Registry
 
 ENCODERS: Registry[Encoder] = Registry("encoder")
@@ -32,13 +32,15 @@ class Encoder(nn.Module, ABC):
     history = 0  # number of frames before the first that `observe` needs, h
     features: int  # length of Y
 
-    def __init__(self, config: Any, ego_features: int, other_features: int) -> None:
+    def __init__(self, config: Any, sizes: FeatureSizes) -> None:
         """Create the layers.
 
         Args:
             config: an instance of the dataclass that the encoder is registered with.
-            ego_features: F_e, length of the robot's own state and of a query.
-            other_features: F_o, number of features of another agent.
+            sizes: the number of features: `sizes.ego` of the robot's own state and of a query, F_e;
+                `sizes.entities[group]` of each group of entities; and `sizes.sensors[name]`, the
+                shape of each sensor's values. Groups and sensors that the encoder does not know
+                are ignored.
         """
         super().__init__()
 
@@ -107,8 +109,8 @@ def samples_of(scene: Any, index: Tensor | slice) -> Any:
 
 def single_frames(frames: Frames, samples: Tensor | None) -> Frames:
     """Return the frame of each sample, [P, ...], for encoders without history."""
-    flat = (tensor.flatten(0, 1) for tensor in frames)
-    return Frames(*(tensor if samples is None else tensor[samples] for tensor in flat))
+    flat = frames.map(lambda tensor: tensor.flatten(0, 1))
+    return flat if samples is None else flat.of(samples)
 
 
 def frame_numbers(frames: Frames, history: int, samples: Tensor | None) -> Tensor:

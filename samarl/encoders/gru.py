@@ -10,7 +10,7 @@ from torch import Tensor, nn
 
 from mrsan.fields import required
 from samarl.encoders.encoder import ENCODERS, Encoder, State
-from samarl.observations.frames import Frames
+from samarl.observations.frames import FeatureSizes, Frames
 
 
 @dataclass
@@ -25,17 +25,19 @@ class GRUConfig:
 class GRUEncoder(Encoder):
     """Embed every agent, pool each feature by its maximum, and feed a GRU (Cho et al., 2014)."""
 
-    def __init__(self, config: GRUConfig, ego_features: int, other_features: int) -> None:
+    def __init__(self, config: GRUConfig, sizes: FeatureSizes) -> None:
         """See `Encoder`."""
-        super().__init__(config, ego_features, other_features)
+        super().__init__(config, sizes)
         width, self.features = config.width, config.features
-        self.ego = nn.Linear(ego_features, width)
+        self.ego = nn.Linear(sizes.ego, width)
         self.humans, self.robots = (
-            nn.Sequential(nn.Linear(other_features, width), nn.ReLU(), nn.Linear(width, width))
-            for _ in range(2)
+            nn.Sequential(
+                nn.Linear(sizes.entities[group], width), nn.ReLU(), nn.Linear(width, width)
+            )
+            for group in ("humans", "robots")
         )
         self.cell = nn.GRUCell(width, width)
-        self.query = nn.Linear(ego_features, width)
+        self.query = nn.Linear(sizes.ego, width)
         self.out = nn.Sequential(nn.ReLU(), nn.Linear(2 * width, config.features), nn.ReLU())
 
     def observe(
@@ -67,9 +69,9 @@ class GRUEncoder(Encoder):
     def _summary(self, frames: Frames) -> Tensor:
         """Return the maximum over agents of each feature in each frame, [B, T, D]."""
         out = self.ego(frames.ego)
-        for embed, others, known in (
-            (self.humans, frames.humans, frames.humans_known),
-            (self.robots, frames.robots, frames.robots_known),
+        for embed, (others, known) in (
+            (self.humans, frames.entities["humans"]),
+            (self.robots, frames.entities["robots"]),
         ):
             if others.shape[2]:
                 out = out + (torch.relu(embed(others)) * known.unsqueeze(-1)).amax(2)

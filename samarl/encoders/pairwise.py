@@ -1,4 +1,4 @@
-"""One number: the least of what the robot's encounters with each other agent are worth alone.
+"""A single value: the minimum of the values of the robot's encounters with each other agent.
 
 The value network of CADRL (Chen et al., Decentralized non-communicating multiagent collision
 avoidance with deep reinforcement learning, 2017) among many: the minimum over pairs.
@@ -13,7 +13,7 @@ from torch import Tensor, nn
 
 from mrsan.fields import required
 from samarl.encoders.encoder import ENCODERS, Encoder, State, single_frames
-from samarl.observations.frames import Frames
+from samarl.observations.frames import FeatureSizes, Frames
 
 
 @dataclass
@@ -25,43 +25,43 @@ class PairwiseConfig:
 
 @ENCODERS.register("pairwise", PairwiseConfig)
 class PairwiseEncoder(Encoder):
-    """The minimum over pairs; humans and robots differ in the first layer.
+    """The minimum over pairs; humans and robots have different first layers.
 
-    Where nobody is known, it is what the robot's way is worth to it alone.
+    Where nobody is known, a separate network gives the value of driving alone.
     """
 
     features = 1
 
-    def __init__(self, config: PairwiseConfig, ego_features: int, other_features: int) -> None:
+    def __init__(self, config: PairwiseConfig, sizes: FeatureSizes) -> None:
         """See `Encoder`."""
-        super().__init__(config, ego_features, other_features)
+        super().__init__(config, sizes)
         width = config.width
-        self.own = nn.Linear(2 * ego_features, width)
-        self.humans, self.robots = (nn.Linear(other_features, width, bias=False) for _ in range(2))
+        self.own = nn.Linear(2 * sizes.ego, width)
+        self.humans, self.robots = (
+            nn.Linear(sizes.entities[group], width, bias=False) for group in ("humans", "robots")
+        )
         self.pair, self.alone = (
             nn.Sequential(nn.ReLU(), nn.Linear(width, width), nn.ReLU(), nn.Linear(width, 1))
             for _ in range(2)
         )
-        self.own_alone = nn.Linear(2 * ego_features, width)
+        self.own_alone = nn.Linear(2 * sizes.ego, width)
 
     def observe(
         self, frames: Frames, is_init: Tensor, state: State, samples: Tensor | None = None
     ) -> Frames:
-        """See `Encoder.observe`; what is known in P samples."""
+        """See `Encoder.observe`; the scene is the frames of P samples."""
         return single_frames(frames, samples)
 
     def read(self, scene: Frames, query: Tensor) -> Tensor:
-        """See `Encoder.read`; the least value, [P, 1]."""
-        ego, humans, humans_known, robots, robots_known = scene
-        both = torch.cat([ego, query], -1)
-        own, least = self.own(both), torch.full_like(ego[:, 0], torch.inf)
-        # Slots of those who are not known cost nothing.
-        for embed, others, known in (
-            (self.humans, humans, humans_known),
-            (self.robots, robots, robots_known),
+        """See `Encoder.read`; the minimum, [P, 1]."""
+        own_and_query = torch.cat([scene.ego, query], -1)
+        own, minimum = self.own(own_and_query), torch.full_like(scene.ego[:, 0], torch.inf)
+        for embed, (others, known) in (
+            (self.humans, scene.entities["humans"]),
+            (self.robots, scene.entities["robots"]),
         ):
-            of, slot = known.nonzero(as_tuple=True)
-            values = self.pair(embed(others[of, slot]) + own[of]).squeeze(-1)
-            least = least.scatter_reduce(0, of, values, "amin")
-        alone = self.alone(self.own_alone(both)).squeeze(-1)
-        return torch.where(least.isinf(), alone, least).unsqueeze(1)
+            sample, slot = known.nonzero(as_tuple=True)  # empty slots cost nothing
+            values = self.pair(embed(others[sample, slot]) + own[sample]).squeeze(-1)
+            minimum = minimum.scatter_reduce(0, sample, values, "amin")
+        alone = self.alone(self.own_alone(own_and_query)).squeeze(-1)
+        return torch.where(minimum.isinf(), alone, minimum).unsqueeze(1)

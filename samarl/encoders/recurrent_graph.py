@@ -124,7 +124,7 @@ class RecurrentGraph(Encoder):
 
     def _unrolled(self, frames: Frames, is_init: Tensor, state: State) -> tuple[GraphScene, State]:
         """The scene of all frames [B T, ...], and the state after the last."""
-        f, begins = Frames(*(tensor.transpose(0, 1) for tensor in frames)), is_init.T  # [T, B, ...]
+        f, begins = frames.map(lambda tensor: tensor.transpose(0, 1)), is_init.T  # [T, B, ...]
         after: State = {}
 
         def unit(name: str, inputs: Tensor, known: Tensor) -> Tensor:

@@ -1,4 +1,4 @@
-"""SARL's crowd: every encounter is embedded alone, and attention weighs them.
+"""SARL's encoder: each encounter is embedded separately, and attention weighs them.
 
 Chen et al., Crowd-robot interaction: crowd-aware robot navigation with attention-based deep
 reinforcement learning (2019), without its local maps.
@@ -15,7 +15,7 @@ from torch.nn import functional
 from mrsan.fields import required
 from samarl.encoders.encoder import ENCODERS, Encoder, State, single_frames
 from samarl.encoders.windowed_attention import MASKED
-from samarl.observations.frames import Frames
+from samarl.observations.frames import FeatureSizes, Frames
 
 
 @dataclass
@@ -28,20 +28,21 @@ class SocialAttentionConfig:
 
 @ENCODERS.register("social_attention", SocialAttentionConfig)
 class SocialAttentionEncoder(Encoder):
-    """Y is the robot's own state and the mean of the encounters, weighed by attention.
+    """Y is the robot's own state and the attention-weighted sum of its encounters.
 
-    The score of an encounter is told the mean of all; humans and robots differ in the first layer.
+    The score of an encounter also depends on the mean of all encounters. Humans and robots have
+    different first layers.
     """
 
-    def __init__(
-        self, config: SocialAttentionConfig, ego_features: int, other_features: int
-    ) -> None:
+    def __init__(self, config: SocialAttentionConfig, sizes: FeatureSizes) -> None:
         """See `Encoder`."""
-        super().__init__(config, ego_features, other_features)
+        super().__init__(config, sizes)
         e, i = config.embedding, config.interaction
-        self.features = ego_features + i
-        self.own = nn.Linear(2 * ego_features, e)
-        self.robots, self.humans = (nn.Linear(other_features, e, bias=False) for _ in range(2))
+        self.features = sizes.ego + i
+        self.own = nn.Linear(2 * sizes.ego, e)
+        self.robots, self.humans = (
+            nn.Linear(sizes.entities[group], e, bias=False) for group in ("robots", "humans")
+        )
         self.embed = nn.Sequential(nn.ReLU(inplace=True), nn.Linear(e, e), nn.ReLU(inplace=True))
         self.tells = nn.Sequential(nn.Linear(e, e), nn.ReLU(inplace=True), nn.Linear(e, i))
         self.of_one, self.of_all = nn.Linear(e, e), nn.Linear(e, e, bias=False)
@@ -50,51 +51,50 @@ class SocialAttentionEncoder(Encoder):
     def observe(
         self, frames: Frames, is_init: Tensor, state: State, samples: Tensor | None = None
     ) -> Frames:
-        """See `Encoder.observe`; what is known in P samples."""
+        """See `Encoder.observe`; the scene is the frames of P samples."""
         return single_frames(frames, samples)
 
     def read(self, scene: Frames, query: Tensor) -> Tensor:
         """See `Encoder.read`."""
-        (of, slot), encounters, share = self._weighed(scene, query)
-        told = self.tells(encounters) * share[of, slot].unsqueeze(-1)
-        return torch.cat([query, _sums(told, of, len(query))], -1)
+        (sample, slot), encounters, weight = self._attend(scene, query)
+        weighted = self.tells(encounters) * weight[sample, slot].unsqueeze(-1)
+        return torch.cat([query, _sum_by_sample(weighted, sample, len(query))], -1)
 
     def attention(self, scene: Frames, query: Tensor) -> tuple[Tensor, Tensor]:
         """See `Encoder.attention`."""
-        _, _, share = self._weighed(scene, query)
+        _, _, weight = self._attend(scene, query)
         robots = scene.robots.shape[1]
-        return share[:, :robots], share[:, robots:]
+        return weight[:, :robots], weight[:, robots:]
 
-    def _weighed(
-        self, scene: Frames, query: Tensor
-    ) -> tuple[tuple[Tensor, Tensor], Tensor, Tensor]:
-        """The encounters with those who are known, and the attention they get.
+    def _attend(self, scene: Frames, query: Tensor) -> tuple[tuple[Tensor, Tensor], Tensor, Tensor]:
+        """Return the encounters with known agents and their attention weights.
 
-        Slots of those who are not known cost nothing; their share is zero. Robots stand before
-        humans.
+        Only known agents are embedded. Robots come before humans.
 
         Returns:
-            Of which sample and slot each of the Q encounters is, [Q] both; the encounters [Q, D];
-            and the shares of all slots [P, N - 1 + M].
+            Sample and slot of each of the Q encounters, [Q] both; the encounters [Q, D]; and the
+            weights of all slots [P, N - 1 + M], zero where nobody is known.
         """
         known = torch.cat([scene.robots_known, scene.humans_known], 1)
-        of, slot = known.nonzero(as_tuple=True)
-        others = torch.cat([scene.robots, scene.humans], 1)[of, slot]
+        sample, slot = known.nonzero(as_tuple=True)
+        others = torch.cat([scene.robots, scene.humans], 1)[sample, slot]
         is_robot = (slot < scene.robots.shape[1]).unsqueeze(-1)
-        # One layer for both: what is of a robot goes to its weights, what is of a human to its own.
+        # One product for both: features of a robot meet the robots' weights, those of a human the
+        # humans'.
         weight = torch.cat([self.robots.weight, self.humans.weight], 1)
-        of_other = functional.linear(torch.cat([others * is_robot, others * ~is_robot], 1), weight)
+        embedded = functional.linear(torch.cat([others * is_robot, others * ~is_robot], 1), weight)
         own = self.own(torch.cat([scene.ego, query], -1))
-        encounters = self.embed(of_other + own[of])
-        mean = _sums(encounters, of, len(known)) / known.sum(1, keepdim=True).clamp_min(1)
-        score = self.score(self.of_one(encounters) + self.of_all(mean)[of]).squeeze(-1)
-        scores = torch.full_like(known, MASKED, dtype=score.dtype).index_put((of, slot), score)
-        return (of, slot), encounters, torch.softmax(scores, -1) * known
+        encounters = self.embed(embedded + own[sample])
+        number = known.sum(1, keepdim=True).clamp_min(1)
+        mean = _sum_by_sample(encounters, sample, len(known)) / number
+        score = self.score(self.of_one(encounters) + self.of_all(mean)[sample]).squeeze(-1)
+        scores = torch.full_like(known, MASKED, dtype=score.dtype).index_put((sample, slot), score)
+        return (sample, slot), encounters, torch.softmax(scores, -1) * known
 
 
-def _sums(of_encounters: Tensor, of: Tensor, samples: int) -> Tensor:
-    """Sums over the encounters of each of P samples, [P, D]; `of` [Q] says of which each is."""
-    zero = of_encounters.new_zeros(samples, of_encounters.shape[-1])
-    if torch.onnx.is_in_onnx_export():  # where what index_add adds to one row twice is lost
-        return zero.scatter_add(0, of.unsqueeze(-1).expand_as(of_encounters), of_encounters)
-    return zero.index_add(0, of, of_encounters)
+def _sum_by_sample(values: Tensor, sample: Tensor, samples: int) -> Tensor:
+    """Return the sums [P, D] of values [Q, D] that belong to the same of P samples."""
+    zero = values.new_zeros(samples, values.shape[-1])
+    if torch.onnx.is_in_onnx_export():  # its index_add drops repeated indices
+        return zero.scatter_add(0, sample.unsqueeze(-1).expand_as(values), values)
+    return zero.index_add(0, sample, values)

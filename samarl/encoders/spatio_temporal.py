@@ -22,7 +22,7 @@ from samarl.encoders.encoder import ENCODERS, Encoder, State, frame_numbers
 from samarl.encoders.frame_attention import frame_attention, frame_shares, proximity_convolution
 from samarl.encoders.windowed_attention import MASKED, windowed_attention
 from samarl.observations.features import LENGTH_SCALE, NEAR_NOW, NEAR_SOON, POSITION
-from samarl.observations.frames import Frames
+from samarl.observations.frames import FeatureSizes, Frames
 
 
 @dataclass
@@ -290,23 +290,21 @@ class SpatioTemporalEncoder(Encoder):
     in, and not where they are in none; everything else is computed for the samples alone.
     """
 
-    def __init__(
-        self, config: SpatioTemporalConfig, ego_features: int, other_features: int
-    ) -> None:
+    def __init__(self, config: SpatioTemporalConfig, sizes: FeatureSizes) -> None:
         """See `Encoder`."""
-        super().__init__(config, ego_features, other_features)
+        super().__init__(config, sizes)
         if config.width % config.heads:
             raise ConfigurationError(
                 f"encoder.heads is {config.heads}; it must divide encoder.width ({config.width})"
             )
         width = config.width
         self.width, self.history, self.features = width, config.history - 1, config.features
-        self.own = nn.Sequential(nn.Linear(ego_features, width), nn.ReLU(), nn.Linear(width, width))
-        if config.one_block:
-            self.everybody = Block(ego_features, other_features, config)
+        self.own = nn.Sequential(nn.Linear(sizes.ego, width), nn.ReLU(), nn.Linear(width, width))
+        if config.one_block:  # the features of people and robots have the same length
+            self.everybody = Block(sizes.ego, sizes.entities["humans"], config)
         else:
-            self.humans = Block(ego_features, other_features, config)
-            self.robots = Block(ego_features, other_features, config)
+            self.humans = Block(sizes.ego, sizes.entities["humans"], config)
+            self.robots = Block(sizes.ego, sizes.entities["robots"], config)
         self.kinds = ("everybody",) if config.one_block else ("robots", "humans")
         self.cross = CrossModal(2 * len(self.kinds), config)
 
@@ -320,7 +318,7 @@ class SpatioTemporalEncoder(Encoder):
         lag = torch.arange(self.history + 1, device=is_init.device)
         fresh = frame % is_init.shape[1] - lag >= began.flatten()[frame].clamp_min(0)
         needed, window = torch.where(fresh, frame - lag, frame).unique(return_inverse=True)
-        f = Frames(*(tensor.flatten(0, 1)[needed] for tensor in frames))
+        f = frames.map(lambda tensor: tensor.flatten(0, 1)[needed])
         return tuple(
             getattr(self, kind)(f.ego, *_agents(f, kind), window, fresh) for kind in self.kinds
         )
@@ -350,7 +348,7 @@ class SpatioTemporalEncoder(Encoder):
         """See `Encoder.step`; the earlier frames are not computed again."""
         count = torch.where(is_init, 0, state["count"])
         state["count"][:] = count + 1
-        f = Frames(*(tensor[:, 0] for tensor in frame))
+        f = frame.map(lambda tensor: tensor[:, 0])
         return tuple(
             getattr(self, kind).step(
                 f.ego, *_agents(f, kind), state[kind], state[f"{kind}_known"], count
@@ -398,4 +396,5 @@ def _agents(frames: Frames, kind: str) -> tuple[Tensor, Tensor]:
             torch.cat([frames.robots, frames.humans], -2),
             torch.cat([frames.robots_known, frames.humans_known], -1),
         )
-    return getattr(frames, kind), getattr(frames, f"{kind}_known")
+    features, mask = frames.entities[kind]
+    return features, mask

@@ -16,7 +16,7 @@ from samarl.encoders.encoder import ENCODERS
 from samarl.encoders.recurrent_graph import GraphScene, RecurrentGraph, RecurrentUnit, Unit
 from samarl.encoders.windowed_attention import MASKED
 from samarl.observations.features import EGO_VELOCITY
-from samarl.observations.frames import Frames
+from samarl.observations.frames import FeatureSizes, Frames
 
 
 @dataclass
@@ -32,11 +32,11 @@ class StructuralRNNConfig:
 
 @ENCODERS.register("structural_rnn", StructuralRNNConfig)
 class StructuralRNNEncoder(RecurrentGraph):
-    """The graph of DSRNN: each kind of edge is told all that is known of the agent."""
+    """The graph of DSRNN: the input of a spatial edge is all features of its agent."""
 
-    def __init__(self, config: StructuralRNNConfig, ego_features: int, other_features: int) -> None:
+    def __init__(self, config: StructuralRNNConfig, sizes: FeatureSizes) -> None:
         """See `Encoder`."""
-        super().__init__(config, ego_features, other_features)
+        super().__init__(config, sizes)
         embedding, edge, self.features = config.embedding, config.edge, config.features
         velocity = EGO_VELOCITY.stop - EGO_VELOCITY.start
         self.scale = config.attention**-0.5
@@ -44,10 +44,10 @@ class StructuralRNNEncoder(RecurrentGraph):
             {
                 name: nn.Sequential(nn.Linear(inputs, embedding), nn.ReLU())
                 for name, inputs in (
-                    ("humans", other_features),
-                    ("robots", other_features),
+                    ("humans", sizes.entities["humans"]),
+                    ("robots", sizes.entities["robots"]),
                     ("temporal", velocity),
-                    ("ego", ego_features),
+                    ("ego", sizes.ego),
                     ("edges", 2 * edge),
                 )
             }
@@ -61,7 +61,7 @@ class StructuralRNNEncoder(RecurrentGraph):
         self.keys = nn.ModuleDict(
             {name: nn.Linear(edge, config.attention) for name in ("robots", "humans")}
         )
-        self.query = nn.Linear(ego_features, embedding)
+        self.query = nn.Linear(sizes.ego, embedding)
         self.out = nn.Sequential(
             nn.ReLU(), nn.Linear(config.node + embedding, config.features), nn.ReLU()
         )

@@ -17,7 +17,7 @@ from samarl.encoders.encoder import ENCODERS
 from samarl.encoders.recurrent_graph import GraphScene, RecurrentGraph, RecurrentUnit, Unit
 from samarl.encoders.windowed_attention import MASKED
 from samarl.observations.features import EGO_DIRECTION, EGO_VELOCITY, POSITION, RADIUS
-from samarl.observations.frames import Frames
+from samarl.observations.frames import FeatureSizes, Frames
 
 
 @dataclass
@@ -49,11 +49,9 @@ class TemporalSpatialGraphEncoder(RecurrentGraph):
     everybody's radius with noise; and who does not know it must keep the largest from everybody.
     """
 
-    def __init__(
-        self, config: TemporalSpatialGraphConfig, ego_features: int, other_features: int
-    ) -> None:
+    def __init__(self, config: TemporalSpatialGraphConfig, sizes: FeatureSizes) -> None:
         """See `Encoder`."""
-        super().__init__(config, ego_features, other_features)
+        super().__init__(config, sizes)
         if config.attention % config.heads:
             raise ConfigurationError(
                 f"encoder.attention is {config.attention}; it must be a multiple of encoder.heads "
@@ -72,7 +70,7 @@ class TemporalSpatialGraphEncoder(RecurrentGraph):
                 for name, inputs in (
                     ("others", 3),
                     ("temporal", 2),
-                    ("ego", ego_features),
+                    ("ego", sizes.ego),
                     ("found", config.attention),
                 )
             }
@@ -87,7 +85,7 @@ class TemporalSpatialGraphEncoder(RecurrentGraph):
         self.values = nn.Parameter(torch.empty(config.heads, self.edge, each))
         for weight in (self.keys, self.values):
             nn.init.uniform_(weight, -(self.edge**-0.5), self.edge**-0.5)
-        self.out = embedding(self.node + ego_features, self.features)
+        self.out = embedding(self.node + sizes.ego, self.features)
 
     def read(self, scene: GraphScene, query: Tensor) -> Tensor:
         """See `Encoder.read`; Eq. 10, of the node and of what is asked."""

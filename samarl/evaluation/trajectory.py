@@ -95,14 +95,9 @@ def _snapshot(state: State, observation: Observation) -> tuple[NDArray, ...]:
         ~state.arrived[0],
         observation.humans_visible[0],
         observation.robots_visible[0],
-        _reported_mask(observation.humans_reported[0], observation.humans_visible[0]),
-        _reported_mask(observation.robots_reported[0], observation.robots_visible[0]),
+        observation.humans_reported[0],
+        observation.robots_reported[0],
     )
-
-
-def _reported_mask(shared: Bools, visible: Bools) -> Bools:
-    """Return the mask, all False where there is none because robots share nothing."""
-    return shared if shared.size else np.zeros_like(visible)
 
 
 def _with_diagonal(values: NDArray) -> NDArray:

@@ -1,4 +1,4 @@
-"""What the networks are given: what a robot knows, and the true state, both scaled.
+"""The features of the networks: what robots know, and the true state, both scaled.
 
 Shapes: E worlds, N robots, M humans, B = E N robots of all worlds, one frame.
 """
@@ -6,6 +6,7 @@ Shapes: E worlds, N robots, M humans, B = E N robots of all worlds, one frame.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping
 from typing import TypeVar
 
 import numpy as np
@@ -13,7 +14,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from mrsan import Scenario, World
+from mrsan import Entities, Scenario, World
 from mrsan.features import (
     GOAL,
     HEADING_COS,
@@ -28,67 +29,120 @@ from mrsan.features import (
     VELOCITY,
 )
 from mrsan.se2 import rotate, untransform
-from samarl.observations.frames import Frames
-from samarl.observations.tracker import AGE, Tracks
+from mrsan.sensors.suite import SensorSuite
+from samarl.observations.frames import EntityFeatures, FeatureSizes, Frames
+from samarl.observations.tracker import AGE, TRACK_FEATURES, Tracks
 
 A = TypeVar("A", NDArray[np.float32], Tensor)
 
 LENGTH_SCALE = 5.0  # metres that are 1 to the network
 NETWORK_EGO_FEATURES = 11
-NETWORK_OTHER_FEATURES = 10  # of what a robot knows of another
-STATE_OTHER_FEATURES = 12  # of the true state of another
+NETWORK_OTHER_FEATURES = 10  # of a person or robot that is known
+STATE_OTHER_FEATURES = 12  # of a person or robot in the true state
 
-# Where some of them stand in what a robot knows of itself, see `_own`:
+AGENT_SIZES = FeatureSizes(  # of scenarios without further sensors
+    NETWORK_EGO_FEATURES,
+    {"humans": NETWORK_OTHER_FEATURES, "robots": NETWORK_OTHER_FEATURES},
+    {},
+)
+
+# Slices of the robot's own features, see `_ego_features`:
 EGO_TARGET = slice(0, 5)  # see `features_of_target`
 EGO_DIRECTION = slice(2, 4)  # of the goal, of length 1
 EGO_VELOCITY = slice(5, 7)
 EGO_PLACE = slice(7, 9)  # the map's origin
 EGO_TIME = slice(9, 10)
 
-# Where some of them stand in what a robot knows of another, see `_others`:
-POSITION = slice(0, 2)  # seen from the robot, in units of LENGTH_SCALE
+# Slices of the features of a person or robot, see `_agent_features`:
+POSITION = slice(0, 2)  # in the body frame, in units of LENGTH_SCALE
 RADIUS = slice(4, 5)  # m
 NEAR_NOW = 5  # exp(-2 gap), gap the distance between surfaces in m
 NEAR_SOON = 8  # the same of the closest approach ahead, times exp(-0.5 t), t s away
 
+# The features of further groups and sensors: from what is observed, [B, slots, F] or [B, ...], to
+# what the networks get. Groups and sensors without an entry are passed on as observed.
+Features = Callable[[Tensor, Scenario], Tensor]
+ADDITIONAL_FEATURES: dict[str, Features] = {}
+
+
+def register_features(name: str) -> Callable[[Features], Features]:
+    """Return a decorator that registers the features of a group of entities or a sensor.
+
+    The function takes what is observed, [B, slots, F] of a group or [B, ...] of a sensor, and the
+    scenario; it returns the features with the same leading shape.
+    """
+
+    def register(function: Features) -> Features:
+        ADDITIONAL_FEATURES[name] = function
+        return function
+
+    return register
+
 
 def frames_of(tracks: Tracks, scenario: Scenario, known_origin: bool = True) -> Frames:
-    """What the robots know: the input of the actors' encoder.
+    """Return what the robots know as the input of the actors' encoder, [B, 1, ...].
 
-    The tracks may be tensors as well: so these features are part of an exported policy.
-
-    A policy for any place must not know where the middle of the map is: it would learn what is
-    there.
+    Args:
+        tracks: [E, N, ...]; also as tensors, so that these features are part of an exported policy.
+        scenario: the task.
+        known_origin: whether the robots observe where the origin of the map is. A policy for any
+            place must not: it would learn what is there.
     """
-    age = [torch.as_tensor(known[..., AGE : AGE + 1]) for known in (tracks.humans, tracks.robots)]
-    humans = _others(tracks.humans, age[0], tracks.humans_known, scenario)
-    robots = _others(tracks.robots, age[1], tracks.robots_known, scenario)
-    own = _own(tracks.ego, scenario)
+    ego = _ego_features(tracks.ego, scenario)
     if not known_origin:
-        own[..., EGO_PLACE] = 0.0
-    return Frames(own, *humans, *robots)
+        ego[..., EGO_PLACE] = 0.0
+    entities = {}
+    for name, (features, known) in tracks.entities.items():
+        if name in ("humans", "robots"):
+            age = torch.as_tensor(features[..., AGE : AGE + 1])
+            entities[name] = _agent_features(features, age, known, scenario)
+        else:
+            entities[name] = _additional_group(name, features, known, scenario)
+    return Frames(ego, entities, _additional_sensors(tracks.sensors, scenario))
 
 
 def state_of(world: World) -> Frames:
-    """The true state seen from every robot: the input of the critics' encoder.
+    """Return the true state as seen from every robot: the input of the critics' encoder.
 
     Everybody is known, with the goal, and robots with whether they have arrived.
     """
     state, scenario = world.state, world.scenario
-    seen = world.observe(all_seeing=True)
+    observation = world.observe(all_seeing=True)
     n = scenario.robots
     others = np.array([[k for k in range(n) if k != i] for i in range(n)], int).reshape(n, n - 1)
     human_goals = np.repeat(state.human_goal[:, None], n, 1)  # [E, N, M, 2]
-    robot_goals, arrived = state.robot_goal[:, others], state.arrived[:, others]
-    found: list[Tensor] = []
-    for rows, visible, goals, there in (
-        (seen.humans, seen.humans_visible, human_goals, np.zeros(human_goals.shape[:3], np.bool_)),
-        (seen.robots, seen.robots_visible, robot_goals, arrived),
-    ):
-        goal = to_body(goals, seen.ego[:, :, None]) / np.float32(LENGTH_SCALE)
-        extra = torch.from_numpy(np.concatenate([goal, there[..., None]], -1, dtype=np.float32))
-        found += _others(rows, extra, visible, scenario)
-    return Frames(_own(seen.ego, scenario), *found)
+    goals_and_arrivals = {
+        "humans": (human_goals, np.zeros(human_goals.shape[:3], np.bool_)),
+        "robots": (state.robot_goal[:, others], state.arrived[:, others]),
+    }
+    entities = {}
+    for name, (features, mask) in observation.entities.items():
+        if name in goals_and_arrivals:
+            goals, arrived = goals_and_arrivals[name]
+            goal = to_body(goals, observation.ego[:, :, None]) / np.float32(LENGTH_SCALE)
+            extra = np.concatenate([goal, arrived[..., None]], -1, dtype=np.float32)
+            entities[name] = _agent_features(features, torch.from_numpy(extra), mask, scenario)
+        else:
+            entities[name] = _additional_group(name, features, mask, scenario)
+    sensors = _additional_sensors(observation.sensors, scenario)
+    return Frames(_ego_features(observation.ego, scenario), entities, sensors)
+
+
+def empty_tracks(scenario: Scenario, worlds: int = 1) -> Tracks:
+    """Return tracks in which nothing is known, in the shapes of a scenario."""
+    empty = SensorSuite(scenario).empty(worlds)
+    entities = {}
+    for name, (features, mask) in empty.entities.items():
+        size = len(TRACK_FEATURES) if name in ("humans", "robots") else features.shape[-1]
+        entities[name] = Entities(np.zeros((*mask.shape, size), np.float32), np.zeros_like(mask))
+    sensors = {name: np.zeros_like(values) for name, values in empty.sensors.items()}
+    return Tracks(np.zeros_like(empty.ego), entities, sensors)
+
+
+def empty_frames(scenario: Scenario, rows: int = 1) -> Frames:
+    """Return frames [B, 1, ...] in which nothing is known, in the shapes of a scenario."""
+    example = frames_of(empty_tracks(scenario), scenario)
+    return example.map(lambda tensor: tensor.new_zeros(rows, *tensor.shape[1:]))
 
 
 def speed_of(ego: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -98,14 +152,14 @@ def speed_of(ego: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def to_world(point: A, ego: A) -> A:
-    """From the body frames of robots `ego` [..., 11] to the world frame, [..., 2]."""
+    """Transform points [..., 2] from the body frames of robots `ego` to the world frame."""
     cos, sin = ego[..., HEADING_COS], ego[..., HEADING_SIN]
     dx, dy = point[..., 0] - ego[..., ORIGIN_X], point[..., 1] - ego[..., ORIGIN_Y]
     return _stacked(*rotate(cos, sin, dx, dy))
 
 
 def to_body(point: A, ego: A) -> A:
-    """From the world frame to the body frames of robots `ego` [..., 11], [..., 2]."""
+    """Transform points [..., 2] from the world frame to the body frames of robots `ego`."""
     cos, sin = ego[..., HEADING_COS], ego[..., HEADING_SIN]
     x, y = rotate(cos, sin, ego[..., ORIGIN_X], ego[..., ORIGIN_Y])
     return _stacked(*untransform(cos, sin, -x, -y, point[..., 0], point[..., 1]))
@@ -117,12 +171,12 @@ def _stacked(x: A, y: A) -> A:
     return np.stack([x, y], -1)
 
 
-def _own(of_robots: NDArray[np.float32], scenario: Scenario) -> Tensor:
-    """[B, 1, NETWORK_EGO_FEATURES]."""
-    ego = torch.as_tensor(of_robots).flatten(0, 1)
+def _ego_features(observed: NDArray[np.float32], scenario: Scenario) -> Tensor:
+    """Return the robots' own features [B, 1, NETWORK_EGO_FEATURES]."""
+    ego = torch.as_tensor(observed).flatten(0, 1)
     goal, velocity, origin = ego[:, GOAL], ego[:, VELOCITY], ego[:, ORIGIN]
     view = ego.new_full((len(ego), 1), math.cos(math.radians(scenario.fov_degrees / 2)))
-    own = torch.cat(
+    features = torch.cat(
         [
             features_of_target(goal),
             velocity,
@@ -132,24 +186,25 @@ def _own(of_robots: NDArray[np.float32], scenario: Scenario) -> Tensor:
         ],
         -1,
     )
-    return own.unsqueeze(1)
+    return features.unsqueeze(1)
 
 
 def features_of_target(target: Tensor) -> Tensor:
-    """A place in the body frame [..., 2] as a network is told it, [..., 5]."""
+    """Return the features [..., 5] of a place in the body frame [..., 2], m."""
     distance = target.norm(dim=-1, keepdim=True)
     direction = target / distance.clamp_min(1e-3)
     return torch.cat([target / LENGTH_SCALE, direction, torch.exp(-distance)], -1)
 
 
-def _others(
-    of_others: NDArray[np.float32], extra: Tensor, known: NDArray[np.bool_], scenario: Scenario
-) -> tuple[Tensor, Tensor]:
-    """Features [B, 1, M, 9 + extra] and mask [B, 1, M], with the closest approach ahead.
+def _agent_features(
+    observed: NDArray[np.float32], extra: Tensor, known: NDArray[np.bool_], scenario: Scenario
+) -> EntityFeatures:
+    """Return the features [B, 1, M, 9 + extra] of people or robots.
 
-    That is when and how near the two will pass if both keep their velocities.
+    They include the closest approach ahead: when and how near the two will pass if both keep their
+    velocities.
     """
-    others, mask = torch.as_tensor(of_others).flatten(0, 1), torch.as_tensor(known).flatten(0, 1)
+    others, mask = torch.as_tensor(observed).flatten(0, 1), torch.as_tensor(known).flatten(0, 1)
     position, velocity = others[..., OTHER_POSITION], others[..., OTHER_VELOCITY]
     radii = others[..., OTHER_RADIUS : OTHER_RADIUS + 1] + scenario.robot_radius
     gap = position.norm(dim=-1, keepdim=True) - radii
@@ -170,4 +225,31 @@ def _others(
         ],
         -1,
     )
-    return (features * mask.unsqueeze(-1)).unsqueeze(1), mask.unsqueeze(1)
+    return _masked(features, mask)
+
+
+def _additional_group(
+    name: str, observed: NDArray[np.float32], known: NDArray[np.bool_], scenario: Scenario
+) -> EntityFeatures:
+    """Return the features of a further group of entities."""
+    features = torch.as_tensor(observed).flatten(0, 1)
+    if name in ADDITIONAL_FEATURES:
+        features = ADDITIONAL_FEATURES[name](features, scenario)
+    return _masked(features, torch.as_tensor(known).flatten(0, 1))
+
+
+def _masked(features: Tensor, mask: Tensor) -> EntityFeatures:
+    return EntityFeatures((features * mask.unsqueeze(-1)).unsqueeze(1), mask.unsqueeze(1))
+
+
+def _additional_sensors(
+    observed: Mapping[str, NDArray[np.float32]], scenario: Scenario
+) -> dict[str, Tensor]:
+    """Return the features [B, 1, ...] of further sensors."""
+    sensors = {}
+    for name, values in observed.items():
+        features = torch.as_tensor(values).flatten(0, 1)
+        if name in ADDITIONAL_FEATURES:
+            features = ADDITIONAL_FEATURES[name](features, scenario)
+        sensors[name] = features.unsqueeze(1)
+    return sensors

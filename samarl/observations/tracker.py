@@ -1,14 +1,15 @@
-"""Memory of those who left the view: coasted at constant velocity, flagged with the age."""
+"""Tracks of people and robots: those out of view move on at constant velocity, with their age."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import prange
 from numpy.typing import NDArray
 
-from mrsan import OTHER_FEATURES, Observation
+from mrsan import OTHER_FEATURES, Entities, Observation
 from mrsan.features import (
     HEADING_COS,
     HEADING_SIN,
@@ -23,6 +24,7 @@ from mrsan.features import (
     VELOCITY_Y,
 )
 from mrsan.kernels import function, kernel
+from mrsan.observation import named_arrays, parts_of_named
 from mrsan.se2 import rotate, transform, unrotate, untransform
 
 TRACK_FEATURES = (*OTHER_FEATURES, "age")  # age: share of the longest time a track is kept
@@ -33,13 +35,49 @@ _ONE = np.float32(1.0)
 
 
 class Tracks(NamedTuple):
-    """What every robot knows or remembers; rows without a track are zero."""
+    """What every robot knows: agents it perceives or remembers, and everything else it perceives.
+
+    Arrays of the groups `humans` and `robots` hold `TRACK_FEATURES`; rows without a track are zero.
+    """
 
     ego: NDArray[np.float32]  # [E, N, 11]
-    humans: NDArray[np.float32]  # [E, N, M, 6] TRACK_FEATURES
-    humans_known: NDArray[np.bool_]  # [E, N, M]
-    robots: NDArray[np.float32]  # [E, N, N - 1, 6]
-    robots_known: NDArray[np.bool_]  # [E, N, N - 1]
+    entities: dict[str, Entities]
+    sensors: dict[str, NDArray[np.float32]]
+
+    @property
+    def humans(self) -> NDArray[np.float32]:
+        """Return the tracks of people, [E, N, M, 6]."""
+        return self.entities["humans"].features
+
+    @property
+    def humans_known(self) -> NDArray[np.bool_]:
+        """Return which people are known, [E, N, M]."""
+        return self.entities["humans"].mask
+
+    @property
+    def robots(self) -> NDArray[np.float32]:
+        """Return the tracks of the other robots, [E, N, N - 1, 6]."""
+        return self.entities["robots"].features
+
+    @property
+    def robots_known(self) -> NDArray[np.bool_]:
+        """Return which other robots are known, [E, N, N - 1]."""
+        return self.entities["robots"].mask
+
+    @property
+    def agents(self) -> tuple[NDArray[Any], ...]:
+        """Return the arrays that compiled planners take, see `mrsan.Observation.agents`."""
+        return self.ego, *self.entities["humans"], *self.entities["robots"]
+
+    def named(self) -> dict[str, NDArray[Any]]:
+        """Return all arrays by flat names: `ego`, `GROUP`, `GROUP_known`, and the sensors."""
+        return {**named_arrays(self.ego, self.entities, "known"), **self.sensors}
+
+    @staticmethod
+    def from_named(arrays: Mapping[str, Any]) -> Tracks:
+        """Return the tracks whose `named` arrays these are; they may be tensors."""
+        ego, groups, sensors = parts_of_named(arrays, "known")
+        return Tracks(ego, {name: Entities(*g) for name, g in groups.items()}, sensors)
 
 
 class TrackMemory(NamedTuple):
@@ -52,7 +90,10 @@ class TrackMemory(NamedTuple):
 
 
 class Tracker:
-    """Follows everybody that was seen; it belongs to the robot's memory, not to its sensor."""
+    """Track the people and robots that each robot has seen.
+
+    Other groups of entities and sensors are passed on as observed.
+    """
 
     def __init__(self, track_time: float, time_step: float) -> None:
         """Keep a track for `track_time` seconds after the last sighting; both arguments in s."""
@@ -60,7 +101,7 @@ class Tracker:
         self.time_step = np.float32(time_step)
 
     def initial(self, worlds: int, robots: int, humans: int) -> TrackMemory:
-        """No tracks."""
+        """Return a memory without tracks."""
         return TrackMemory(
             *_no_tracks((worlds, robots, humans)), *_no_tracks((worlds, robots, robots - 1))
         )
@@ -72,39 +113,39 @@ class Tracker:
         is_init: NDArray[np.bool_],
         elapsed: float | None = None,
     ) -> Tracks:
-        """Take in what is seen now and return what is known now.
+        """Update the tracks with an observation and return what is known now.
 
         Args:
             observation: of all worlds.
             memory: of all worlds, updated in place.
-            is_init: [E] the worlds in which an episode begins; their tracks are forgotten.
-            elapsed: since the last update, s; None: one step.
+            is_init: [E] the worlds in which an episode begins; their tracks are cleared.
+            elapsed: time since the last update, s; None: one step.
         """
         dt = self.time_step if elapsed is None else np.float32(elapsed)
         memory.human_age[is_init], memory.robot_age[is_init] = -1, -1
-        known = []
-        for seen, visible, tracks, age in (
-            (observation.humans, observation.humans_visible, memory.humans, memory.human_age),
-            (observation.robots, observation.robots_visible, memory.robots, memory.robot_age),
+        entities = dict(observation.entities)
+        for name, tracks, age in (
+            ("humans", memory.humans, memory.human_age),
+            ("robots", memory.robots, memory.robot_age),
         ):
-            out = np.empty((*seen.shape[:3], len(TRACK_FEATURES)), np.float32)
-            alive = np.empty(visible.shape, np.bool_)
-            worlds = len(observation.ego)
+            observed, visible = observation.entities[name]
+            features = np.empty((*observed.shape[:3], len(TRACK_FEATURES)), np.float32)
+            known = np.empty(visible.shape, np.bool_)
             _track(
-                worlds,
+                len(observation.ego),
                 observation.ego,
-                seen,
+                observed,
                 visible,
                 self.steps,
                 dt,
                 dt / self.time_step,
                 tracks,
                 age,
-                out,
-                alive,
+                features,
+                known,
             )
-            known += [out, alive]
-        return Tracks(observation.ego, *known)
+            entities[name] = Entities(features, known)
+        return Tracks(observation.ego, entities, observation.sensors)
 
 
 def _no_tracks(shape: tuple[int, ...]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
@@ -112,15 +153,22 @@ def _no_tracks(shape: tuple[int, ...]) -> tuple[NDArray[np.float32], NDArray[np.
 
 
 @kernel
-def _track(chunks, ego, seen, visible, steps, dt, aged, tracks, age, out, alive):
+def _track(chunks, ego, observed, visible, steps, dt, dt_steps, tracks, age, out, known):
     total = ego.shape[0]
     for chunk in prange(chunks):
         for e in range(chunk * total // chunks, (chunk + 1) * total // chunks):
             for i in range(ego.shape[1]):
-                _take_in(
-                    ego[e, i], seen[e, i], visible[e, i], steps, dt, aged, tracks[e, i], age[e, i]
+                _update_tracks(
+                    ego[e, i],
+                    observed[e, i],
+                    visible[e, i],
+                    steps,
+                    dt,
+                    dt_steps,
+                    tracks[e, i],
+                    age[e, i],
                 )
-                _recall(ego[e, i], steps, tracks[e, i], age[e, i], out[e, i], alive[e, i])
+                _write_tracks(ego[e, i], steps, tracks[e, i], age[e, i], out[e, i], known[e, i])
 
 
 @function
@@ -132,35 +180,35 @@ def _pose(ego):
 
 
 @function
-def _take_in(ego, seen, visible, steps, dt, aged, tracks, age):
-    """Coast every track [M, 5] (world frame) by `dt` and replace those that are seen.
+def _update_tracks(ego, observed, visible, steps, dt, dt_steps, tracks, age):
+    """Move every track [M, 5] (world frame) on by `dt` and replace those that are observed.
 
-    `aged` is the same time in steps.
+    `dt_steps` is the same time in steps.
     """
     cos, sin, x, y = _pose(ego)
-    for j in range(seen.shape[0]):
+    for j in range(observed.shape[0]):
         if visible[j]:
             tracks[j, OTHER_X], tracks[j, OTHER_Y] = transform(
-                cos, sin, x, y, seen[j, OTHER_X], seen[j, OTHER_Y]
+                cos, sin, x, y, observed[j, OTHER_X], observed[j, OTHER_Y]
             )
-            vx = seen[j, OTHER_VELOCITY_X] + ego[VELOCITY_X]
-            vy = seen[j, OTHER_VELOCITY_Y] + ego[VELOCITY_Y]
+            vx = observed[j, OTHER_VELOCITY_X] + ego[VELOCITY_X]
+            vy = observed[j, OTHER_VELOCITY_Y] + ego[VELOCITY_Y]
             tracks[j, OTHER_VELOCITY_X], tracks[j, OTHER_VELOCITY_Y] = rotate(cos, sin, vx, vy)
-            tracks[j, OTHER_RADIUS] = seen[j, OTHER_RADIUS]
+            tracks[j, OTHER_RADIUS] = observed[j, OTHER_RADIUS]
             age[j] = _ZERO
         elif age[j] >= _ZERO:
             tracks[j, OTHER_X] += tracks[j, OTHER_VELOCITY_X] * dt
             tracks[j, OTHER_Y] += tracks[j, OTHER_VELOCITY_Y] * dt
-            age[j] = age[j] + aged if age[j] + aged <= steps else -_ONE
+            age[j] = age[j] + dt_steps if age[j] + dt_steps <= steps else -_ONE
 
 
 @function
-def _recall(ego, steps, tracks, age, out, alive):
-    """The tracks seen from the robot."""
+def _write_tracks(ego, steps, tracks, age, out, known):
+    """Write the tracks in the body frame of the robot."""
     cos, sin, x, y = _pose(ego)
     for j in range(age.shape[0]):
-        alive[j] = age[j] >= _ZERO
-        if not alive[j]:
+        known[j] = age[j] >= _ZERO
+        if not known[j]:
             out[j, :] = _ZERO
             continue
         out[j, OTHER_X], out[j, OTHER_Y] = untransform(

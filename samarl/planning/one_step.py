@@ -13,7 +13,7 @@ import numpy as np
 from numba import prange
 from numpy.typing import NDArray
 
-from mrsan import Kinematics, Scenario
+from mrsan import Entities, Kinematics, Scenario
 from mrsan.features import (
     GOAL_X,
     GOAL_Y,
@@ -88,6 +88,8 @@ def predict_outcomes(
 ) -> Outcomes:
     """Predict the outcome of every command after one step.
 
+    Only people and other robots are predicted; further groups and sensors are left out.
+
     Args:
         tracks: tracks of the robots of E worlds, [E, N, ...].
         active: [E, N] the R robots for which outcomes are predicted, in this order.
@@ -97,26 +99,22 @@ def predict_outcomes(
     """
     robots = np.flatnonzero(active)
     shape = len(commands), len(robots)
-    own, humans, humans_known, others, others_known = (
-        np.empty((*shape, *array.shape[2:]), array.dtype) for array in tracks
-    )
+    following = [np.empty((*shape, *array.shape[2:]), array.dtype) for array in tracks.agents]
     reward, ended = np.empty(shape, np.float32), np.empty(shape, np.bool_)
     _predict_outcomes(
         len(robots),
         robots,
-        *tracks,
+        *tracks.agents,
         target,
         commands,
         kernel_parameters(scenario),
-        own,
-        humans,
-        humans_known,
-        others,
-        others_known,
+        *following,
         reward,
         ended,
     )
-    return Outcomes(Tracks(own, humans, humans_known, others, others_known), reward, ended)
+    ego, humans, humans_known, others, others_known = following
+    entities = {"humans": Entities(humans, humans_known), "robots": Entities(others, others_known)}
+    return Outcomes(Tracks(ego, entities, {}), reward, ended)
 
 
 @kernel

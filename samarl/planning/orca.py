@@ -39,7 +39,7 @@ def orca_actions(
     action = np.empty((worlds, robots, scenario.action_size), np.float32)
     _orca(
         worlds,
-        *observation.perception,
+        *observation.agents,
         kernel_parameters(scenario),
         np.float32(parameters.neighbor_distance),
         parameters.max_neighbors,

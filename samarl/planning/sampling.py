@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numba import prange
 from numpy.typing import NDArray
 
-from mrsan import Scenario
+from mrsan import Observation, Scenario
 from mrsan.features import GOAL_X, GOAL_Y
 from mrsan.fields import required
 from mrsan.kernels import function, kernel
 from mrsan.parameters import kernel_parameters
+from samarl.observations.tracker import Tracks
 from samarl.planning.track_predictor import gather_offsets
 from samarl.planning.velocity_control import (
     gather_rows,
@@ -85,7 +85,7 @@ def plan_parameters(plans: Plans, scenario: Scenario) -> PlanParameters:
 
 def first_action(
     plans: Plans,
-    tracks: Sequence[NDArray[Any]],
+    tracks: Observation | Tracks,
     scenario: Scenario,
     predicted_offset: NDArray[np.float32],
 ) -> NDArray[np.float32]:
@@ -93,14 +93,16 @@ def first_action(
 
     Args:
         plans: parameters of the plans and of their cost.
-        tracks: `Observation.perception` or `Tracks`; everybody moves at constant velocity.
+        tracks: what the robots observe or track; everybody moves at constant velocity.
         scenario: the dynamics.
         predicted_offset: people's offsets from constant velocity, see `OffsetPredictor.update`.
     """
-    worlds, robots = tracks[0].shape[:2]
+    worlds, robots = tracks.ego.shape[:2]
     action = np.empty((worlds, robots, scenario.action_size), np.float32)
     plan = plan_parameters(plans, scenario)
-    _first_action(worlds, *tracks, predicted_offset, kernel_parameters(scenario), plan, action)
+    _first_action(
+        worlds, *tracks.agents, predicted_offset, kernel_parameters(scenario), plan, action
+    )
     return action
 
 

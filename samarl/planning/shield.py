@@ -95,14 +95,22 @@ def apply_shield(
             `OffsetPredictor.update`; None: zero.
     """
     checked = np.array(action, np.float32)
-    offset = zero_offset(tracks[2]) if predicted_offset is None else predicted_offset
+    if predicted_offset is None:
+        predicted_offset = zero_offset(tracks.entities["humans"].mask)
     settings = _Settings(
         max(1, scenario.steps(shield.horizon)),
         scenario.steps(TEAM_MATE_UNCERTAIN),
         np.float32(shield.human_margin),
         np.float32(shield.robot_margin),
     )
-    _apply_shield(len(checked), *tracks[:5], offset, kernel_parameters(scenario), settings, checked)
+    _apply_shield(
+        len(checked),
+        *tracks.agents,
+        predicted_offset,
+        kernel_parameters(scenario),
+        settings,
+        checked,
+    )
     return checked
 
 

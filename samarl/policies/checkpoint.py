@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import json
 import os
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,7 @@ from mrsan import ConfigurationError
 from mrsan.choices import ACTION_SIZE
 from samarl.files import atomic_write, find_folder, read_json, write_json
 from samarl.messages import choice_hint
+from samarl.observations.frames import FeatureSizes
 from samarl.policies import (  # noqa: F401 (makes them known)
     flat,
     hierarchical,
@@ -46,9 +48,25 @@ class PolicyCard:
     config: dict[str, Any]  # of the policy, with its encoder
     provenance: dict[str, Any]  # command, commit, configuration, steps ... of the training
     sha256: str  # digest of the file of the weights
+    # Fields of `FeatureSizes`; empty in older files, whose policies observe people and robots.
+    sizes: dict[str, Any] = field(default_factory=dict)
+
+    def feature_sizes(self) -> FeatureSizes | None:
+        """Return what the policy observes; None: people and robots."""
+        if not self.sizes:
+            return None
+        sensors = {name: tuple(shape) for name, shape in self.sizes["sensors"].items()}
+        return FeatureSizes(self.sizes["ego"], self.sizes["entities"], sensors)
 
 
-_CARD_TYPES = {"policy": str, "action_size": int, "config": dict, "provenance": dict, "sha256": str}
+_CARD_TYPES = {
+    "policy": str,
+    "action_size": int,
+    "config": dict,
+    "provenance": dict,
+    "sha256": str,
+    "sizes": dict,
+}
 
 
 def write_tensors(path: Path, tensors: dict[str, Tensor], metadata: dict[str, str]) -> str:
@@ -64,12 +82,27 @@ def write_tensors(path: Path, tensors: dict[str, Tensor], metadata: dict[str, st
 def save_policy(path: Path, policy: Policy, name: str, provenance: dict[str, Any]) -> None:
     """Write `path` (ending in .safetensors) and its card beside it."""
     digest = write_tensors(path, dict(policy.state_dict()), {})
-    card = PolicyCard(name, policy.action_size, asdict(policy.config), provenance, digest)
+    card = PolicyCard(
+        name,
+        policy.action_size,
+        asdict(policy.config),
+        provenance,
+        digest,
+        json.loads(json.dumps(asdict(policy.sizes))),
+    )
     write_json(path.with_suffix(".json"), {"format": FORMAT, **asdict(card)})
 
 
-def make_policy(name: str, config: Mapping[str, Any], action_size: int) -> Policy:
-    """A policy with fresh weights.
+def make_policy(
+    name: str, config: Mapping[str, Any], action_size: int, sizes: FeatureSizes | None = None
+) -> Policy:
+    """Return a policy with fresh weights.
+
+    Args:
+        name: in `POLICIES`.
+        config: the numbers of the policy, with its encoder.
+        action_size: A.
+        sizes: the groups of entities and the sensors that it observes; None: people and robots.
 
     Raises:
         ConfigurationError: a name is not known or a number is wrong.
@@ -79,7 +112,7 @@ def make_policy(name: str, config: Mapping[str, Any], action_size: int) -> Polic
             f"action_size is {action_size}; it must be one of {sorted({*ACTION_SIZE.values()})}"
         )
     values = POLICIES.config({**config, "name": name})
-    policy = POLICIES[name].cls(values, action_size)
+    policy = POLICIES[name].cls(values, action_size, sizes)
     return policy
 
 
@@ -118,7 +151,7 @@ def load_policy(path: Path) -> tuple[Policy, PolicyCard]:
         )
     try:
         with _no_larger_than(path):
-            policy = make_policy(card.policy, card.config, card.action_size)
+            policy = make_policy(card.policy, card.config, card.action_size, card.feature_sizes())
     except ConfigurationError as error:
         raise ConfigurationError(f"{card_path}: {error}") from error
     with attribute_errors_to(path, "does not fit its card"):

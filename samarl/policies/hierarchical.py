@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 from torch.jit import is_tracing  # type: ignore[attr-defined]
 
+from mrsan import Scenario
 from mrsan.fields import required
 from samarl.encoders import Encoder
 from samarl.encoders.encoder import samples_of
@@ -23,7 +24,7 @@ from samarl.observations.features import (
     to_body,
     to_world,
 )
-from samarl.observations.frames import Frames
+from samarl.observations.frames import FeatureSizes, Frames
 from samarl.policies.explanation import Explanation
 from samarl.policies.flat import MEAN, STD
 from samarl.policies.heads import Gaussian, log_prob
@@ -88,9 +89,11 @@ class HierarchicalPolicy(StochasticPolicy):
     waypoint_source = Waypoints.learned
     team_size = 1  # N, for shuffled waypoints
 
-    def __init__(self, config: HierarchicalConfig, action_size: int) -> None:
+    def __init__(
+        self, config: HierarchicalConfig, action_size: int, sizes: FeatureSizes | None = None
+    ) -> None:
         """See `Policy`."""
-        super().__init__(config, action_size)
+        super().__init__(config, action_size, sizes)
         self._random = np.random.default_rng(0)  # of random waypoints
 
     def _make_networks(self, encoder: Encoder) -> Networks:
@@ -105,10 +108,10 @@ class HierarchicalPolicy(StochasticPolicy):
         """See `StochasticPolicy.action_sizes`; a macro action moves the waypoint in the plane."""
         return {MACRO: 2, LOCAL: self.action_size}
 
-    def initial_policy_state(self, rows: int, robots: int, humans: int) -> PolicyState:
+    def initial_policy_state(self, rows: int, scenario: Scenario) -> PolicyState:
         """See `StochasticPolicy.initial_policy_state`; with the waypoints and their clocks."""
         return {
-            **super().initial_policy_state(rows, robots, humans),
+            **super().initial_policy_state(rows, scenario),
             "waypoint": torch.zeros(rows, 2, device=self.device),  # in the world frame, m
             "steps_left": torch.zeros(rows, dtype=torch.long, device=self.device),
         }

@@ -1,7 +1,7 @@
-"""One step ahead: the command whose outcome is worth most (CADRL, Chen et al., 2017).
+"""One-step lookahead: take the command with the highest predicted value.
 
-The encoder decides what a state is worth: with the minimum over pairs it is CADRL, with attention
-SARL (Chen et al., Crowd-robot interaction, 2019).
+The encoder estimates the value of a state: with the minimum over pairs this is CADRL (Chen et al.,
+2017), with attention it is SARL (Chen et al., Crowd-robot interaction, 2019).
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from torch import Tensor, nn
 from mrsan import ConfigurationError, Observation, Scenario
 from mrsan.fields import required
 from samarl.encoders import Encoder
-from samarl.observations.features import frames_of
-from samarl.observations.frames import Frames
+from samarl.observations.features import empty_frames
+from samarl.observations.frames import FeatureSizes, Frames
 from samarl.observations.tracker import Tracks
 from samarl.planning.one_step import Commands, command_set, predict_outcomes
 from samarl.planning.orca import OrcaParameters, orca_actions
@@ -32,62 +32,67 @@ from samarl.policies.policy import (
     PolicyConfig,
     PolicyState,
     PolicyStep,
-    empty_features,
 )
 
-CHUNK_SIZE = 256  # states that are valued at once: so few stay in a processor's cache
-VALUE_SCALE = 10.0  # what is 1 to the networks; SAMARL's rewards add up to some 30
+CHUNK_SIZE = 256  # states that are evaluated together; more do not fit into a processor's cache
+VALUE_SCALE = 10.0  # a network output of 1; the rewards of an episode add up to about 30
 
 
 @dataclass
 class LookaheadConfig(OrcaParameters, Commands, PolicyConfig):
-    """Numbers of the lookahead, and of ORCA, which drives while it is imitated."""
+    """Settings of the lookahead, and of ORCA, which it imitates first."""
 
     discount: float = required(0.0, 0.9999, help="discount per step")
 
 
 @POLICIES.register("lookahead", LookaheadConfig)
 class LookaheadPolicy(Policy):
-    """Tries every command on constant-velocity predictions; a network values where it leads.
+    """Predict the outcome of every command at constant velocity, and evaluate it with a network.
 
-    When it explores it takes random commands with probability `epsilon`, or what ORCA would do
-    while `imitating`; both are set by the algorithm.
+    For exploration it takes random commands with probability `epsilon`, or ORCA's actions while
+    `imitating`; the algorithm sets both.
     """
 
     epsilon = 0.0
     imitating = False
 
+    def __init__(
+        self, config: LookaheadConfig, action_size: int, sizes: FeatureSizes | None = None
+    ) -> None:
+        """See `Policy`; whatever `sizes` is, only people and robots can be predicted."""
+        super().__init__(config, action_size)
+
     def _make_networks(self, encoder: Encoder) -> Networks:
-        """An encoder with one feature gives the value itself."""
-        example = empty_features(1, 2, 1, torch.device("cpu"))
+        """Create a value head; an encoder with one feature gives the value itself."""
+        example = empty_frames(Scenario(robots=2, humans=1))
         if encoder.history or encoder.initial_state(example):
             raise ConfigurationError(
-                f"policy.encoder is {self.config.encoder['name']}, which remembers; it must be one "
-                "without history or state for policy.name lookahead: no memory of what was only "
-                "imagined"
+                f"policy.encoder is {self.config.encoder['name']}, which has a memory; for "
+                "policy.name lookahead it must be one without, because predicted states are not "
+                "observed"
             )
         y, hidden = encoder.features, self.config.hidden
         head = nn.Sequential(nn.Linear(y, hidden), nn.ReLU(), nn.Linear(hidden, 1))
         return Networks(encoder, {LOCAL: nn.Identity() if y == 1 else head})
 
     def value(self, frames: Frames, rows: Tensor) -> Tensor:
-        """The discounted reward that is expected from P states on, [P].
+        """Return the expected discounted reward from P states on, [P].
 
         Args:
             frames: [P, 1, ...] what is known in them.
-            rows: [P] of which robots, see `_per_parameter_set`.
+            rows: [P] see `_per_parameter_set`.
         """
 
-        def of_set(net: Networks, i: int, mine: Any) -> Tensor:
-            given = frames.of(mine)
-            begins = torch.ones_like(given.ego[..., 0], dtype=torch.bool)
-            y = net.encoder.read(net.encoder.observe(given, begins, {}), given.ego[:, 0])
+        def of_set(net: Networks, i: int, samples: Any) -> Tensor:
+            frame = frames.of(samples)
+            is_init = torch.ones_like(frame.ego[..., 0], dtype=torch.bool)
+            y = net.encoder.read(net.encoder.observe(frame, is_init, {}), frame.ego[:, 0])
             result: Tensor = net.heads[LOCAL](y).squeeze(-1)
             return result
 
         with self._precision():
-            found: Tensor = self._per_parameter_set(rows, of_set)
-        return VALUE_SCALE * found.float()
+            value: Tensor = self._per_parameter_set(rows, of_set)
+        return VALUE_SCALE * value.float()
 
     @torch.no_grad()
     def act(
@@ -122,12 +127,12 @@ class LookaheadPolicy(Policy):
         commands = command_set(self.config, scenario.kinematics)
         target = self.route(tracks.ego, scenario)
         outcomes = predict_outcomes(tracks, active, target, commands, scenario)
-        imagined = frames_of(outcomes.tracks, scenario, self.config.known_origin).to(self.device)
+        imagined = self.extract_features(outcomes.tracks, scenario).to(self.device)
         rows = torch.from_numpy(np.flatnonzero(active)).to(self.device).repeat(len(commands))
-        piece = CHUNK_SIZE if self.device.type == "cpu" else max(len(rows), 1)
-        parts = zip(imagined.split(piece), rows.split(piece), strict=True)
-        worth = torch.cat([self.value(*part) for part in parts]).cpu()
-        later = worth.view(outcomes.reward.shape) * ~torch.from_numpy(outcomes.ended)
+        chunk = CHUNK_SIZE if self.device.type == "cpu" else max(len(rows), 1)
+        chunks = zip(imagined.split(chunk), rows.split(chunk), strict=True)
+        value = torch.cat([self.value(*part) for part in chunks]).cpu()
+        later = value.view(outcomes.reward.shape) * ~torch.from_numpy(outcomes.ended)
         score = torch.from_numpy(outcomes.reward) + self.config.discount * later  # [C, R]
         chosen = score.argmax(0)
         if epsilon > 0.0:
@@ -136,10 +141,12 @@ class LookaheadPolicy(Policy):
         return torch.from_numpy(commands)[chosen]
 
     def _scene(self, frames: Frames) -> Any:
-        """What the encoders make of the present, [B, ...]."""
-        every = torch.arange(len(frames.ego), device=self.device)
-        begins = torch.ones_like(frames.ego[..., 0], dtype=torch.bool)
+        """Return the scenes of the encoders, [B, ...]."""
+        rows = torch.arange(len(frames.ego), device=self.device)
+        is_init = torch.ones_like(frames.ego[..., 0], dtype=torch.bool)
+
+        def of_set(net: Networks, i: int, samples: Any) -> Any:
+            return net.encoder.observe(frames.of(samples), is_init[samples], {})
+
         with self._precision():
-            return self._per_parameter_set(
-                every, lambda net, i, mine: net.encoder.observe(frames.of(mine), begins[mine], {})
-            )
+            return self._per_parameter_set(rows, of_set)

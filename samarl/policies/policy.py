@@ -25,12 +25,8 @@ from mrsan import ConfigurationError, Observation, Scenario
 from mrsan.fields import required, setting
 from samarl.encoders import ENCODERS, Encoder
 from samarl.encoders.encoder import samples_of
-from samarl.observations.features import (
-    NETWORK_EGO_FEATURES,
-    NETWORK_OTHER_FEATURES,
-    frames_of,
-)
-from samarl.observations.frames import Frames
+from samarl.observations.features import AGENT_SIZES, empty_frames, frames_of
+from samarl.observations.frames import FeatureSizes, Frames
 from samarl.observations.route import route as next_on_route
 from samarl.observations.tracker import Tracker, Tracks
 from samarl.policies.explanation import Explanation
@@ -122,19 +118,21 @@ class Policy(nn.Module, ABC):
     levels: tuple[str, ...] = (LOCAL,)
     networks: Sequence[Networks]
 
-    def __init__(self, config: Any, action_size: int) -> None:
+    def __init__(self, config: Any, action_size: int, sizes: FeatureSizes | None = None) -> None:
         """Create the networks.
 
         Args:
             config: an instance of the dataclass that the policy is registered with.
             action_size: A.
+            sizes: the groups of entities and the sensors that it observes; None: people and robots.
         """
         super().__init__()
         self.config, self.action_size = config, action_size
-        sizes = ENCODERS.config(config.encoder)
+        self.sizes = AGENT_SIZES if sizes is None else sizes
+        encoder_config = ENCODERS.config(config.encoder)
         entry = ENCODERS[config.encoder["name"]]
         self.networks = nn.ModuleList(  # type: ignore[assignment]
-            self._make_networks(entry.cls(sizes, NETWORK_EGO_FEATURES, NETWORK_OTHER_FEATURES))
+            self._make_networks(entry.cls(encoder_config, self.sizes))
             for _ in range(config.num_parameter_sets)
         )
         self.low_precision = False  # encode with bfloat16
@@ -218,6 +216,14 @@ class Policy(nn.Module, ABC):
                 f"scenario.robots is {scenario.robots}; it must be {sets}, as "
                 "policy.num_parameter_sets: each robot has its own parameters"
             )
+        available = empty_frames(scenario).sizes
+        for kind in ("entities", "sensors"):
+            for name, size in getattr(self.sizes, kind).items():
+                if getattr(available, kind).get(name) != size:
+                    raise ConfigurationError(
+                        f"scenario.sensors is {scenario.sensors!r}; it must have {name} with "
+                        f"{size} features, which this policy observes"
+                    )
 
     def _perceive(
         self,
@@ -229,7 +235,15 @@ class Policy(nn.Module, ABC):
         """Update the tracks of all robots; return them and the features of the networks."""
         tracker = Tracker(self.config.track_time, scenario.time_step)
         tracks = tracker.update(observation, state["tracks"], is_init)
-        return tracks, frames_of(tracks, scenario, self.config.known_origin).to(self.device)
+        return tracks, self.extract_features(tracks, scenario).to(self.device)
+
+    def extract_features(self, tracks: Tracks, scenario: Scenario) -> Frames:
+        """Return the features [B, 1, ...] of the groups and sensors that this policy observes."""
+        return frames_of(tracks, scenario, self.config.known_origin).select(self.sizes)
+
+    def empty_frames(self, scenario: Scenario, rows: int) -> Frames:
+        """Return frames [B, 1, ...] like those of `extract_features` in which nothing is known."""
+        return empty_frames(scenario, rows).select(self.sizes).to(self.device)
 
     def _per_parameter_set(self, rows: Tensor, call: Callable[[Any, int, Any], Any]) -> Any:
         """Call each set of parameters on its own robots and merge the results in order.
@@ -254,18 +268,3 @@ class Policy(nn.Module, ABC):
 
     def _precision(self) -> torch.autocast:
         return torch.autocast(self.device.type, torch.bfloat16, enabled=self.low_precision)
-
-
-def empty_features(rows: int, robots: int, humans: int, device: torch.device) -> Frames:
-    """Return a frame [B, 1, ...] in which no other agent is known."""
-
-    def zeros(*shape: int, dtype: torch.dtype = torch.float32) -> Tensor:
-        return torch.zeros(rows, 1, *shape, dtype=dtype, device=device)
-
-    return Frames(
-        zeros(NETWORK_EGO_FEATURES),
-        zeros(humans, NETWORK_OTHER_FEATURES),
-        zeros(humans, dtype=torch.bool),
-        zeros(robots - 1, NETWORK_OTHER_FEATURES),
-        zeros(robots - 1, dtype=torch.bool),
-    )

@@ -26,7 +26,6 @@ from samarl.policies.policy import (
     Policy,
     PolicyState,
     PolicyStep,
-    empty_features,
 )
 
 if TYPE_CHECKING:
@@ -117,15 +116,14 @@ class StochasticPolicy(Policy):
         """Return how many numbers an action of each level has."""
         return {LOCAL: self.action_size}
 
-    def initial_policy_state(self, rows: int, robots: int, humans: int) -> PolicyState:
+    def initial_policy_state(self, rows: int, scenario: Scenario) -> PolicyState:
         """Return the memory of B robots before their first step.
 
         Args:
             rows: B.
-            robots: N, the robot itself included.
-            humans: M.
+            scenario: of the robots; the memory has a slot for each agent and entity.
         """
-        example = empty_features(rows // len(self.networks), robots, humans, self.device)
+        example = self.empty_frames(scenario, rows // len(self.networks))
         return {
             "encoder": tuple(net.encoder.initial_state(example) for net in self.networks),
             "noise": torch.zeros(rows, self.action_size, device=self.device),
@@ -133,10 +131,9 @@ class StochasticPolicy(Policy):
 
     def initial_state(self, worlds: int, scenario: Scenario) -> PolicyState:
         """See `Policy.initial_state`; with the memory of the networks."""
-        n = scenario.robots
         return {
             **super().initial_state(worlds, scenario),
-            **self.initial_policy_state(worlds * n, n, scenario.humans),
+            **self.initial_policy_state(worlds * scenario.robots, scenario),
         }
 
     @torch.no_grad()

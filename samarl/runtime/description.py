@@ -1,4 +1,4 @@
-"""What an exported policy says of itself: JSON in the metadata of the ONNX file."""
+"""The description of an exported policy: JSON in the metadata of the ONNX file."""
 
 from __future__ import annotations
 
@@ -12,8 +12,9 @@ from samarl.planning.shield import Shield
 
 KEY = "samarl"  # of the metadata
 FORMAT = 2
+MEMORY, NEXT_MEMORY = "state.", "next."  # prefixes of inputs and outputs
 
-# What a robot must know of the scenario that it was trained for; of the others nothing is asked.
+# The fields of the scenario that a robot needs.
 ROBOT_FIELDS = (
     "robots",
     "humans",
@@ -36,28 +37,29 @@ ROBOT_FIELDS = (
 class Description:
     """Everything that the runtime needs besides the network.
 
-    Inputs of the network are the fields of `Tracks`, [1, 1, ...], for a lookahead [C, 1, ...] of C
-    predicted outcomes; for other policies also `is_init` [1], whether the memory is cleared,
-    `route` [1, 2], where the route leads next in the body frame (m), and the memory.
-    Outputs are `action` [1, A] in [-1, 1] and the memory, or `value` [C].
+    Inputs of the network are the arrays of `Tracks.named`, [1, 1, ...]. With lookahead they are
+    those of C predicted outcomes, [C, 1, ...], and the output is `value` [C]. Other policies also
+    have the inputs `is_init` [1], whether the memory is cleared, `route` [1, 2], where the route
+    leads next in the body frame (m), and `state.NAME`, the memory. Their outputs are `action` [1,
+    A] in [-1, 1] and `next.NAME`, the memory after the step.
     """
 
     agent: str  # its name in conf/agent
     opset: int  # of ONNX
     card: dict[str, Any]  # of the policy, see `samarl.policies.checkpoint.PolicyCard`
-    scenario: dict[str, Any]  # ROBOT_FIELDS; its robots are the slots for others and one
-    shield: dict[str, Any] | None  # numbers of the safety shield; None: nothing checks its actions
-    # Of the memory, input `state.NAME` and output `next.NAME`: which axis has a place for every
-    # "humans", "robots", or "everybody" (robots first); those are cleared for somebody new.
+    scenario: dict[str, Any]  # ROBOT_FIELDS; `robots` includes the robot itself
+    shield: dict[str, Any] | None  # settings of the safety shield; None: without one
+    # Of each tensor of the memory: which axis has a slot for every one of "humans", "robots" or
+    # "everybody" (robots first). A slot is cleared when it is assigned to somebody else.
     slots: dict[str, tuple[str, int]]
 
     def to_json(self) -> str:
-        """The text that is kept in the file."""
+        """Return the text that the file stores."""
         return json.dumps({"format": FORMAT, **dataclasses.asdict(self)})
 
     @classmethod
     def of_metadata(cls, metadata: dict[str, str], path: Any) -> Description:
-        """The description in the metadata of a file.
+        """Return the description in the metadata of a file.
 
         Raises:
             ConfigurationError: it has none, or one of another format.
@@ -72,27 +74,27 @@ class Description:
 
     @property
     def policy(self) -> dict[str, Any]:
-        """The numbers of the policy."""
+        """Return the configuration of the policy."""
         config: dict[str, Any] = self.card["config"]
         return config
 
     @property
     def uses_absolute_position(self) -> bool:
-        """Whether the origin of the frame means something to it: the middle of the place."""
-        round_the_crowd = self.scenario["fov_degrees"] < self.policy["round_below"]
-        return bool(self.policy.get("known_origin", True) or round_the_crowd)
+        """Return whether the policy takes the origin of the frame for the centre of the area."""
+        drives_round = self.scenario["fov_degrees"] < self.policy["round_below"]
+        return bool(self.policy.get("known_origin", True) or drives_round)
 
     def make_scenario(self) -> Scenario:
-        """What the robot knows of its task."""
+        """Return the scenario as far as the robot knows it."""
         return Scenario(**{**self.scenario, "reward": Reward(**self.scenario["reward"])})
 
     def make_shield(self) -> Shield | None:
-        """The shield, if it drives with one."""
+        """Return the shield, if there is one."""
         return None if self.shield is None else Shield(**self.shield)
 
 
 def robot_fields(scenario: Scenario) -> dict[str, Any]:
-    """The part of a scenario that is told the robot."""
+    """Return the fields of a scenario that a robot needs."""
     values = {name: getattr(scenario, name) for name in ROBOT_FIELDS}
     values["kinematics"] = scenario.kinematics.name
     values["reward"] = dataclasses.asdict(scenario.reward)

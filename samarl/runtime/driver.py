@@ -1,18 +1,19 @@
-"""From who is seen to what to do: one robot, one decision at a time."""
+"""Drive one robot with an exported policy, one decision at a time."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mrsan import EGO_FEATURES, OTHER_FEATURES, Observation
+from mrsan import EGO_FEATURES, OTHER_FEATURES, Entities, Observation
 from mrsan.features import GOAL
+from mrsan.observation import parts_of_named
 from mrsan.parameters import kernel_parameters
 from mrsan.se2 import unrotate
 from samarl.observations.route import route
@@ -20,70 +21,99 @@ from samarl.observations.tracker import Tracker, TrackMemory, Tracks
 from samarl.planning.one_step import Commands, command_set, predict_outcomes
 from samarl.planning.shield import apply_shield
 from samarl.planning.velocity_control import action_to_motion
-from samarl.runtime.inputs import Detection, InputError, OwnState, validated
+from samarl.runtime.inputs import (
+    Detection,
+    InputError,
+    OwnState,
+    validated,
+    validated_sensors,
+)
 from samarl.runtime.network import Network
 from samarl.runtime.slots import Slots
 
 
 class Command(NamedTuple):
-    """What the robot is to do until the next step, in three forms of the same."""
+    """What the robot should do until the next step, in three equivalent forms."""
 
     action: NDArray[np.float32]  # [A] in [-1, 1], as in the simulator
-    acceleration: float  # along the heading that it is to turn to, m/s^2
-    lateral: float  # across it, to the left, m/s^2
-    heading: float  # to be had after one step, in the frame of `OwnState`, rad in [-pi, pi]
-    speed: float  # likewise, m/s
-    turn_rate: float  # to turn to the heading in one step, rad/s
-    shielded: bool  # the shield replaced what the policy wanted
+    acceleration: float  # along the new heading, m/s^2
+    lateral: float  # perpendicular to it, to the left, m/s^2
+    heading: float  # after one step, in the frame of `OwnState`, rad in [-pi, pi]
+    speed: float  # after one step, m/s
+    turn_rate: float  # that reaches the heading in one step, rad/s
+    shielded: bool  # the shield replaced the policy's action
 
 
 class Driver:
     """An exported policy that drives one robot."""
 
     def __init__(self, network: Network) -> None:
-        """Drive with a loaded network; `load` is what one usually wants."""
-        self._network, told = network, network.description
-        self.description, self.scenario = told, told.make_scenario()
-        self._shield, self._parameters = told.make_shield(), kernel_parameters(self.scenario)
-        policy, s = told.policy, self.scenario
+        """Drive with a network; most users call `load`."""
+        self._network, self.description = network, network.description
+        self.scenario = self.description.make_scenario()
+        self._shield = self.description.make_shield()
+        self._parameters = kernel_parameters(self.scenario)
+        policy = self.description.policy
         if network.looks_ahead:
             sizes = Commands(**{f.name: policy[f.name] for f in fields(Commands)})
-            self._commands = command_set(sizes, s.kinematics)
-        times = {policy["track_time"]} | ({self._shield.track_time} if self._shield else set())
-        self._trackers = {seconds: Tracker(seconds, s.time_step) for seconds in sorted(times)}
-        self._keep = max(times)
+            self._commands = command_set(sizes, self.scenario.kinematics)
+        track_times = {policy["track_time"]}
+        if self._shield:
+            track_times.add(self._shield.track_time)
+        self._trackers = {
+            track_time: Tracker(track_time, self.scenario.time_step)
+            for track_time in sorted(track_times)
+        }
+        self._longest_track_time = max(track_times)
         self.reset()
 
     @classmethod
     def load(cls, path: str | Path) -> Driver:
-        """Read a file that `samarl-export` wrote, and make everything ready for the first step.
+        """Load a file that `samarl-export` wrote, ready for the first step.
 
         Raises:
             ConfigurationError: there is no such file, or it is another kind of file.
         """
         driver = cls(Network(path))
-        # Kernels are compiled, or read from the disk, before the robot moves.
-        driver.step(OwnState(0.0, 0.0, 0.0, 0.0, 0.0, 4.0, 0.0), [Detection(2, 0, -1, 0)], 0.0)
+        # One step compiles the kernels, or reads them from disk, before the robot moves.
+        zeros: dict[str, NDArray[Any]] = {
+            name: np.zeros(shape, dtype) for name, (shape, dtype) in driver.sensor_inputs.items()
+        }
+        own = OwnState(0.0, 0.0, 0.0, 0.0, 0.0, 4.0, 0.0)
+        driver.step(own, [Detection(2, 0, -1, 0)], 0.0, zeros)
         driver.reset()
         return driver
 
-    def reset(self) -> None:
-        """Forget everything: for a new goal, after a pause, or where the frame has moved."""
-        s = self.scenario
-        self._network.forget()
-        self._memories = {
-            number: TrackMemory(
-                *(kept[:, :1].copy() for kept in tracker.initial(1, s.robots, s.humans))
-            )
-            for number, tracker in self._trackers.items()
-        }
-        self._humans = Slots(s.humans, self._keep)
-        self._robots = Slots(s.robots - 1, self._keep)
-        self._began: float | None = None  # when
-        self._before = 0.0  # when the last step was
-        self._origin = 0.0, 0.0  # of what the policy is told
+    @property
+    def sensor_inputs(self) -> dict[str, tuple[tuple[int, ...], type]]:
+        """Return shape and type of every array that `step` needs in `sensors`."""
+        return self._network.sensor_inputs
 
-    def step(self, own: OwnState, detections: Iterable[Detection], time: float) -> Command:
+    def reset(self) -> None:
+        """Clear all memory: for a new goal, after a pause, or when the frame has moved."""
+        s = self.scenario
+        self._network.reset()
+        self._memories = {
+            track_time: TrackMemory(
+                *(array[:, :1].copy() for array in tracker.initial(1, s.robots, s.humans))
+            )
+            for track_time, tracker in self._trackers.items()
+        }
+        self._slots = {
+            "humans": Slots(s.humans, self._longest_track_time),
+            "robots": Slots(s.robots - 1, self._longest_track_time),
+        }
+        self._start_time: float | None = None
+        self._last_time = 0.0
+        self._origin = 0.0, 0.0  # of the coordinates that the policy observes
+
+    def step(
+        self,
+        own: OwnState,
+        detections: Iterable[Detection],
+        time: float,
+        sensors: Mapping[str, Any] | None = None,
+    ) -> Command:
         """Decide what to do now.
 
         Steps may come early or late and detections may be missing: tracks are extrapolated at
@@ -93,94 +123,104 @@ class Driver:
             own: the robot and its goal.
             detections: everybody who is visible now, or reported by team-mates; any iterable.
             time: of these measurements, on any clock that does not jump, s.
+            sensors: the arrays of a policy with further sensors, see `sensor_inputs`: a sensor's
+                values, or the features of a group of entities and, as `GROUP_known`, its mask.
 
         Raises:
             InputError: names the input that cannot be used; the driver is unchanged.
         """
-        own, people, time = validated(own, detections, time)
-        begins = self._began is None
-        if not begins and time <= self._before:
+        own, agents, time = validated(own, detections, time)
+        readings = validated_sensors(sensors or {}, self.sensor_inputs)
+        is_first = self._start_time is None
+        if not is_first and time <= self._last_time:
             raise InputError(
-                f"time is {time}; it must be later than that of the step before, {self._before} "
+                f"time is {time}; it must be later than that of the step before, {self._last_time} "
                 "(call reset() to start again)"
             )
-        if self._began is None:
-            self._began = self._before = time
+        if self._start_time is None:
+            self._start_time = self._last_time = time
             if not self.description.uses_absolute_position:
                 self._origin = own.x, own.y  # float32 is coarse far away from it
-        elapsed, self._before = time - self._before, time
-        seen = self._observed(own, people, time)
-        known = {
-            number: tracker.update(seen, self._memories[number], np.array([begins]), elapsed)
-            for number, tracker in self._trackers.items()
+        elapsed, self._last_time = time - self._last_time, time
+        observation = self._observation(own, agents, time, readings)
+        tracks = {
+            track_time: tracker.update(
+                observation, self._memories[track_time], np.array([is_first]), elapsed
+            )
+            for track_time, tracker in self._trackers.items()
         }
-        wanted = self._decided(known[self.description.policy["track_time"]])
-        action = wanted
+        chosen = self._decide(tracks[self.description.policy["track_time"]])
+        action = chosen
         if self._shield:
-            tracks = known[self._shield.track_time]
-            action = apply_shield(tracks, wanted, self.scenario, self._shield)
-        return self._command(seen.ego, action, own.heading, bool((action != wanted).any()))
+            shield_tracks = tracks[self._shield.track_time]
+            action = apply_shield(shield_tracks, chosen, self.scenario, self._shield)
+        shielded = bool((action != chosen).any())
+        return self._command(observation.ego, action, own.heading, shielded)
 
-    def _observed(self, own: OwnState, detections: Sequence[Detection], time: float) -> Observation:
-        """What the simulator would have said: everybody in a place of their own, in body frame."""
+    def _observation(
+        self,
+        own: OwnState,
+        detections: Sequence[Detection],
+        time: float,
+        sensors: Mapping[str, NDArray[Any]],
+    ) -> Observation:
+        """Return the robot's observation as in the simulator, each agent in a slot of its own."""
         s, x, y = self.scenario, own.x - self._origin[0], own.y - self._origin[1]
         cos, sin = math.cos(own.heading), math.sin(own.heading)
-        began = time if self._began is None else self._began
+        start_time = time if self._start_time is None else self._start_time
 
-        def body(dx: float, dy: float) -> tuple[float, float]:
+        def to_body(dx: float, dy: float) -> tuple[float, float]:
             return unrotate(cos, sin, dx, dy)
 
         ego = np.empty((1, 1, len(EGO_FEATURES)), np.float32)
         ego[0, 0] = (
-            *body(own.goal_x - own.x, own.goal_y - own.y),
-            *body(own.velocity_x, own.velocity_y),
-            *body(-x, -y),
+            *to_body(own.goal_x - own.x, own.goal_y - own.y),
+            *to_body(own.velocity_x, own.velocity_y),
+            *to_body(-x, -y),
             cos,
             sin,
             s.robot_radius,
             s.robot_speed,
-            min((time - began) / s.time_limit, 1.0),
+            min((time - start_time) / s.time_limit, 1.0),
         )
-        parts: list[NDArray] = []
-        for kind, slots in (("humans", self._humans), ("robots", self._robots)):
-            rows = np.zeros((1, 1, slots.number, len(OTHER_FEATURES)), np.float32)
+        entities = {}
+        for kind, slots in self._slots.items():
+            features = np.zeros((1, 1, slots.number, len(OTHER_FEATURES)), np.float32)
             visible = np.zeros((1, 1, slots.number), np.bool_)
-            mine = [d for d in detections if d.robot == (kind == "robots")]
-            found, new = slots.assign(mine, own.x, own.y, time)
-            self._network.forget_those(kind, new)
-            for slot, d in found:
-                rows[0, 0, slot] = (
-                    *body(d.x - own.x, d.y - own.y),
-                    *body(d.velocity_x - own.velocity_x, d.velocity_y - own.velocity_y),
+            of_kind = [d for d in detections if d.robot == (kind == "robots")]
+            assigned, reassigned = slots.assign(of_kind, own.x, own.y, time)
+            self._network.clear_slots(kind, reassigned)
+            for slot, d in assigned:
+                features[0, 0, slot] = (
+                    *to_body(d.x - own.x, d.y - own.y),
+                    *to_body(d.velocity_x - own.velocity_x, d.velocity_y - own.velocity_y),
                     d.radius,
                 )
                 visible[0, 0, slot] = True
-            parts += [rows, visible]
-        nothing = np.zeros((1, 1, 0), np.bool_)  # it is not said who saw whom
-        humans, humans_seen, robots, robots_seen = parts
-        return Observation(ego, humans, humans_seen, robots, robots_seen, nothing, nothing)
+            entities[kind] = Entities(features, visible)
+        _, groups, values = parts_of_named({"ego": None, **sensors}, "known")
+        entities |= {name: Entities(*group) for name, group in groups.items()}
+        return Observation(ego, entities, values, {})
 
-    def _decided(self, tracks: Tracks) -> NDArray[np.float32]:
-        """What the policy does, [1, 1, A]."""
+    def _decide(self, tracks: Tracks) -> NDArray[np.float32]:
+        """Return the policy's action, [1, 1, A]."""
         policy = self.description.policy
-        aim = tracks.ego[..., GOAL]
+        target = tracks.ego[..., GOAL]
         if self._network.needs_route:
             below, radius = policy["round_below"], policy["round_radius"]
-            aim = route(tracks.ego, self.scenario.fov_degrees, below, radius)
+            target = route(tracks.ego, self.scenario.fov_degrees, below, radius)
         if not self._network.looks_ahead:
-            return self._network.action(tracks, aim)
-        here = np.ones((1, 1), np.bool_)
-        outcomes = predict_outcomes(tracks, here, aim, self._commands, self.scenario)
-        worth = self._network.values(outcomes.tracks) * ~outcomes.ended[:, 0]
-        best = (outcomes.reward[:, 0] + np.float32(policy["discount"]) * worth).argmax()
+            return self._network.action(tracks, target)
+        active = np.ones((1, 1), np.bool_)
+        outcomes = predict_outcomes(tracks, active, target, self._commands, self.scenario)
+        value = self._network.values(outcomes.tracks) * ~outcomes.ended[:, 0]
+        best = (outcomes.reward[:, 0] + np.float32(policy["discount"]) * value).argmax()
         return self._commands[best][None, None].copy()
 
     def _command(
-        self, ego: NDArray[np.float32], action: NDArray[np.float32], heading: float, replaced: bool
+        self, ego: NDArray[np.float32], action: NDArray[np.float32], heading: float, shielded: bool
     ) -> Command:
-        s = self.scenario
         speed, turn, acceleration, lateral = action_to_motion(ego, action, self._parameters)
-        new = math.remainder(heading + turn, 2.0 * math.pi)
-        return Command(
-            action[0, 0], acceleration, lateral, new, speed, turn / s.time_step, replaced
-        )
+        new_heading = math.remainder(heading + turn, 2.0 * math.pi)
+        turn_rate = turn / self.scenario.time_step
+        return Command(action[0, 0], acceleration, lateral, new_heading, speed, turn_rate, shielded)

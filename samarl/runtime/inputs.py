@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Hashable, Iterable
+from collections.abc import Hashable, Iterable, Mapping
 from numbers import Real
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 LARGEST = 1e10  # squares of larger numbers overflow single precision; Unix time is below it
 
@@ -84,6 +85,41 @@ def validated(
                 "differ"
             )
     return own, people, time
+
+
+def validated_sensors(
+    sensors: Mapping[str, Any], expected: Mapping[str, tuple[tuple[int, ...], type]]
+) -> dict[str, NDArray[Any]]:
+    """Check the arrays of further sensors and add the axes of worlds and robots, [1, 1, ...].
+
+    Args:
+        sensors: arrays by name.
+        expected: shape and type of each.
+
+    Raises:
+        InputError: one is missing, unknown, of another shape or type, or not finite.
+    """
+    if not isinstance(sensors, Mapping):
+        raise InputError(f"sensors is {_shown(sensors)}; it must map names to arrays")
+    for name in sensors:
+        if name not in expected:
+            names = f"one of {', '.join(expected)}" if expected else "omitted"
+            raise InputError(f"sensors has {_shown(name)}; it must be {names}")
+    arrays = {}
+    for name, (shape, dtype) in expected.items():
+        if name not in sensors:
+            raise InputError(f"sensors has no {name}; it must be an array {list(shape)}")
+        try:
+            array: NDArray[Any] = np.asarray(sensors[name], dtype)
+        except (TypeError, ValueError):
+            array = np.empty(0)
+        if array.shape != shape or not np.isfinite(array).all():
+            raise InputError(
+                f"sensors[{name!r}] is {_shown(sensors[name])}; it must be an array {list(shape)} "
+                "of finite numbers"
+            )
+        arrays[name] = array[None, None].copy()
+    return arrays
 
 
 def _detection(path: str, value: Any) -> Detection:

@@ -1,8 +1,10 @@
-"""A robot of the simulator as the runtime sees one, to compare the two."""
+"""The inputs of the runtime for a robot of the simulator, to compare the two."""
 
 from __future__ import annotations
 
 import math
+
+from numpy.typing import NDArray
 
 from mrsan import Observation
 from mrsan.features import (
@@ -22,7 +24,7 @@ from samarl.runtime.inputs import Detection, OwnState
 def as_seen(
     observation: Observation, robot: int, world: int = 0, named: bool = True
 ) -> tuple[OwnState, list[Detection]]:
-    """What a robot would tell the runtime, in the frame of the world.
+    """Return the inputs of `Driver.step` for a robot, in the frame of the world.
 
     Args:
         observation: of some worlds.
@@ -33,30 +35,38 @@ def as_seen(
     ego = [float(value) for value in observation.ego[world, robot]]
     cos, sin = ego[HEADING_COS], ego[HEADING_SIN]
 
-    def fixed(ahead: float, left: float) -> tuple[float, float]:
+    def to_world(ahead: float, left: float) -> tuple[float, float]:
         return rotate(cos, sin, ahead, left)
 
-    from_x, from_y = fixed(ego[ORIGIN_X], ego[ORIGIN_Y])
-    goal_x, goal_y = fixed(ego[GOAL_X], ego[GOAL_Y])
-    vx, vy = fixed(ego[VELOCITY_X], ego[VELOCITY_Y])
-    own = OwnState(-from_x, -from_y, math.atan2(sin, cos), vx, vy, goal_x - from_x, goal_y - from_y)
+    origin_x, origin_y = to_world(ego[ORIGIN_X], ego[ORIGIN_Y])
+    goal = to_world(ego[GOAL_X], ego[GOAL_Y])
+    vx, vy = to_world(ego[VELOCITY_X], ego[VELOCITY_Y])
+    x, y = -origin_x, -origin_y
+    own = OwnState(x, y, math.atan2(sin, cos), vx, vy, x + goal[0], y + goal[1])
     detections = []
-    for rows, visible, is_robot in (
-        (observation.humans, observation.humans_visible, False),
-        (observation.robots, observation.robots_visible, True),
-    ):
+    for group, is_robot in (("humans", False), ("robots", True)):
+        rows, visible = observation.entities[group]
         for k in visible[world, robot].nonzero()[0]:
             x, y, other_vx, other_vy, radius = (float(v) for v in rows[world, robot, k])
-            there, moves = fixed(x, y), fixed(other_vx, other_vy)
+            offset, velocity = to_world(x, y), to_world(other_vx, other_vy)
             detections.append(
                 Detection(
-                    own.x + there[0],
-                    own.y + there[1],
-                    vx + moves[0],
-                    vy + moves[1],
+                    own.x + offset[0],
+                    own.y + offset[1],
+                    vx + velocity[0],
+                    vy + velocity[1],
                     radius,
                     is_robot,
                     int(k) if named else None,
                 )
             )
     return own, detections
+
+
+def sensor_readings(observation: Observation, robot: int, world: int = 0) -> dict[str, NDArray]:
+    """Return the `sensors` of `Driver.step` for a robot."""
+    readings = {name: values[world, robot] for name, values in observation.sensors.items()}
+    for name, (features, mask) in observation.entities.items():
+        if name not in ("humans", "robots"):
+            readings[name], readings[f"{name}_known"] = features[world, robot], mask[world, robot]
+    return readings

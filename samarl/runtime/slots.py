@@ -1,4 +1,4 @@
-"""Who is who: the place of everybody in the memory of a policy, from step to step."""
+"""Assign detections to the slots of a policy's memory, so that everybody keeps a slot."""
 
 from __future__ import annotations
 
@@ -7,69 +7,79 @@ from collections.abc import Hashable, Sequence
 
 from samarl.runtime.inputs import Detection
 
-GATE = 0.8  # m; in 0.4 s somebody at 2 m/s who turns round is so far from where one expects them
+# A person at 2 m/s who turns round is at most this far from the expected position after 0.4 s, m.
+GATE = 0.8
 
 
 class Slots:
-    """A number of places; who was seen in one of them keeps it until somebody else needs it.
+    """A number of slots; whoever was seen in one keeps it until somebody else needs it.
 
-    Those with an id are known by it again, however late. Those without are matched with whom
-    constant velocity leads nearest to them, the nearest pairs first, within `GATE`.
+    Agents with an id are recognised by it, however much later. Those without are matched with the
+    agent whose position, extrapolated at constant velocity, is nearest, the nearest pairs first and
+    within `GATE`.
     """
 
-    def __init__(self, number: int, keep: float) -> None:
-        """Nobody is known; `keep` is for how long those without an id are looked for, s."""
-        self.number, self.keep = number, keep
-        self._last: dict[int, tuple[float, Detection]] = {}  # when and how each was last seen
+    def __init__(self, number: int, longest_absence: float) -> None:
+        """Start with empty slots.
+
+        Args:
+            number: of slots.
+            longest_absence: after which agents without an id are no longer matched, s.
+        """
+        self.number, self.longest_absence = number, longest_absence
+        self._last: dict[int, tuple[float, Detection]] = {}  # time and last detection of each slot
 
     def assign(
-        self, seen: Sequence[Detection], x: float, y: float, time: float
+        self, detections: Sequence[Detection], x: float, y: float, time: float
     ) -> tuple[list[tuple[int, Detection]], list[int]]:
-        """The place of everybody who is seen; of too many the nearest to the robot at (x, y).
+        """Assign a slot to every detection; of too many, to those nearest to the robot at (x, y).
 
         Returns:
-            Places and who is there, and which of these places were somebody else's before.
+            Slots with their detections, and which of these slots held somebody else before.
         """
-        if len(seen) > self.number:
-            seen = sorted(seen, key=lambda d: math.hypot(d.x - x, d.y - y))[: self.number]
-        places = self._recognised(seen, time)
-        taken, new = set(places.values()), []
-        for k in range(len(seen)):
-            if k not in places:
-                places[k] = self._free(taken)
-                taken.add(places[k])
-                new.append(places[k])
-        found = [(places[k], somebody) for k, somebody in enumerate(seen)]
-        self._last.update((slot, (time, somebody)) for slot, somebody in found)
-        return found, new
+        if len(detections) > self.number:
+            by_distance = sorted(detections, key=lambda d: math.hypot(d.x - x, d.y - y))
+            detections = by_distance[: self.number]
+        slot_of = self._recognise(detections, time)
+        occupied, reassigned = set(slot_of.values()), []
+        for k in range(len(detections)):
+            if k not in slot_of:
+                slot_of[k] = self._free_slot(occupied)
+                occupied.add(slot_of[k])
+                reassigned.append(slot_of[k])
+        assigned = [(slot_of[k], detection) for k, detection in enumerate(detections)]
+        self._last.update((slot, (time, detection)) for slot, detection in assigned)
+        return assigned, reassigned
 
-    def _recognised(self, seen: Sequence[Detection], time: float) -> dict[int, int]:
-        """The places of those who were seen before, by their number in `seen`."""
-        named: dict[Hashable, int] = {}
-        expected = []  # of those without an id
-        for slot, (when, last) in self._last.items():
+    def _recognise(self, detections: Sequence[Detection], time: float) -> dict[int, int]:
+        """Return the slots of agents that were seen before, by their index in `detections`."""
+        slot_by_id: dict[Hashable, int] = {}
+        expected_positions = []  # of agents without an id
+        for slot, (last_time, last) in self._last.items():
             if last.id is not None:
-                named[last.id] = slot
-            elif (gone := time - when) <= self.keep:
-                there = last.x + gone * last.velocity_x, last.y + gone * last.velocity_y
-                expected.append((slot, *there))
-        places: dict[int, int] = {}
+                slot_by_id[last.id] = slot
+            elif (absence := time - last_time) <= self.longest_absence:
+                expected_x = last.x + absence * last.velocity_x
+                expected_y = last.y + absence * last.velocity_y
+                expected_positions.append((slot, expected_x, expected_y))
+        slot_of: dict[int, int] = {}
         pairs = []
-        for k, somebody in enumerate(seen):
-            if somebody.id is None:
+        for k, detection in enumerate(detections):
+            if detection.id is None:
                 pairs += [
-                    (math.hypot(somebody.x - x, somebody.y - y), k, slot) for slot, x, y in expected
+                    (math.hypot(detection.x - x, detection.y - y), k, slot)
+                    for slot, x, y in expected_positions
                 ]
-            elif somebody.id in named:
-                places[k] = named[somebody.id]
-        taken = set()
+            elif detection.id in slot_by_id:
+                slot_of[k] = slot_by_id[detection.id]
+        matched = set()
         for distance, k, slot in sorted(pairs):
-            if distance <= GATE and k not in places and slot not in taken:
-                places[k] = slot
-                taken.add(slot)
-        return places
+            if distance <= GATE and k not in slot_of and slot not in matched:
+                slot_of[k] = slot
+                matched.add(slot)
+        return slot_of
 
-    def _free(self, taken: set[int]) -> int:
-        """A place that is nobody's, or that of who was not seen for the longest time."""
-        rest = [slot for slot in range(self.number) if slot not in taken]
-        return min(rest, key=lambda slot: self._last[slot][0] if slot in self._last else -math.inf)
+    def _free_slot(self, occupied: set[int]) -> int:
+        """Return an empty slot, or the one whose agent was not seen for the longest time."""
+        free = [slot for slot in range(self.number) if slot not in occupied]
+        return min(free, key=lambda slot: self._last[slot][0] if slot in self._last else -math.inf)

@@ -16,7 +16,7 @@ from mrsan.metrics import episodes_of
 from samarl.observations.features import speed_of, state_of
 from samarl.observations.frames import Frames
 from samarl.planning.shield import Shield, apply_shield
-from samarl.policies.policy import LOCAL, Decision, Policy, PolicyState, empty_features
+from samarl.policies.policy import LOCAL, Decision, Policy, PolicyState
 from samarl.policies.stochastic import StochasticPolicy
 from samarl.reward_shaping import RewardShaping, level_rewards
 from samarl.rollout import Rollout, level_key
@@ -74,11 +74,9 @@ class RolloutCollector:
         self.fresh = np.ones(worlds, np.bool_)  # the episode has not been restarted
         # Columns of the frame buffer: history for the encoder and restarts, then steps 0 to T.
         self.past = policy.history + (RESTART_STEPS if self._restarts else 0)
-        example = empty_features(
-            worlds * scenario.robots, scenario.robots, scenario.humans, policy.device
-        )
-        self.frames = Frames(
-            *(t.repeat(1, self.past + steps + 1, *[1] * (t.dim() - 2)) for t in example)
+        columns = self.past + steps + 1
+        self.frames = policy.empty_frames(scenario, worlds * scenario.robots).map(
+            lambda tensor: tensor.repeat(1, columns, *[1] * (tensor.dim() - 2))
         )
         self.begins = torch.ones(self.frames.ego.shape[:2], dtype=torch.bool, device=policy.device)
         self.decision: Decision  # for the next step
@@ -95,7 +93,7 @@ class RolloutCollector:
     def collect(self) -> Rollout:
         """Collect T more steps of every world."""
         policy, world, t, h = self.policy, self.world, self.steps, self.policy.history
-        for tensor in (*self.frames, self.begins):  # step T becomes step 0
+        for tensor in (*self.frames.tensors(), self.begins):  # step T becomes step 0
             tensor[:, : self.past + 1] = tensor[:, t : t + self.past + 1].clone()
         recent = slice(self.past + 1 - h, self.past + 1)  # encoded again with the new weights
         every = torch.arange(len(self.begins), device=policy.device)
@@ -141,7 +139,9 @@ class RolloutCollector:
             self.active,
         )
         column = self.past + step
-        for buffer, tensor in zip(self.frames, self.decision.features, strict=True):
+        for buffer, tensor in zip(
+            self.frames.tensors(), self.decision.features.tensors(), strict=True
+        ):
             buffer[:, column] = tensor[:, 0]
         begins = torch.from_numpy(np.repeat(self.is_init, scenario.robots))
         self.begins[:, column] = begins.to(self.begins.device)
@@ -240,7 +240,7 @@ class RolloutCollector:
         h = self.policy.history
         for k in np.unique(back):
             rows = self._rows_of(worlds[back == k])
-            for tensor in (*self.frames, self.begins):
+            for tensor in (*self.frames.tensors(), self.begins):
                 tensor[rows, k:column] = tensor[rows, : column - k]
         rows = self._rows_of(worlds)
         recent = slice(column - h, column)
@@ -256,7 +256,7 @@ class RolloutCollector:
     def _rollout_frames(self, rows: Tensor | slice) -> tuple[Frames, Tensor]:
         """Copy the frames of some rows for a rollout, and where episodes begin."""
         columns = slice(self.past - self.policy.history, None)
-        frames = Frames(*(tensor[rows, columns].clone() for tensor in self.frames))
+        frames = self.frames.map(lambda tensor: tensor[rows, columns].clone())
         return frames, self.begins[rows, columns].clone()
 
     def _memory(self) -> list[Tensor]:
@@ -290,17 +290,17 @@ class RolloutCollector:
         frames, begins = self._rollout_frames(slice(None))
         state = None
         if self.uses_global_state:
-            state = Frames.joined([s for s in states if s is not None], 1)
+            state = Frames.cat([s for s in states if s is not None], 1)
         if closed:
             worlds = torch.from_numpy(np.concatenate([part[0] for part in closed]))
             extra = steps[worlds]
             extra["mask"] = torch.cat([part[1] for part in closed])
             steps = torch.cat([steps, extra])
-            frames = Frames.joined([frames, *(part[2] for part in closed)], 0)
+            frames = Frames.cat([frames, *(part[2] for part in closed)], 0)
             begins = torch.cat([begins, *(part[3] for part in closed)])
             rows = self._rows_of(worlds.numpy())
             if state is not None:
-                state = Frames.joined([state, state.of(rows.cpu())], 0)
+                state = Frames.cat([state, state.of(rows.cpu())], 0)
             sets = len(encoder_before)
             encoder_before = tuple(
                 tree_map(lambda t, i=i: torch.cat([t, t[rows[i::sets] // sets]]), of_set)

@@ -28,6 +28,7 @@ from samarl.algorithms import ALGORITHMS
 from samarl.evaluation.runner import run_cases
 from samarl.files import code_version, machine
 from samarl.launch import local_device, per_process, rank, world_size
+from samarl.observations.features import empty_frames
 from samarl.policies.checkpoint import (
     attribute_errors_to,
     check_finite,
@@ -106,7 +107,10 @@ class Trainer:
         use_threads(config.threads)
         torch.manual_seed(config.seed)
         sizes = {key: value for key, value in policy.items() if key != "name"}
-        self.policy = make_policy(self.name, sizes, stages[0].scenario.action_size)
+        scenario = stages[0].scenario
+        self.policy = make_policy(
+            self.name, sizes, scenario.action_size, empty_frames(scenario).sizes
+        )
         self.made: dict[str, Any] = {
             "command": command,
             "commit": code_version(),

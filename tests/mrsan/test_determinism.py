@@ -49,7 +49,10 @@ def play(scenario: Scenario, cases: np.ndarray) -> list[np.ndarray]:
         step = world.step(ACTIONS[t, cases])
         observations.append(step.observation)
         rewards.append(step.reward)
-    seen = [np.stack(parts, 1) for parts in zip(*observations, strict=True)]
+    seen = [
+        np.stack(parts, 1)
+        for parts in zip(*(o.arrays().values() for o in observations), strict=True)
+    ]
     return [*seen, np.stack(rewards, 1), *world.state]
 
 

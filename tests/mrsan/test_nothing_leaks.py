@@ -11,7 +11,8 @@ RANGE = 4.0
 
 
 def bits_of_robot(observation: Observation, robot: int) -> bytes:
-    return b"".join(np.ascontiguousarray(array[:, robot]).tobytes() for array in observation)
+    arrays = observation.arrays().values()
+    return b"".join(np.ascontiguousarray(array[:, robot]).tobytes() for array in arrays)
 
 
 def hide(world: World, rng: np.random.Generator, fov_degrees: float) -> np.ndarray:

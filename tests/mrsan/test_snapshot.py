@@ -27,7 +27,9 @@ SOME = np.arange(E) % 3 == 0
 
 
 def bits(values: Any) -> list[bytes]:
-    """The bytes of all arrays of a tuple, of tuples in it as well."""
+    """The bytes of all arrays in nested tuples and dicts."""
+    if isinstance(values, dict):
+        values = tuple(values.values())
     if isinstance(values, tuple):
         return [part for value in values for part in bits(value)]
     return [b"" if values is None else np.ascontiguousarray(values).tobytes()]

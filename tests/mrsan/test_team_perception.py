@@ -82,7 +82,7 @@ def test_what_nobody_tells_changes_no_bit(scenario: Scenario) -> None:
     for (told, _), (alone, _) in zip(played(scenario), played(without), strict=True):
         assert not told.humans_reported.any()
         assert not told.robots_reported.any()
-        for mine, theirs in zip(told.perception, alone.perception, strict=True):
+        for mine, theirs in zip(told.agents, alone.agents, strict=True):
             np.testing.assert_array_equal(mine, theirs)
 
 
@@ -98,7 +98,7 @@ def test_what_is_seen_is_not_changed_by_what_is_told() -> None:
 def test_alone_there_is_nobody_to_tell() -> None:
     one = replace(NARROW, robots=1)
     for (told, _), (alone, _) in zip(played(team(one)), played(one), strict=True):
-        for mine, theirs in zip(told.perception, alone.perception, strict=True):
+        for mine, theirs in zip(told.agents, alone.agents, strict=True):
             np.testing.assert_array_equal(mine, theirs)
 
 
@@ -152,5 +152,7 @@ def test_a_restored_world_says_the_same_again() -> None:
         observation = world.step(np.full((4, 4, 3), 0.3, np.float32)).observation
     other = World(scenario, 4)
     other.restore(world.snapshot())
-    for mine, theirs in zip(other.observe(), observation, strict=True):
+    for mine, theirs in zip(
+        other.observe().arrays().values(), observation.arrays().values(), strict=True
+    ):
         np.testing.assert_array_equal(mine, theirs)

@@ -56,8 +56,7 @@ def test_all_wrappers_play_a_case_alike(scenario: Scenario) -> None:
     parallel = [env.reset(seed=int(case))[0] for env, case in zip(singles, CASES, strict=True)]
     single = [env.reset(seed=int(case))[0] for env, case in zip(gyms, CASES, strict=False)]
     for t in range(len(actions)):
-        told = scenario.team_perception is TeamPerception.tracks
-        seen = expected._asdict() if told else dict(zip(expected._fields, expected.perception))  # noqa: B905
+        seen = expected.arrays()
         assert set(td["agents", "observation"].keys()) == set(seen)
         for key, value in seen.items():
             np.testing.assert_array_equal(td["agents", "observation", key].numpy(), value)

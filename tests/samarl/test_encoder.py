@@ -11,6 +11,7 @@ from samarl.encoders.encoder import State
 from samarl.encoders.recurrent_graph import RecurrentUnit
 from samarl.encoders.spatio_temporal import Pool, nearness
 from samarl.observations.features import (
+    AGENT_SIZES,
     NEAR_NOW,
     NEAR_SOON,
     NETWORK_EGO_FEATURES,
@@ -18,6 +19,7 @@ from samarl.observations.features import (
 )
 from samarl.observations.frames import Frames
 from tests.learning import ENCODERS as NUMBERS
+from tests.scenes import blind, changed
 
 EGO, OTHER = NETWORK_EGO_FEATURES, NETWORK_OTHER_FEATURES
 ABLATIONS = ("graph=", "cross_modal=", "one_block=True")
@@ -34,18 +36,20 @@ def encoder(name: str, **changes: Any) -> Any:
         flag, _, on = change.partition("=")
         changes[flag] = bool(on)
     config = ENCODERS.config({"name": name, **NUMBERS[name], **changes})
-    return ENCODERS[name].cls(config, EGO, OTHER)
+    return ENCODERS[name].cls(config, AGENT_SIZES)
 
 
 def frames(b: int = 6, t: int = 11, m: int = 5, n: int = 3) -> Frames:
     torch.manual_seed(1)
     known, others_known = torch.rand(b, t, m) < 0.6, torch.rand(b, t, n - 1) < 0.6
-    return Frames(
-        torch.randn(b, t, EGO),
-        torch.randn(b, t, m, OTHER) * known.unsqueeze(-1),
-        known,
-        torch.randn(b, t, n - 1, OTHER) * others_known.unsqueeze(-1),
-        others_known,
+    return Frames.from_named(
+        {
+            "ego": torch.randn(b, t, EGO),
+            "humans": torch.randn(b, t, m, OTHER) * known.unsqueeze(-1),
+            "humans_known": known,
+            "robots": torch.randn(b, t, n - 1, OTHER) * others_known.unsqueeze(-1),
+            "robots_known": others_known,
+        }
     )
 
 
@@ -126,7 +130,7 @@ def test_history_counts_within_an_episode_and_not_across_its_beginning() -> None
     never = torch.zeros(6, model.history + 1, dtype=torch.bool)
     now = never.clone()
     now[:, -1] = True
-    other = Frames(*(torch.cat([x[:, :-1].flip(0), x[:, -1:]], 1) for x in data))
+    other = data.map(lambda x: torch.cat([x[:, :-1].flip(0), x[:, -1:]], 1))
     assert not torch.allclose(seen(model, data, never), seen(model, other, never), atol=1e-4)
     torch.testing.assert_close(seen(model, data, now), seen(model, other, now))
 
@@ -136,13 +140,14 @@ def test_it_is_finite_with_nobody_in_view_and_with_nobody_at_all(name: str) -> N
     model = encoder(name)
     for m, n in ((5, 3), (0, 3), (5, 1), (0, 1)):
         data = frames(m=m, n=n)
-        blind = data._replace(
+        empty = changed(
+            data,
             humans=torch.zeros_like(data.humans),
             humans_known=torch.zeros_like(data.humans_known),
             robots=torch.zeros_like(data.robots),
             robots_known=torch.zeros_like(data.robots_known),
         )
-        y = seen(model, blind, some_begin())
+        y = seen(model, empty, some_begin())
         y.sum().backward()
         assert torch.isfinite(y).all()
         gradients = [p.grad for p in model.parameters() if p.grad is not None]
@@ -153,12 +158,12 @@ def test_it_is_finite_with_nobody_in_view_and_with_nobody_at_all(name: str) -> N
 def test_the_slots_of_people_and_robots_have_no_order(name: str) -> None:
     model, data, begins = encoder(name), frames(), some_begin()
     people, robots = torch.randperm(5), torch.tensor([1, 0])
-    mixed = Frames(
-        data.ego,
-        data.humans[:, :, people],
-        data.humans_known[:, :, people],
-        data.robots[:, :, robots],
-        data.robots_known[:, :, robots],
+    mixed = changed(
+        data,
+        humans=data.humans[:, :, people],
+        humans_known=data.humans_known[:, :, people],
+        robots=data.robots[:, :, robots],
+        robots_known=data.robots_known[:, :, robots],
     )
     torch.testing.assert_close(
         seen(model, data, begins), seen(model, mixed, begins), atol=1e-5, rtol=0
@@ -171,13 +176,14 @@ def test_what_is_not_known_changes_no_bit(name: str) -> None:
     y = seen(model, data, begins)
     noise = torch.randn_like
     for size in (1.0, 1e6):
-        garbage = data._replace(
+        garbage = changed(
+            data,
             humans=data.humans + size * noise(data.humans) * ~data.humans_known[..., None],
             robots=data.robots + size * noise(data.robots) * ~data.robots_known[..., None],
         )
         assert torch.equal(y, seen(model, garbage, begins))
     known = data.humans + torch.randn_like(data.humans) * data.humans_known.unsqueeze(-1)
-    assert not torch.allclose(y, seen(model, data._replace(humans=known), begins), atol=1e-3)
+    assert not torch.allclose(y, seen(model, changed(data, humans=known), begins), atol=1e-3)
 
 
 def test_the_near_weigh_more_in_the_graph() -> None:
@@ -287,10 +293,7 @@ def test_social_attention_by_hand() -> None:
         torch.testing.assert_close(model.read(scene, query)[p], expected)
         share = torch.cat([robots[p][data.robots_known[p, 0]], humans[p][data.humans_known[p, 0]]])
         torch.testing.assert_close(share, torch.cat(weights) / sum(weights))
-    alone = data._replace(
-        robots_known=torch.zeros_like(data.robots_known),
-        humans_known=torch.zeros_like(data.humans_known),
-    )
+    alone = blind(data)
     y = model.read(model.observe(alone, torch.ones(6, 1, dtype=torch.bool), {}), query)
     assert torch.equal(y, torch.cat([query, torch.zeros(6, 8)], 1))
 
@@ -298,7 +301,8 @@ def test_social_attention_by_hand() -> None:
 @pytest.mark.parametrize("change", ["one_block=True", "one_block="])
 def test_in_one_block_robots_are_as_humans(change: str) -> None:
     model, data = encoder(f"spatio_temporal {change}"), frames()
-    others = data._replace(
+    others = changed(
+        data,
         humans=torch.cat([data.robots[:, :, :1], data.humans[:, :, 1:]], 2),
         humans_known=torch.cat([data.robots_known[:, :, :1], data.humans_known[:, :, 1:]], 2),
         robots=torch.cat([data.humans[:, :, :1], data.robots[:, :, 1:]], 2),

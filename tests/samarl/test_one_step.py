@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from mrsan import Crowd, Kinematics, Reward, Scenario, World
+from mrsan import Crowd, Entities, Kinematics, Reward, Scenario, World
 from mrsan.features import GOAL, HEADING_COS, HEADING_SIN
 from samarl.observations.tracker import AGE, Tracks
 from samarl.planning.one_step import command_set, predict_outcomes
@@ -101,7 +101,9 @@ def test_outcomes_match_the_simulator_if_others_keep_their_velocity(
     )
     step = world.step(action)
     rows, after = np.arange(e), step.observation
-    tracks = Tracks(*(array[chosen, rows] for array in outcomes.tracks))
+    tracks = Tracks.from_named(
+        {name: array[chosen, rows] for name, array in outcomes.tracks.named().items()}
+    )
     np.testing.assert_allclose(tracks.ego, after.ego[:, 0], atol=1e-5)
     for predicted, actual in ((tracks.humans, after.humans), (tracks.robots, after.robots)):
         np.testing.assert_allclose(predicted[..., :AGE], actual[:, 0], atol=1e-5)
@@ -155,18 +157,21 @@ def test_who_is_not_known_is_not_foreseen() -> None:
     observation = world.reset(np.arange(4))
     tracks = known(observation, scenario)
     rng = np.random.default_rng(0)
-    garbage = Tracks(
-        tracks.ego,
-        np.where(tracks.humans_known[..., None], tracks.humans, rng.normal(size=6)).astype("f"),
-        tracks.humans_known,
-        np.where(tracks.robots_known[..., None], tracks.robots, rng.normal(size=6)).astype("f"),
-        tracks.robots_known,
-    )
+    noisy = {
+        name: Entities(
+            np.where(group.mask[..., None], group.features, rng.normal(size=6)).astype("f"),
+            group.mask,
+        )
+        for name, group in tracks.entities.items()
+    }
+    garbage = tracks._replace(entities=noisy)
     assert (garbage.humans != tracks.humans).any()
     commands, active = command_set(COMMANDS, scenario.kinematics), np.ones((4, 3), np.bool_)
     target = observation.ego[..., GOAL]
     one, other = (
         predict_outcomes(t, active, target, commands, scenario) for t in (tracks, garbage)
     )
-    for a, b in zip((*one.tracks, *one[1:]), (*other.tracks, *other[1:]), strict=True):
+    for a, b in zip(
+        (*one.tracks.agents, *one[1:]), (*other.tracks.agents, *other[1:]), strict=True
+    ):
         np.testing.assert_array_equal(a, b)

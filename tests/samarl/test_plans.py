@@ -70,7 +70,7 @@ def test_pruning_keeps_the_cheapest_plan(kinematics: Kinematics, numbers: dict[s
         action = planner.act(observation)
         for e in range(4):
             for i in range(3):
-                visible = tuple(array[e, i] for array in observation.perception)
+                visible = tuple(array[e, i] for array in observation.agents)
                 cheapest_action(visible, p, plans, best)
                 np.testing.assert_array_equal(action[e, i], best)
         observation = world.step(action).observation

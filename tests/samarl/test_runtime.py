@@ -60,7 +60,7 @@ def tracks(driver: Driver, monkeypatch: pytest.MonkeyPatch) -> list[Tracks]:
     asked = driver._network.action
 
     def spy(known: Tracks, aim: np.ndarray) -> np.ndarray:
-        told.append(Tracks(*(values.copy() for values in known)))
+        told.append(Tracks.from_named({name: a.copy() for name, a in known.named().items()}))
         return asked(known, aim)
 
     monkeypatch.setattr(driver._network, "action", spy)

@@ -21,7 +21,7 @@ from samarl.algorithms.value_learning import OTHERS, ValueLearning, samples_of, 
 from samarl.configuration import load_agent
 from samarl.encoders import ENCODERS, Encoder
 from samarl.observations.features import frames_of
-from samarl.observations.frames import Frames
+from samarl.observations.frames import FeatureSizes, Frames
 from samarl.planning.one_step import command_set
 from samarl.policies.checkpoint import make_policy
 from samarl.policies.lookahead import LookaheadPolicy
@@ -33,7 +33,7 @@ from samarl.training.run_dir import LAST
 from samarl.training.trainer import Trainer, TrainerConfig
 from tests.learning import VALUE_NUMBERS, policy_numbers
 from tests.learning import algorithm as ppo
-from tests.scenes import COMMANDS, known, scene_of
+from tests.scenes import COMMANDS, blind, known, scene_of
 
 
 def lookahead(action_size: int = 3, encoder: str = "pairwise", **changes: Any) -> LookaheadPolicy:
@@ -149,8 +149,8 @@ def test_a_value_is_the_least_over_pairs() -> None:
     for part, count in (("humans_known", 4), ("robots_known", 2)):
         for j in range(count):
             only = blind(frames)
-            getattr(only, part)[..., j] = True
-            here = getattr(frames, part)[:, 0, j]
+            only.named()[part][..., j] = True
+            here = frames.named()[part][:, 0, j]
             assert here.any()
             alone.append(torch.where(here, policy.value(only, rows), torch.inf))
     torch.testing.assert_close(policy.value(frames, rows), torch.stack(alone).amin(0))
@@ -158,14 +158,6 @@ def test_a_value_is_the_least_over_pairs() -> None:
     encoder, ego = policy.networks[0].encoder, frames.ego[:, 0]
     by_itself = encoder.alone(encoder.own_alone(torch.cat([ego, ego], -1)))[:, 0]
     torch.testing.assert_close(policy.value(blind(frames), rows), 10.0 * by_itself)
-
-
-def blind(frames: Frames) -> Frames:
-    """The same with nobody known."""
-    return frames._replace(
-        humans_known=torch.zeros_like(frames.humans_known),
-        robots_known=torch.zeros_like(frames.robots_known),
-    )
 
 
 @dataclass
@@ -178,10 +170,10 @@ class PooledConfig:
 class Pooled(Encoder):
     """The sum of the people who are known, who share the attention."""
 
-    def __init__(self, config: PooledConfig, ego_features: int, other_features: int) -> None:
-        super().__init__(config, ego_features, other_features)
+    def __init__(self, config: PooledConfig, sizes: FeatureSizes) -> None:
+        super().__init__(config, sizes)
         self.features = config.features
-        self.human = torch.nn.Linear(other_features, config.features)
+        self.human = torch.nn.Linear(sizes.entities["humans"], config.features)
 
     def observe(self, frames: Frames, is_init: Any, state: Any, samples: Any = None) -> Any:
         known = frames.humans_known.unsqueeze(-1)
@@ -243,15 +235,18 @@ def rollout_of(
         ego = torch.zeros(s * n, t, 11)
         ego[..., 0] = torch.arange(t)
         ego[..., 1] = torch.arange(s * n).unsqueeze(1)
-    nobody = (
-        torch.zeros(s * n, t, humans, 10),
-        torch.zeros(s * n, t, humans, dtype=torch.bool),
-        torch.zeros(s * n, t, n - 1, 10),
-        torch.zeros(s * n, t, n - 1, dtype=torch.bool),
+    frames = Frames.from_named(
+        {
+            "ego": ego,
+            "humans": torch.zeros(s * n, t, humans, 10),
+            "humans_known": torch.zeros(s * n, t, humans, dtype=torch.bool),
+            "robots": torch.zeros(s * n, t, n - 1, 10),
+            "robots_known": torch.zeros(s * n, t, n - 1, dtype=torch.bool),
+        }
     )
     scenario = Scenario(robots=n, humans=humans)
     begins = torch.zeros(s * n, t, dtype=torch.bool)
-    return Rollout(scenario, 0.0, steps, Frames(ego, *nobody), begins, ({},), None, [], s * t)
+    return Rollout(scenario, 0.0, steps, frames, begins, ({},), None, [], s * t)
 
 
 def test_no_robot_is_paid_for_the_arrival_of_its_team() -> None:
@@ -311,7 +306,7 @@ def test_what_a_value_is_regressed_on() -> None:
     with torch.no_grad():
         for parameter in algorithm.policy.parameters():
             parameter.mul_(2.0)  # only the target network counts
-    later = algorithm.target.value(Frames(**samples["next"]), samples["robot"])
+    later = algorithm.target.value(Frames.from_named(samples["next"]), samples["robot"])
     expected = torch.tensor(
         [r + 0.9 * float(v) * g for (r, g), v in zip(found.values(), later, strict=True)]
     )
@@ -336,7 +331,7 @@ def test_values_come_to_what_the_behaviour_is_paid_from_there_on() -> None:
     )
     for _ in range(25):
         statistics = algorithm.update([rollout])
-    frames = Frames(*(tensor.transpose(0, 1)[:3] for tensor in rollout.frames))
+    frames = rollout.frames.map(lambda tensor: tensor.transpose(0, 1)[:3])
     value = algorithm.policy.value(frames, torch.zeros(3, dtype=torch.long))
     assert value.tolist() == pytest.approx(expected, abs=0.05)
     assert statistics["losses/value"] < 0.01

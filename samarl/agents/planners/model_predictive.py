@@ -46,4 +46,4 @@ class ModelPredictive(Plans, Agent):
             _, predicted_offset = self._track_predictor.update(observation)
         else:
             predicted_offset = zero_offset(observation.humans_visible)
-        return first_action(self, observation.perception, self.scenario, predicted_offset)
+        return first_action(self, observation, self.scenario, predicted_offset)

@@ -34,7 +34,7 @@ class SocialForce(Agent):
         action = np.empty((worlds, robots, self.scenario.action_size), np.float32)
         forces = (np.float32(x) for x in (self.relaxation_time, self.strength, self.reach))
         _social_force(
-            worlds, *observation.perception, kernel_parameters(self.scenario), *forces, action
+            worlds, *observation.agents, kernel_parameters(self.scenario), *forces, action
         )
         return action
 

@@ -1,0 +1,160 @@
+"""Sensors besides the view of people and robots, by the names that scenarios use.
+
+A user's module registers a sensor with `register_sensor`, and commands import that module with
+`plugins=[module]`. `Scenario.sensors` turns it on and holds its settings.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from mrsan.fields import ConfigurationError, check_numbers
+from mrsan.state import Bools, Floats, State
+
+if TYPE_CHECKING:
+    from mrsan.scenario import Scenario
+
+S = TypeVar("S", bound="type[EntitySensor] | type[ValueSensor]")
+
+_RESERVED = ("ego", "humans", "robots", "route", "is_init")  # other inputs of policies
+_RESERVED_ENDINGS = ("_visible", "_known", "_reported")
+
+
+class EntitySensor(ABC):
+    """A sensor of a group of entities, such as wall segments, each with features and a mask."""
+
+    slots: int  # largest number of entities of one robot
+    features: int  # numbers per entity, F
+
+    def __init__(self, scenario: Scenario, settings: Any) -> None:
+        """Set `slots` and `features`.
+
+        Args:
+            scenario: the task. Central critics use a second instance, whose scenario has neither
+                noise nor limits of view.
+            settings: an instance of the dataclass that the sensor is registered with, or None.
+        """
+        self.scenario, self.settings = scenario, settings
+
+    @abstractmethod
+    def observe(self, state: State, worlds: Bools, features: Floats, mask: Bools) -> None:
+        """Write the observations of all robots of some worlds.
+
+        Random numbers must depend only on `state.key` and `state.clock`.
+
+        Args:
+            state: of all worlds.
+            worlds: [E] the worlds to observe.
+            features: [E, N, slots, F], written where `worlds`; zero where the mask is False.
+            mask: [E, N, slots], written likewise: what the robot perceives.
+        """
+
+
+class ValueSensor(ABC):
+    """A sensor with a fixed number of values, such as the ranges of a lidar."""
+
+    shape: tuple[int, ...]  # of the values of one robot
+
+    def __init__(self, scenario: Scenario, settings: Any) -> None:
+        """Set `shape`; the arguments are those of `EntitySensor`."""
+        self.scenario, self.settings = scenario, settings
+
+    @abstractmethod
+    def observe(self, state: State, worlds: Bools, values: Floats) -> None:
+        """Write the observations of all robots of some worlds; see `EntitySensor.observe`.
+
+        Args:
+            state: of all worlds.
+            worlds: [E] the worlds to observe.
+            values: [E, N, *shape], written where `worlds`.
+        """
+
+
+@dataclass(frozen=True)
+class RegisteredSensor:
+    """A sensor class and the dataclass of its settings."""
+
+    cls: type[EntitySensor] | type[ValueSensor]
+    settings: type | None
+
+
+SENSORS: dict[str, RegisteredSensor] = {}
+
+
+def register_sensor(name: str, settings: type | None = None) -> Callable[[S], S]:
+    """Return a decorator that registers an `EntitySensor` or a `ValueSensor`.
+
+    Args:
+        name: key in `Scenario.sensors` and in observations, an identifier. A later sensor of the
+            same name replaces an earlier one.
+        settings: a dataclass of the sensor's settings, each with a default. None: it has none.
+
+    Raises:
+        ValueError: the name is not an identifier, or is that of another part of an observation.
+        TypeError: the class is not a sensor, or a setting has no default.
+    """
+    if not name.isidentifier() or name in _RESERVED or name.endswith(_RESERVED_ENDINGS):
+        raise ValueError(
+            f"the name of a sensor is {name!r}; it must be an identifier other than "
+            f"{', '.join(_RESERVED)} that does not end in {', '.join(_RESERVED_ENDINGS)}"
+        )
+    if settings is not None:
+        settings()  # raises TypeError if a setting has no default
+
+    def register(cls: S) -> S:
+        if not issubclass(cls, EntitySensor | ValueSensor):
+            raise TypeError(f"{cls.__name__} must inherit from EntitySensor or ValueSensor")
+        SENSORS[name] = RegisteredSensor(cls, settings)
+        return cls
+
+    return register
+
+
+def check_sensors(sensors: Any) -> None:
+    """Check the names and the settings of the sensors of a scenario.
+
+    Raises:
+        ConfigurationError: there is no such sensor, or a setting is unknown or out of range.
+    """
+    if not isinstance(sensors, dict):
+        raise ConfigurationError(
+            f"scenario.sensors is {sensors!r}; it must map names of sensors to their settings"
+        )
+    for name, values in sensors.items():
+        _sensor_settings(name, values)
+
+
+def make_sensors(scenario: Scenario) -> dict[str, EntitySensor | ValueSensor]:
+    """Return the sensors that a scenario adds, by name."""
+    return {
+        name: SENSORS[name].cls(scenario, _sensor_settings(name, values))
+        for name, values in scenario.sensors.items()
+    }
+
+
+def _sensor_settings(name: Any, values: Any) -> Any:
+    """Return the checked settings of a sensor; None if it has none."""
+    if name not in SENSORS:
+        known = f"one of {', '.join(SENSORS)} or " if SENSORS else ""
+        raise ConfigurationError(
+            f"scenario.sensors has {name!r}; it must be {known}registered in this process: import "
+            "its module, in commands by plugins=[module]"
+        )
+    schema, values = SENSORS[name].settings, {} if values is None else values
+    if not isinstance(values, dict):
+        raise ConfigurationError(
+            f"scenario.sensors.{name} is {values!r}; it must be a mapping from names to values"
+        )
+    names = [] if schema is None else [f.name for f in fields(schema)]
+    for key in values:
+        if key not in names:
+            permitted = f"have only {', '.join(names)}" if names else "be empty"
+            raise ConfigurationError(f"scenario.sensors.{name} has {key!r}; it must {permitted}")
+    if schema is None:
+        return None
+    settings = schema(**values)
+    check_numbers(settings, f"scenario.sensors.{name}")
+    return settings

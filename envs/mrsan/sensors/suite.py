@@ -1,0 +1,93 @@
+"""All sensors of the robots of a scenario."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from mrsan.choices import TeamPerception
+from mrsan.features import EGO_FEATURES, OTHER_FEATURES
+from mrsan.kernels.sensing import observe
+from mrsan.kernels.team import share_tracks
+from mrsan.observation import Entities, Observation
+from mrsan.parameters import SensorParameters, kernel_parameters
+from mrsan.scenario import Scenario
+from mrsan.sensors.sensor import EntitySensor, make_sensors
+from mrsan.state import Bools, State
+
+
+class SensorSuite:
+    """Observe the people and robots in view, and whatever `Scenario.sensors` adds."""
+
+    def __init__(self, scenario: Scenario, all_seeing: bool = False) -> None:
+        """Create the sensors.
+
+        Args:
+            scenario: the task.
+            all_seeing: observe without limits or noise, for central critics.
+        """
+        self.scenario = _without_limits(scenario) if all_seeing else scenario
+        self._parameters = kernel_parameters(self.scenario)
+        self._view = SensorParameters.of(self._parameters)
+        self._sensors = make_sensors(self.scenario)
+
+    def empty(self, worlds: int) -> Observation:
+        """Allocate the observation of E worlds."""
+        s, others = self.scenario, len(OTHER_FEATURES)
+        slots = {"humans": (s.humans, others), "robots": (s.robots - 1, others)}
+        sensors = {}
+        for name, sensor in self._sensors.items():
+            if isinstance(sensor, EntitySensor):
+                slots[name] = sensor.slots, sensor.features
+            else:
+                sensors[name] = np.empty((worlds, s.robots, *sensor.shape), np.float32)
+        entities = {
+            name: Entities(
+                np.empty((worlds, s.robots, number, features), np.float32),
+                np.empty((worlds, s.robots, number), np.bool_),
+            )
+            for name, (number, features) in slots.items()
+        }
+        reported = {}
+        if s.team_tracks:
+            for name in ("humans", "robots"):
+                reported[name] = np.empty(entities[name].mask.shape, np.bool_)
+        ego = np.empty((worlds, s.robots, len(EGO_FEATURES)), np.float32)
+        return Observation(ego, entities, sensors, reported)
+
+    def observe(self, state: State, worlds: Bools, observation: Observation) -> None:
+        """Write the observations of some worlds [E]."""
+        chunks = len(worlds)  # of the loop over worlds
+        observe(chunks, worlds, state, self._view, *observation.agents)
+        if self.scenario.team_tracks:
+            share_tracks(
+                chunks,
+                worlds,
+                state,
+                self._parameters,
+                *observation.entities["humans"],
+                *observation.entities["robots"],
+                observation.reported["humans"],
+                observation.reported["robots"],
+            )
+        for name, sensor in self._sensors.items():
+            if isinstance(sensor, EntitySensor):
+                sensor.observe(state, worlds, *observation.entities[name])
+            else:
+                sensor.observe(state, worlds, observation.sensors[name])
+
+
+def _without_limits(scenario: Scenario) -> Scenario:
+    """Return the same scenario with a perfect view."""
+    return replace(
+        scenario,
+        fov_degrees=360.0,
+        sensing_range=1000.0,
+        occlusion=False,
+        position_noise=0.0,
+        velocity_noise=0.0,
+        radius_noise=0.0,
+        missed_detection=0.0,
+        team_perception=TeamPerception.none,
+    )
