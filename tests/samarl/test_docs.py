@@ -51,8 +51,10 @@ def run(text: str, folder: Path) -> str:
         command = [sys.executable, "-m", program.replace("samarl-", "samarl.commands.")]
         if program == "python":
             command = [sys.executable]
+        given = {argument.partition("=")[0] for argument in arguments}
+        small = [s for s in SMALL.get(program, []) if s.partition("=")[0] not in given]
         done = subprocess.run(
-            [*command, *arguments, *SMALL.get(program, [])],
+            [*command, *arguments, *small],
             cwd=folder,
             capture_output=True,
             text=True,
@@ -83,6 +85,18 @@ def test_a_crowd_model_of_your_own(tmp_path: Path) -> None:
     text = section("A crowd model")
     (tmp_path / "my_crowd.py").write_text(block(text, "python"))
     assert "crowd stroll crowd settings.pace 0.8" in run(text, tmp_path)
+
+
+def test_a_sensor_of_your_own(tmp_path: Path) -> None:
+    text = section("A sensor")
+    encoder = section("An encoder")
+    (tmp_path / "my_conf/encoder").mkdir(parents=True)
+    (tmp_path / "my_conf/encoder/deep_sets.yaml").write_text(block(encoder, "yaml"))
+    (tmp_path / "my_encoder.py").write_text(block(encoder, "python"))
+    (tmp_path / "my_sensor.py").write_text(block(text, "python"))
+    assert "| samarl_flat " in run(text, tmp_path)
+    card = json.loads((tmp_path / "outputs/posts/last.json").read_text())
+    assert card["sizes"]["entities"]["posts"] == 2
 
 
 def test_an_encoder_of_your_own(tmp_path: Path) -> None:
