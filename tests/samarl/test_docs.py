@@ -20,6 +20,7 @@ from samarl.planning.shield import DIRECTIONS, Shield
 DOCS = Path(__file__).parents[2] / "docs"
 SMALL = {
     "samarl-evaluate": ["evaluation.cases=2"],
+    "samarl-bench": ["evaluation.cases=2"],
     "samarl-predictor": ["validation_cases=2"],
     "samarl-train": [
         "trainer.steps=200",
@@ -71,6 +72,20 @@ def test_a_scenario_of_your_own(tmp_path: Path) -> None:
     (tmp_path / "my_conf/scenario/plaza.yaml").write_text(block(text, "yaml"))
     output = run(text, tmp_path)
     assert re.search(r"\| model_predictive +\| +360° +\| +20 \| +2 \|", output)
+
+
+def test_a_table_of_your_own(tmp_path: Path) -> None:
+    text = section("A table")
+    (tmp_path / "my_conf/table").mkdir(parents=True)
+    (tmp_path / "my_conf/table/plaza.yaml").write_text(block(text, "yaml"))
+    run(text, tmp_path)
+    rows = read_rows(tmp_path / "outputs/bench/plaza.json")
+    assert sorted((row["method"], row["humans"]) for row in rows) == [
+        ("model_predictive", 5),
+        ("model_predictive", 15),
+        ("orca", 5),
+        ("orca", 15),
+    ]
 
 
 def test_a_predictor_of_your_own(tmp_path: Path) -> None:
