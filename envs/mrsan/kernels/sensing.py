@@ -39,7 +39,7 @@ def observe(chunks, worlds, state, p, ego, humans, humans_visible, robots, robot
         chunks: number of pieces the loop over worlds is cut into.
         worlds: [E] bool, the worlds to observe.
         state: the worlds.
-        p: the sensor, see `mrsan.parameters.Sensor`.
+        p: the sensor, see `mrsan.parameters.SensorParameters`.
         ego: [E, N, 11], see `mrsan.features.EGO_FEATURES`.
         humans: [E, N, M, 5], see `mrsan.features.OTHER_FEATURES`; zero where not visible.
         humans_visible: [E, N, M] bool.
@@ -71,12 +71,7 @@ def observe(chunks, worlds, state, p, ego, humans, humans_visible, robots, robot
                 cos, sin = math.cos(heading[e, i]), math.sin(heading[e, i])
                 x, y = position[e, i, 0], position[e, i, 1]
                 vx, vy = velocity[e, i, 0], velocity[e, i, 1]
-                gx, gy = goal[e, i, 0] - x, goal[e, i, 1] - y
-                ego[e, i, GOAL_X], ego[e, i, GOAL_Y] = unrotate(cos, sin, gx, gy)
-                ego[e, i, VELOCITY_X], ego[e, i, VELOCITY_Y] = unrotate(cos, sin, vx, vy)
-                own_x, own_y = unrotate(cos, sin, x, y)
-                ego[e, i, ORIGIN_X], ego[e, i, ORIGIN_Y] = -own_x, -own_y
-                ego[e, i, HEADING_COS], ego[e, i, HEADING_SIN] = cos, sin
+                _write_ego(ego[e, i], cos, sin, x, y, vx, vy, goal[e, i, 0], goal[e, i, 1])
                 ego[e, i, RADIUS], ego[e, i, PREFERRED_SPEED] = robot_radius, robot_speed
                 ego[e, i, TIME] = np.float32(step) / steps
                 for j in range(m + n):
@@ -101,17 +96,9 @@ def observe(chunks, worlds, state, p, ego, humans, humans_visible, robots, robot
                     if cos_half_fov > _FULL_CIRCLE:
                         visible = visible and ahead >= distance * cos_half_fov
                     if visible and occlusion:
+                        bodies = human_position[e], human_radius[e], human_present[e]
                         visible = not (
-                            _is_hidden(
-                                human_position[e],
-                                human_radius[e],
-                                human_present[e],
-                                j,
-                                x,
-                                y,
-                                dx,
-                                dy,
-                            )
+                            _is_hidden(bodies, j, x, y, dx, dy)
                             or _is_hidden_by_robot(position[e], robot_radius, i, j - m, dx, dy)
                         )
                     if visible and missed > _ZERO:
@@ -130,21 +117,34 @@ def observe(chunks, worlds, state, p, ego, humans, humans_visible, robots, robot
                         ahead = left = along = across = radius = _ZERO
                     if j < m:
                         humans_visible[e, i, slot] = visible
-                        humans[e, i, slot, OTHER_X], humans[e, i, slot, OTHER_Y] = ahead, left
-                        humans[e, i, slot, OTHER_VELOCITY_X] = along
-                        humans[e, i, slot, OTHER_VELOCITY_Y] = across
-                        humans[e, i, slot, OTHER_RADIUS] = radius
+                        _write_other(humans[e, i, slot], ahead, left, along, across, radius)
                     else:
                         robots_visible[e, i, slot] = visible
-                        robots[e, i, slot, OTHER_X], robots[e, i, slot, OTHER_Y] = ahead, left
-                        robots[e, i, slot, OTHER_VELOCITY_X] = along
-                        robots[e, i, slot, OTHER_VELOCITY_Y] = across
-                        robots[e, i, slot, OTHER_RADIUS] = radius
+                        _write_other(robots[e, i, slot], ahead, left, along, across, radius)
 
 
 @function
-def _is_hidden(position, radius, present, j, x, y, dx, dy):
+def _write_ego(ego, cos, sin, x, y, vx, vy, goal_x, goal_y):
+    """Write the robot's own pose, velocity and goal in its body frame."""
+    ego[GOAL_X], ego[GOAL_Y] = unrotate(cos, sin, goal_x - x, goal_y - y)
+    ego[VELOCITY_X], ego[VELOCITY_Y] = unrotate(cos, sin, vx, vy)
+    own_x, own_y = unrotate(cos, sin, x, y)
+    ego[ORIGIN_X], ego[ORIGIN_Y] = -own_x, -own_y
+    ego[HEADING_COS], ego[HEADING_SIN] = cos, sin
+
+
+@function
+def _write_other(other, ahead, left, along, across, radius):
+    """Write position, velocity and radius of another agent."""
+    other[OTHER_X], other[OTHER_Y] = ahead, left
+    other[OTHER_VELOCITY_X], other[OTHER_VELOCITY_Y] = along, across
+    other[OTHER_RADIUS] = radius
+
+
+@function
+def _is_hidden(bodies, j, x, y, dx, dy):
     """Return whether a human other than `j` blocks the sight from (x, y) to (x + dx, y + dy)."""
+    position, radius, present = bodies
     for k in range(present.shape[0]):
         if k == j or not present[k]:
             continue

@@ -27,7 +27,7 @@ from mrsan.kernels.tally import (
 )
 from mrsan.reward import step_reward_parts, sum_of_parts
 
-# Of a crowd model, see `mrsan.crowds`; `advance.variant` puts those of another one in their places.
+# The functions of a crowd model, see `mrsan.crowds`; `advance.variant` replaces them.
 update_presence = enter_and_leave
 choose_velocities = walk_to_goals
 crowd_velocity = orca_crowd
@@ -207,28 +207,46 @@ def _find_contacts(state, e, p, present, displacement, human_gap, contact):
                 last_contact[e, i, j] = clock + 1
         human_gap[i] = nearest
         tally[e, i, CLOSEST_HUMAN], tally[e, i, SOONEST_COLLISION] = closest, soonest
-        for k in range(robots):
-            if k == i:
-                continue
-            dx, dy = position[e, k, 0] - x, position[e, k, 1] - y
-            before_x = dx - displacement[k, 0] + displacement[i, 0]
-            before_y = dy - displacement[k, 1] + displacement[i, 1]
-            if closest_approach(before_x, before_y, dx, dy) < robot_radius + robot_radius:
-                if contact[i] == 0:
-                    contact[i] = HIT_ROBOT
-                if last_contact[e, i, people + k] != clock:
-                    tally[e, i, CONTACTS] += _ONE if arrived[e, k] else _HALF
-                last_contact[e, i, people + k] = clock + 1
+        with_robots = last_contact[e, i, people:]
+        if _touches_robots(
+            i, position[e], displacement, arrived[e], robot_radius, clock, with_robots, tally[e, i]
+        ):
+            if contact[i] == 0:
+                contact[i] = HIT_ROBOT
         if collision[e, i] == 0:
             collision[e, i] = contact[i]
-        if nearest < COMFORT_ZONE:
-            tally[e, i, COMFORT_STEPS] += _ONE
-        if nearest < PERSONAL_SPACE:
-            tally[e, i, CLOSE_STEPS] += _ONE
-        elif nearest < SOCIAL_SPACE:
-            tally[e, i, PERSONAL_STEPS] += _ONE
-        elif nearest < PUBLIC_SPACE:
-            tally[e, i, SOCIAL_STEPS] += _ONE
+        _tally_space(nearest, tally[e, i])
+
+
+@function
+def _touches_robots(i, position, displacement, arrived, radius, clock, last_contact, tally):
+    """Return whether robot `i` touches another one during the step; count the new contacts."""
+    touches = False
+    for k in range(position.shape[0]):
+        if k == i:
+            continue
+        dx, dy = position[k, 0] - position[i, 0], position[k, 1] - position[i, 1]
+        before_x = dx - displacement[k, 0] + displacement[i, 0]
+        before_y = dy - displacement[k, 1] + displacement[i, 1]
+        if closest_approach(before_x, before_y, dx, dy) < radius + radius:
+            touches = True
+            if last_contact[k] != clock:
+                tally[CONTACTS] += _ONE if arrived[k] else _HALF
+            last_contact[k] = clock + 1
+    return touches
+
+
+@function
+def _tally_space(nearest, tally):
+    """Count the step in the space of the nearest person in which the robot is."""
+    if nearest < COMFORT_ZONE:
+        tally[COMFORT_STEPS] += _ONE
+    if nearest < PERSONAL_SPACE:
+        tally[CLOSE_STEPS] += _ONE
+    elif nearest < SOCIAL_SPACE:
+        tally[PERSONAL_STEPS] += _ONE
+    elif nearest < PUBLIC_SPACE:
+        tally[SOCIAL_STEPS] += _ONE
 
 
 @function

@@ -69,10 +69,7 @@ def share_tracks(
                 message = messages[e, sent, i]
                 _write_message(humans[e, i], humans_visible[e, i], pose, message, 0, m)
                 _write_message(robots[e, i], robots_visible[e, i], pose, message, m, i)
-                own = message[m + i]
-                own[OTHER_X], own[OTHER_Y] = position[e, i, 0], position[e, i, 1]
-                own[OTHER_VELOCITY_X], own[OTHER_VELOCITY_Y] = velocity[e, i, 0], velocity[e, i, 1]
-                own[OTHER_RADIUS] = radius
+                _write_own_pose(pose, radius, message[m + i])
             for i in range(n):
                 humans_reported[e, i, :], robots_reported[e, i, :] = False, False
                 pose = position[e, i], velocity[e, i], heading[e, i]
@@ -86,26 +83,19 @@ def share_tracks(
                         if rng.uniform(keys[e], rng.REPORT_LOSS, i * n + k, step, 0) < loss:
                             continue
                     message = messages[e, received, k]
-                    _read_message(
-                        message,
-                        0,
-                        m,
-                        delay,
-                        pose,
-                        humans[e, i],
-                        humans_visible[e, i],
-                        humans_reported[e, i],
-                    )
-                    _read_message(
-                        message,
-                        m,
-                        i,
-                        delay,
-                        pose,
-                        robots[e, i],
-                        robots_visible[e, i],
-                        robots_reported[e, i],
-                    )
+                    people = humans[e, i], humans_visible[e, i], humans_reported[e, i]
+                    others = robots[e, i], robots_visible[e, i], robots_reported[e, i]
+                    _read_message(message, 0, m, delay, pose, people)
+                    _read_message(message, m, i, delay, pose, others)
+
+
+@function
+def _write_own_pose(pose, radius, out):
+    """Write the robot itself to its message, in the world frame."""
+    position, velocity, _ = pose
+    out[OTHER_X], out[OTHER_Y] = position[0], position[1]
+    out[OTHER_VELOCITY_X], out[OTHER_VELOCITY_Y] = velocity[0], velocity[1]
+    out[OTHER_RADIUS] = radius
 
 
 @function
@@ -131,9 +121,10 @@ def _write_message(others, visible, pose, message, first, skip):
 
 
 @function
-def _read_message(message, first, skip, delay, pose, others, visible, reported):
+def _read_message(message, first, skip, delay, pose, observed):
     """Add the agents of a message that is `delay` seconds old to those that a robot sees."""
     position, velocity, heading = pose
+    others, visible, reported = observed
     cos, sin = math.cos(heading), math.sin(heading)
     for j in range(others.shape[0]):
         track = message[first + j + (j >= skip)]
