@@ -104,6 +104,8 @@ class Encoder(nn.Module, ABC):
 
 def samples_of(scene: Any, index: Tensor | slice) -> Any:
     """Return some samples of a scene."""
+    if isinstance(index, slice) and index == slice(None):  # all of them
+        return scene
     return tree_map(lambda tensor: tensor[index], scene)
 
 

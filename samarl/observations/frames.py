@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor
-from torch.utils._pytree import tree_leaves, tree_map
+from torch.utils._pytree import tree_map
 
 from mrsan.observation import named_arrays, parts_of_named
 
@@ -75,7 +75,14 @@ class Frames(NamedTuple):
 
     def map(self, function: Callable[[Tensor], Tensor]) -> Frames:
         """Apply a function to every tensor."""
-        return tree_map(function, self)
+        return Frames(
+            function(self.ego),
+            {
+                name: EntityFeatures(function(features), function(mask))
+                for name, (features, mask) in self.entities.items()
+            },
+            {name: function(values) for name, values in self.sensors.items()},
+        )
 
     def at(self, frames: slice) -> Frames:
         """Return some of the frames."""
@@ -96,7 +103,8 @@ class Frames(NamedTuple):
 
     def tensors(self) -> list[Tensor]:
         """Return all tensors in a fixed order."""
-        return tree_leaves(self)
+        groups = (tensor for group in self.entities.values() for tensor in group)
+        return [self.ego, *groups, *self.sensors.values()]
 
     def named(self) -> dict[str, Tensor]:
         """Return all tensors by flat names: `ego`, `GROUP`, `GROUP_known`, and the sensors."""

@@ -22,7 +22,7 @@ from mrsan.features import GOAL_X, GOAL_Y
 from mrsan.fields import check_numbers, number, setting
 from mrsan.kernels import function, kernel
 from mrsan.kernels.contact import closest_approach
-from mrsan.parameters import kernel_parameters
+from mrsan.parameters import Parameters, kernel_parameters
 from samarl.observations.tracker import Tracks
 from samarl.planning.detour import remaining_path_length
 from samarl.planning.track_predictor import CONSTANT_VELOCITY, gather_offsets, zero_offset
@@ -83,6 +83,7 @@ def apply_shield(
     scenario: Scenario,
     shield: Shield,
     predicted_offset: NDArray[np.float32] | None = None,
+    parameters: Parameters | None = None,
 ) -> NDArray[np.float32]:
     """Return the actions [E, N, A], with unsafe ones replaced.
 
@@ -93,6 +94,7 @@ def apply_shield(
         shield: its parameters.
         predicted_offset: offsets of people from constant velocity, as from
             `OffsetPredictor.update`; None: zero.
+        parameters: those of the scenario, where they are at hand.
     """
     checked = np.array(action, np.float32)
     if predicted_offset is None:
@@ -107,7 +109,7 @@ def apply_shield(
         len(checked),
         *tracks.agents,
         predicted_offset,
-        kernel_parameters(scenario),
+        kernel_parameters(scenario) if parameters is None else parameters,
         settings,
         checked,
     )

@@ -162,6 +162,8 @@ class HierarchicalPolicy(StochasticPolicy):
         # traced for export or the ablation uses the choices of other robots.
         everybody = is_tracing() or self.waypoint_source is Waypoints.shuffled
         index = rows if everybody else due.nonzero().squeeze(1)
+        if len(index) == 0:
+            return LevelStep(ego.new_zeros(len(rows), 2), ego.new_zeros(len(rows)), due)
         embedding = self._embedding(samples_of(scene, index), ego[index], rows[index])
         mean, std = self.distribution(MACRO, embedding, rows[index])
         if noise is None:

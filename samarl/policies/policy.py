@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -266,5 +267,7 @@ class Policy(nn.Module, ABC):
         c = self.config
         return next_on_route(ego, scenario.fov_degrees, c.round_below, c.round_radius)
 
-    def _precision(self) -> torch.autocast:
-        return torch.autocast(self.device.type, torch.bfloat16, enabled=self.low_precision)
+    def _precision(self) -> AbstractContextManager[Any]:
+        if not self.low_precision:
+            return nullcontext()
+        return torch.autocast(self.device.type, torch.bfloat16)

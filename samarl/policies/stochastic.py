@@ -147,10 +147,10 @@ class StochasticPolicy(Policy):
         active: NDArray[np.bool_] | None = None,
     ) -> Decision:
         """See `Policy.act`: `step` for all robots of E worlds."""
-        shape = observation.ego.shape[:2]
+        shape, device = observation.ego.shape[:2], self.device
 
         def per_row(values: NDArray[Any]) -> Tensor:
-            return torch.from_numpy(np.ascontiguousarray(values)).flatten(0, 1).to(self.device)
+            return torch.from_numpy(np.ascontiguousarray(values)).flatten(0, 1).to(device)
 
         tracks, features = self._perceive(observation, state, is_init, scenario)
         policy_state = {name: value for name, value in state.items() if name != "tracks"}

@@ -153,7 +153,9 @@ class Driver:
         action = chosen
         if self._shield:
             shield_tracks = tracks[self._shield.track_time]
-            action = apply_shield(shield_tracks, chosen, self.scenario, self._shield)
+            action = apply_shield(
+                shield_tracks, chosen, self.scenario, self._shield, parameters=self._parameters
+            )
         shielded = bool((action != chosen).any())
         return self._command(observation.ego, action, own.heading, shielded)
 

@@ -148,6 +148,8 @@ def _detection(path: str, value: Any) -> Detection:
 
 def _number(name: str, value: Any) -> float:
     """Return a finite number as a float; booleans, arrays and strings are not numbers."""
+    if type(value) is float and abs(value) <= LARGEST:  # the usual case, quickly
+        return value
     if isinstance(value, Real) and not isinstance(value, bool):
         try:
             number = float(value)
