@@ -142,7 +142,7 @@ def hostile_header(r: random.Random, valid: bytes) -> bytes:
         key, value = r.choice(entries)
         tensor[key] = value
     elif choice == 4:
-        header[r.choice(["../x", "", "weights", "optimiser/policy/0/exp_avg"])] = header.pop(name)
+        header[r.choice(["../x", "", "weights", "optimisers/adam/0/exp_avg"])] = header.pop(name)
     elif choice == 5:
         del tensor[r.choice(list(tensor))]
     elif choice == 6:

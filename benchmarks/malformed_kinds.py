@@ -250,7 +250,7 @@ def training_state(r: random.Random, valid: ValidInputs) -> MalformedInput:
     """Return a damaged state of an interrupted training."""
     valid.state.write_bytes(damaged_weights(r, valid, valid.state))
     return MalformedInput(
-        "training state", valid.trainer.restore, ["train", "resume=run"], ("state.safe",)
+        "training state", valid.trainer.load, ["train", "resume=run"], ("state.safe",)
     )
 
 

@@ -1,4 +1,4 @@
-"""Atomic writing of files, and the provenance of results."""
+"""Atomic file writing, and the provenance of results."""
 
 from __future__ import annotations
 
@@ -24,20 +24,20 @@ def atomic_write(path: Path) -> Iterator[Path]:
     Raises:
         ConfigurationError: the file cannot be written, for example because the disk is full.
     """
-    part = path.with_name(path.name + ".part")
+    temporary = path.with_name(path.name + ".part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         try:
-            yield part
-            os.replace(part, path)
+            yield temporary
+            os.replace(temporary, path)
         finally:
-            part.unlink(missing_ok=True)
+            temporary.unlink(missing_ok=True)
     except OSError as error:
         raise ConfigurationError(f"{path} cannot be written ({error.strerror or error})") from None
 
 
 def check_writable(path: Path, field: str) -> None:
-    """Check before long work that a file can be written.
+    """Check that a file can be written, before a long computation whose result it will hold.
 
     Args:
         path: path of the file.
@@ -48,7 +48,7 @@ def check_writable(path: Path, field: str) -> None:
     """
     folder = next(parent for parent in path.absolute().parents if parent.exists())
     try:
-        with tempfile.TemporaryFile(dir=folder):  # subfolders can be created then
+        with tempfile.TemporaryFile(dir=folder):  # if so, subfolders can be created as well
             pass
         if path.is_dir():
             raise IsADirectoryError("it is a folder")
@@ -60,8 +60,8 @@ def check_writable(path: Path, field: str) -> None:
 
 def write_text(path: Path, text: str) -> None:
     """Write a text file atomically."""
-    with atomic_write(path) as part:
-        part.write_text(text, encoding="utf-8")
+    with atomic_write(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
 
 
 def write_json(path: Path, content: Any) -> None:
@@ -94,23 +94,23 @@ def find_folder(name: str) -> Path:
 def code_version() -> str:
     """Return the commit of the running code, with `-dirty` and a digest of uncommitted changes.
 
-    Without git it is the version of the package.
+    The version of the package is returned instead if the code is not in a git repository.
     """
     source = Path(samarl.__file__).parent
     try:
         commit = _git(source, "rev-parse", "--short=10", "HEAD")
         tracked = _git(source, "ls-files", "--error-unmatch", "__init__.py")
         changes = _git(source, "diff", "HEAD", "--", ":/", ":!/results", ":!/README.md", ":!/docs")
-        new = _git(
+        untracked = _git(
             source, "ls-files", "--others", "--exclude-standard", ":/samarl", ":/envs", ":/conf"
         )
     except (OSError, subprocess.CalledProcessError):
         return samarl.__version__
     if not tracked:
         return samarl.__version__
-    if not changes + new:
+    if not changes + untracked:
         return commit
-    return f"{commit}-dirty.{hashlib.sha256((changes + new).encode()).hexdigest()[:8]}"
+    return f"{commit}-dirty.{hashlib.sha256((changes + untracked).encode()).hexdigest()[:8]}"
 
 
 def machine() -> str:

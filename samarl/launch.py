@@ -26,31 +26,31 @@ def rank() -> int:
 
 
 def launcher() -> list[str]:
-    """Return the words before a command that start it in as many processes."""
+    """Return the prefix of a command line that starts it in the same number of processes."""
     if world_size() == 1:
         return []
     return ["torchrun", "--nproc-per-node", str(world_size()), "--no-python"]
 
 
 def local_device(device: str) -> str:
-    """Return the torch device of this process; each process of a machine uses its own GPU."""
+    """Return the torch device of this process: each process on a machine uses its own GPU."""
     if device == "cuda" and world_size() > 1:
         return f"cuda:{os.environ.get('LOCAL_RANK', 0)}"
     return device
 
 
 def per_process(config: T, name: str, *fields: str) -> T:
-    """Return a copy of a dataclass with fields divided by the number of processes.
+    """Return a copy of a configuration with fields divided by the number of processes.
 
     Args:
-        config: a dataclass instance whose fields count all processes.
-        name: path of the configuration, for error messages.
+        config: a dataclass instance, whose fields are totals over all processes.
+        name: of the configuration, for error messages.
         *fields: integer fields to divide.
 
     Raises:
         ConfigurationError: a field is not a multiple of the number of processes.
     """
-    parts: dict[str, Any] = {}
+    divided: dict[str, Any] = {}
     for field in fields:
         total = getattr(config, field)
         if total % world_size():
@@ -58,5 +58,5 @@ def per_process(config: T, name: str, *fields: str) -> T:
                 f"{name}.{field} is {total}; it must be a multiple of {world_size()}, the number "
                 "of processes"
             )
-        parts[field] = total // world_size()
-    return replace(config, **parts)  # type: ignore[type-var]
+        divided[field] = total // world_size()
+    return replace(config, **divided)  # type: ignore[type-var]

@@ -1,4 +1,4 @@
-"""Values of what a team does: critics of every robot's features and action (MSA3C, Eq. 11-13)."""
+"""Action values Q of the robots of a team (MSA3C, Eq. 11-13)."""
 
 from __future__ import annotations
 
@@ -12,67 +12,67 @@ from samarl.encoders.windowed_attention import MASKED
 
 
 class Aggregation(Enum):
-    """What a critic makes of the other robots."""
+    """How a critic combines the other robots."""
 
-    attention = 1  # MSA3C and MLGA2C: weighs them, any number
-    concatenation = 2  # MASAC: one after another, always as many
+    attention = 1  # MSA3C and MLGA2C: a weighted sum over any number of robots
+    concatenation = 2  # MASAC: side by side, for a fixed number of robots
 
 
 def block(inputs: int, outputs: int) -> nn.Sequential:
-    """A layer, its normalisation and a leaky rectifier, as in all of the paper's critic."""
+    """Return a layer with normalisation and leaky rectifier, the building block of all critics."""
     return nn.Sequential(nn.Linear(inputs, outputs), nn.LayerNorm(outputs), nn.LeakyReLU())
 
 
 class TeamCritic(nn.Module, ABC):
     """Q of each robot.
 
-    Robots that have arrived do nothing any more; they do not count for the others.
+    Robots that have arrived no longer act, so the others ignore them.
     """
 
     @abstractmethod
     def forward(self, y: Tensor, own: Tensor, others: Tensor, active: Tensor) -> Tensor:
-        """Q of every robot, [..., N].
+        """Return Q of every robot, [..., N].
 
         Args:
             y: [..., N, F] features.
-            own: [..., N, A] what each robot does.
-            others: [..., N, A] what it does in the eyes of the others. It is told apart because an
-                actor changes one robot's action among those that the others took.
-            active: [..., N] who is on the way.
+            own: [..., N, A] action of each robot, as an input of its own Q.
+            others: [..., N, A] action of each robot, as an input of the other robots' Q. The two
+                differ in the actor's loss, in which each robot's own action is drawn anew.
+            active: [..., N] robots that have not arrived.
         """
 
 
 class AttentionCritic(TeamCritic):
-    """A robot attends to the others by what they see and do."""
+    """Each robot attends to the features and actions of the others."""
 
     def __init__(self, features: int, actions: int, width: int, heads: int) -> None:
         super().__init__()
         self.heads, self.scale = heads, (width // heads) ** -0.5
-        self.own, self.other = (block(features + actions, width) for _ in range(2))
-        self.asks, self.keys, self.values = (nn.Linear(width, width, bias=False) for _ in range(3))
+        self.embed_own, self.embed_other = (block(features + actions, width) for _ in range(2))
+        self.query, self.key, self.value = (nn.Linear(width, width, bias=False) for _ in range(3))
         self.out = nn.Sequential(block(2 * width, width), block(width, width), nn.Linear(width, 1))
 
     def forward(self, y: Tensor, own: Tensor, others: Tensor, active: Tensor) -> Tensor:
         """See `TeamCritic.forward`."""
-        of_self = self.own(torch.cat([y, own], -1))  # Eq. 11
-        of_other = self.other(torch.cat([y, others], -1))  # Eq. 12
+        e_own = self.embed_own(torch.cat([y, own], -1))  # Eq. 11
+        e_other = self.embed_other(torch.cat([y, others], -1))  # Eq. 12
 
         def by_head(values: Tensor) -> Tensor:
             return values.unflatten(-1, (self.heads, -1)).transpose(-3, -2)  # [..., heads, N, D]
 
         n = y.shape[-2]
-        counts = active.unsqueeze(-2) & ~torch.eye(n, dtype=torch.bool, device=y.device)
-        counts = counts.unsqueeze(-3)  # [..., 1, N, N] of the others, those on the way
-        score = by_head(self.asks(of_self)) @ by_head(self.keys(of_other)).transpose(-2, -1)
-        share = torch.softmax(torch.where(counts, self.scale * score, MASKED), -1) * counts
-        # Eq. 13 prints the values of e_self; but what is weighed can only be the others'.
-        found = (share @ by_head(self.values(of_other))).transpose(-3, -2).flatten(-2)
-        q: Tensor = self.out(torch.cat([found, of_self], -1)).squeeze(-1)
+        mask = active.unsqueeze(-2) & ~torch.eye(n, dtype=torch.bool, device=y.device)
+        mask = mask.unsqueeze(-3)  # [..., 1, N, N] active robots other than the robot itself
+        score = by_head(self.query(e_own)) @ by_head(self.key(e_other)).transpose(-2, -1)
+        weight = torch.softmax(torch.where(mask, self.scale * score, MASKED), -1) * mask
+        # Eq. 13 prints the values of e_self, but only those of the others can be meant.
+        context = (weight @ by_head(self.value(e_other))).transpose(-3, -2).flatten(-2)
+        q: Tensor = self.out(torch.cat([context, e_own], -1)).squeeze(-1)
         return q
 
 
 class ConcatenationCritic(TeamCritic):
-    """A robot's own part, then those of the others in the order of their numbers."""
+    """Each robot's own features and action, followed by those of the others in index order."""
 
     def __init__(self, features: int, actions: int, width: int, robots: int) -> None:
         super().__init__()
@@ -82,8 +82,8 @@ class ConcatenationCritic(TeamCritic):
     def forward(self, y: Tensor, own: Tensor, others: Tensor, active: Tensor) -> Tensor:
         """See `TeamCritic.forward`."""
         n = y.shape[-2]
-        seen = torch.cat([y, others], -1) * active.unsqueeze(-1)
-        rest = [[k for k in range(n) if k != i] for i in range(n)]
-        of_others = seen[..., torch.tensor(rest, dtype=torch.long).view(n, n - 1), :]
-        q: Tensor = self.out(torch.cat([y, own, of_others.flatten(-2)], -1)).squeeze(-1)
+        inputs = torch.cat([y, others], -1) * active.unsqueeze(-1)
+        other_indices = [[k for k in range(n) if k != i] for i in range(n)]
+        other_inputs = inputs[..., torch.tensor(other_indices, dtype=torch.long).view(n, n - 1), :]
+        q: Tensor = self.out(torch.cat([y, own, other_inputs.flatten(-2)], -1)).squeeze(-1)
         return q

@@ -1,6 +1,7 @@
 """Advantages and value targets of both levels, each on its own time axis.
 
-Padding is masked out: its reward, value and next value are zero.
+Padding is masked out: its reward, value and next value are zero. Shapes: S sequences, T steps,
+N robots, at most K macro actions per sequence.
 """
 
 from __future__ import annotations
@@ -23,26 +24,31 @@ def advantages(
     gae_lambda: float,
     duration: Tensor | None = None,
 ) -> tuple[Tensor, Tensor]:
-    """Return advantage and value target, [S, T, N], by generalised advantage estimation.
+    """Return advantages and value targets, [S, T, N], by generalised advantage estimation.
 
     Args:
-        reward: [S, T, N]; of a macro action already discounted within its duration.
+        reward: [S, T, N]; that of a macro action is discounted within its duration.
         value: [S, T, N].
-        next_value: [S, T, N] of the state each step led to, before any reset.
-        done: [S, T, N] the robot's stream ends here.
-        terminated: [S, T, N] it ends in a value of 0; where only `done`, `next_value` bootstraps.
+        next_value: [S, T, N] of the next state, before any reset.
+        done: [S, T, N] the robot's stream ends with this step.
+        terminated: [S, T, N] it ends in a value of 0; otherwise `next_value` bootstraps.
         discount: per environment step.
         gae_lambda: per decision.
-        duration: [S, T, N] environment steps of each decision; None: one each.
+        duration: [S, T, N] environment steps of each decision; None: always one.
     """
     estimator = GAE(
         gamma=discount, lmbda=gae_lambda, value_network=None, average_gae=False, vectorized=False
     )
-    after = {"state_value": next_value, "reward": reward, "done": done, "terminated": terminated}
+    following = {
+        "state_value": next_value,
+        "reward": reward,
+        "done": done,
+        "terminated": terminated,
+    }
     data = TensorDict(
         {
             "state_value": value.unsqueeze(-1),
-            "next": TensorDict({k: v.unsqueeze(-1) for k, v in after.items()}, value.shape[:2]),
+            "next": TensorDict({k: v.unsqueeze(-1) for k, v in following.items()}, value.shape[:2]),
         },
         value.shape[:2],
     )
@@ -57,12 +63,12 @@ class Streams(NamedTuple):
 
     A stream lasts as long as the episode: a robot that has arrived waits for its team and receives
     the team's rewards. Where the time limit or a team-mate's collision cuts an episode short, its
-    last step is removed: the value of the state before it, in which a decision was made, is
+    last step is removed, and the value of the state before it, in which a decision was made, is
     bootstrapped.
     """
 
     counts: Tensor  # the step is neither padding nor removed
-    acts: Tensor  # ... and the robot is on its way
+    acts: Tensor  # the step counts and the robot has not arrived
     terminated: Tensor  # the stream ends with this step, in a value of zero
     cut: Tensor  # the stream was cut off before this step
 
@@ -78,114 +84,127 @@ def streams(steps: TensorDict) -> Streams:
 
 
 def step_advantages(
-    of: Streams, reward: Tensor, value: Tensor, discount: float, gae_lambda: float
+    stream: Streams, reward: Tensor, value: Tensor, discount: float, gae_lambda: float
 ) -> tuple[Tensor, Tensor]:
-    """Return advantage and value target, [S, T, N], of a level that decides in every step.
+    """Return advantages and value targets, [S, T, N], of a level that decides in every step.
 
     Args:
-        of: the streams.
+        stream: see `streams`.
         reward: [S, T, N].
         value: [S, T + 1, N].
         discount: per step.
         gae_lambda: per step.
     """
-    now, after = value[:, :-1], value[:, 1:]
-    zero = torch.zeros_like(now)
-    last = of.terminated | of.cut | ~(of.counts | of.cut)
+    current_value, next_value = value[:, :-1], value[:, 1:]
+    zero = torch.zeros_like(current_value)
+    done = stream.terminated | stream.cut | ~(stream.counts | stream.cut)
     # A removed step yields its own value, so that the step before it bootstraps from it.
-    reward = torch.where(of.counts, reward, torch.where(of.cut, now, zero))
-    now = torch.where(of.counts | of.cut, now, zero)
-    return advantages(
-        reward, now, torch.where(of.counts, after, zero), last, last, discount, gae_lambda
-    )
+    reward = torch.where(stream.counts, reward, torch.where(stream.cut, current_value, zero))
+    current_value = torch.where(stream.counts | stream.cut, current_value, zero)
+    next_value = torch.where(stream.counts, next_value, zero)
+    return advantages(reward, current_value, next_value, done, done, discount, gae_lambda)
 
 
 class MacroRecords(NamedTuple):
-    """The macro actions of a rollout, one after another per robot: [S, K, N]."""
+    """The macro actions of each robot in order of time, [S, K, N] each."""
 
     reward: Tensor  # discounted within the duration
     duration: Tensor  # environment steps
-    start: Tensor  # the step in which each was chosen
-    end: Tensor  # the last step of each
+    start: Tensor  # step in which the action was chosen
+    end: Tensor  # last step of the action
     valid: Tensor  # False: padding
-    terminated: Tensor  # it ends in a value of zero
-    done: Tensor  # nothing follows it in its stream
+    terminated: Tensor  # the action ends in a value of zero
+    done: Tensor  # the action is the last one of its stream
 
 
-def macro_records(of: Streams, decided: Tensor, reward: Tensor, discount: float) -> MacroRecords:
-    """Cut streams at their macro decisions: R = sum of discount^j r_j over the duration.
+def macro_records(
+    stream: Streams, decided: Tensor, reward: Tensor, discount: float
+) -> MacroRecords:
+    """Split streams at their macro decisions: R = sum of discount^j r_j over the duration.
 
     A robot that has arrived makes no decisions: its waiting is one more record, from which the
-    critic learns the value of waiting. The rest of a decision of the previous rollout is no record.
+    critic learns the value of waiting. Steps of a decision of the previous rollout are in no
+    record.
 
     Args:
-        of: the streams.
+        stream: see `streams`.
         decided: [S, T, N] a waypoint was chosen.
         reward: [S, T, N].
         discount: per step.
     """
     s, t, n = decided.shape
-    waits = of.counts & ~of.acts
-    before = torch.cat([torch.zeros_like(waits[:, :1]), waits[:, :-1]], 1)
-    starts = (decided & of.acts) | (waits & ~before)
-    ended = torch.cat([torch.zeros_like(waits[:, :1]), (of.terminated | of.cut)[:, :-1]], 1)
-    number = starts.long().cumsum(1) - 1  # [S, T, N] which record a step belongs to
+    false = torch.zeros_like(stream.counts[:, :1])
+    waits = stream.counts & ~stream.acts
+    waited_before = torch.cat([false, waits[:, :-1]], 1)
+    starts = (decided & stream.acts) | (waits & ~waited_before)
+    ended_before = torch.cat([false, (stream.terminated | stream.cut)[:, :-1]], 1)
+    record = starts.long().cumsum(1) - 1  # [S, T, N] index of the record of each step
     # An episode starts with a decision, but after a part that does not count there may be steps
-    # before the next decision: they belong to no record.
-    gap = (~of.counts).long().cumsum(1) + ended.long().cumsum(1)
-    at_start = torch.where(starts, gap, -1).cummax(1).values
-    belongs = of.counts & (number >= 0) & (gap == at_start)
-    k = max(int(number.max()) + 1, 1)
-    slot = number.clamp_min(0)
+    # before the next decision: they are in no record.
+    part = (~stream.counts).long().cumsum(1) + ended_before.long().cumsum(1)
+    part_of_record = torch.where(starts, part, -1).cummax(1).values
+    in_record = stream.counts & (record >= 0) & (part == part_of_record)
+    k = max(int(record.max()) + 1, 1)
+    record = record.clamp_min(0)
     step = torch.arange(t, device=decided.device).view(1, t, 1).expand(s, t, n)
 
-    def gather(values: Tensor, reduce: str, where: Tensor) -> Tensor:
-        out = values.new_zeros(s, k + 1, n)
-        index = torch.where(where, slot, k)  # steps that do not count go to an extra slot
-        return out.scatter_reduce(1, index, values, reduce, include_self=True)[:, :k]
+    def reduce_per_record(values: Tensor, reduction: str, mask: Tensor) -> Tensor:
+        result = values.new_zeros(s, k + 1, n)
+        index = torch.where(mask, record, k)  # other steps go to an additional record
+        return result.scatter_reduce(1, index, values, reduction, include_self=True)[:, :k]
 
-    start = gather(step, "amax", starts)
-    within = step - start.gather(1, slot)
-    total = gather(reward * discount**within, "sum", belongs)
-    duration = gather(torch.ones_like(step), "sum", belongs)
-    end = gather(step, "amax", belongs)
+    start = reduce_per_record(step, "amax", starts)
+    steps_since_start = step - start.gather(1, record)
+    total_reward = reduce_per_record(reward * discount**steps_since_start, "sum", in_record)
+    duration = reduce_per_record(torch.ones_like(step), "sum", in_record)
+    end = reduce_per_record(step, "amax", in_record)
     valid = duration > 0
-    terminated = of.terminated.gather(1, end) & valid
-    following = torch.cat([start[:, 1:], start.new_full((s, 1, n), t + 1)], 1)
-    follows = torch.cat([valid[:, 1:], torch.zeros_like(valid[:, :1])], 1) & (following == end + 1)
-    done = terminated | ~follows
-    return MacroRecords(total, duration, start, end, valid, terminated | ~valid, done)
+    terminated = stream.terminated.gather(1, end) & valid
+    next_start = torch.cat([start[:, 1:], start.new_full((s, 1, n), t + 1)], 1)
+    is_followed = torch.cat([valid[:, 1:], false], 1) & (next_start == end + 1)
+    done = terminated | ~is_followed
+    return MacroRecords(total_reward, duration, start, end, valid, terminated | ~valid, done)
 
 
 def macro_advantages(
-    of: Streams, decided: Tensor, reward: Tensor, value: Tensor, discount: float, gae_lambda: float
+    stream: Streams,
+    decided: Tensor,
+    reward: Tensor,
+    value: Tensor,
+    discount: float,
+    gae_lambda: float,
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Return advantage and value target, [S, T, N] at the start of each record, and where one is.
+    """Return advantages and value targets in the first step of each record, and a mask of these.
 
     Args:
-        of: the streams.
-        decided: [S, T, N].
+        stream: see `streams`.
+        decided: [S, T, N] a waypoint was chosen.
         reward: [S, T, N].
         value: [S, T + 1, N].
         discount: per step.
         gae_lambda: per decision.
+
+    Returns:
+        Three tensors [S, T, N].
     """
     s, t, n = decided.shape
-    records = macro_records(of, decided, reward, discount)
+    records = macro_records(stream, decided, reward, discount)
     zero = value.new_zeros(())
-    now = torch.where(records.valid, value.gather(1, records.start), zero)
-    after = torch.where(records.valid, value.gather(1, records.end + 1), zero)
-    found = advantages(
+    start_value = torch.where(records.valid, value.gather(1, records.start), zero)
+    end_value = torch.where(records.valid, value.gather(1, records.end + 1), zero)
+    per_record = advantages(
         records.reward,
-        now,
-        after,
+        start_value,
+        end_value,
         records.done,
         records.terminated,
         discount,
         gae_lambda,
         records.duration,
     )
-    at = torch.where(records.valid, records.start, t)
-    advantage, target = (value.new_zeros(s, t + 1, n).scatter(1, at, x)[:, :t] for x in found)
-    where = torch.zeros(s, t + 1, n, dtype=torch.bool, device=value.device)
-    return advantage, target, where.scatter(1, at, True)[:, :t]
+    step = torch.where(records.valid, records.start, t)  # padding goes to an additional step
+    advantage, target = (
+        value.new_zeros(s, t + 1, n).scatter(1, step, values)[:, :t] for values in per_record
+    )
+    mask = torch.zeros(s, t + 1, n, dtype=torch.bool, device=value.device)
+    return advantage, target, mask.scatter(1, step, True)[:, :t]

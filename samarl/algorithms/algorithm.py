@@ -1,4 +1,4 @@
-"""The interface of learning algorithms."""
+"""Base class of learning algorithms."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ ALGORITHMS: Registry[Algorithm] = Registry("algorithm")
 
 
 class Algorithm(nn.Module, ABC):
-    """Update a policy from rollouts; critics and other networks are its submodules."""
+    """Trains a policy on rollouts; critics and other networks are its submodules."""
 
     policy: Policy
-    reward_shaping: RewardShaping  # of the rollouts that are collected for it
+    reward_shaping: RewardShaping  # of its rollouts
     uses_global_state = False  # rollouts must hold the global state
     uses_shield_targets = False  # rollouts must hold the actions of the safety shield
     supports_data_parallel = False  # gradients can be averaged over processes
@@ -28,25 +28,25 @@ class Algorithm(nn.Module, ABC):
         """Create critics and optimisers.
 
         Args:
-            policy: whose weights are trained.
+            policy: the policy to train.
             config: an instance of the dataclass that the algorithm is registered with.
         """
         super().__init__()
         self.config = config
         self.reward_shaping = RewardShaping()
-        self.__dict__["policy"] = policy  # not a submodule: it is saved separately
+        self.__dict__["policy"] = policy  # not a submodule: the trainer saves it separately
 
     @abstractmethod
     def set_progress(self, share: float) -> None:
-        """Set the learning rate and exploration for a training of which `share` is completed."""
+        """Set the learning rate and exploration; `share` of the training is completed."""
 
     @abstractmethod
     def update(self, rollouts: list[Rollout]) -> dict[str, float]:
-        """Learn from one round of rollouts, one per stage; return statistics by name."""
+        """Learn from the rollouts of all active stages; return statistics by name."""
 
     @abstractmethod
     def optimisers(self) -> dict[str, Any]:
-        """Return all optimisers by name; they are saved with the run."""
+        """Return all optimisers by name; the trainer saves their states."""
 
     def _set_learning_rate(self, share: float) -> None:
         """Decay the learning rate linearly over the training, to 2 % of its initial value."""

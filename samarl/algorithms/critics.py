@@ -1,4 +1,4 @@
-"""Value networks, which are needed in training only."""
+"""Value networks, which are only used in training."""
 
 from __future__ import annotations
 
@@ -16,29 +16,37 @@ class SetEncoder(nn.Module):
     """
 
     def __init__(self, ego: int, other: int, width: int, heads: int, out: int) -> None:
-        """Create layers for own states of length `ego` and others of length `other`."""
+        """Create the layers.
+
+        Args:
+            ego: length of a robot's own state.
+            other: length of the state of another agent.
+            width: of the hidden layers.
+            heads: of the attention.
+            out: length of the feature vector.
+        """
         super().__init__()
 
-        def perceptron(inputs: int, outputs: int) -> nn.Sequential:
+        def mlp(inputs: int, outputs: int) -> nn.Sequential:
             return nn.Sequential(nn.Linear(inputs, width), nn.ReLU(), nn.Linear(width, outputs))
 
         self.heads = heads
-        self.own = perceptron(ego, width)
-        self.embed_humans, self.embed_robots = perceptron(other, width), perceptron(other, width)
+        self.embed_ego = mlp(ego, width)
+        self.embed_humans, self.embed_robots = mlp(other, width), mlp(other, width)
         self.humans, self.robots = Pool(width, heads), Pool(width, heads)
         self.out = nn.Sequential(nn.Linear(3 * width, out), nn.ReLU(), nn.Linear(out, out))
 
     def forward(self, frames: Frames) -> Tensor:
         """Return the features [P, out] of `frames` [P, ...]."""
-        own = self.own(frames.ego)
-        pooled = [own]
-        for pool, embed, (others, known) in (
+        ego = self.embed_ego(frames.ego)
+        features = [ego]
+        for pool, embed, (others, mask) in (
             (self.humans, self.embed_humans, frames.entities["humans"]),
             (self.robots, self.embed_robots, frames.entities["robots"]),
         ):
-            score = nearness(others, known, self.heads)
-            pooled.append(pool(own, torch.relu(embed(others)), score))
-        return torch.relu(self.out(torch.cat(pooled, -1)))
+            score = nearness(others, mask, self.heads)
+            features.append(pool(ego, torch.relu(embed(others)), score))
+        return torch.relu(self.out(torch.cat(features, -1)))
 
 
 class PopArtHead(nn.Module):

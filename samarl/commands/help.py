@@ -171,8 +171,8 @@ def _classes(config: DictConfig) -> dict[str, Any]:
         from samarl.algorithms import ALGORITHMS
         from samarl.encoders import ENCODERS
         from samarl.policies.policy import POLICIES
+        from samarl.training.config import TrainerConfig
         from samarl.training.curriculum import CurriculumStage
-        from samarl.training.trainer import TrainerConfig
 
         classes |= {
             "trainer": TrainerConfig,

@@ -20,7 +20,8 @@ from samarl.registry import checked_fields
 from samarl.training.curriculum import CurriculumStage, check_stages
 
 if TYPE_CHECKING:
-    from samarl.training.trainer import Trainer, TrainerConfig
+    from samarl.training.config import TrainerConfig
+    from samarl.training.trainer import Trainer
 
 
 @dataclass
@@ -72,7 +73,7 @@ def train(config: DictConfig) -> None:
     if rank() == 0:
         print(
             f"written to {trainer.run_dir.folder}: "
-            f"best validation success {100 * trainer.best:.1f} %"
+            f"best validation success {100 * trainer.progress.best_success:.1f} %"
         )
 
 
@@ -82,8 +83,8 @@ def resumed_config(config: DictConfig) -> DictConfig:
     Raises:
         ConfigurationError: the folder contains no run, or other settings are set as well.
     """
+    from samarl.training.resume import RESUME_OVERRIDABLE
     from samarl.training.run_dir import read_progress
-    from samarl.training.trainer import RESUME_OVERRIDABLE
 
     overridable = [*(f"trainer.{name}" for name in RESUME_OVERRIDABLE), "trainer.steps", "plugins"]
     overrides = {o.partition("=")[0]: o for o in HydraConfig.get().overrides.task}
@@ -132,15 +133,12 @@ def check_training(config: DictConfig) -> None:
         ConfigurationError: a setting is not valid.
     """
     from samarl.algorithms import ALGORITHMS
-    from samarl.observations.features import empty_frames
-    from samarl.policies.checkpoint import make_policy
+    from samarl.training.setup import build_policy
 
     if config.resume is not None:
         config = resumed_config(config)
     settings = settings_in(config)
-    sizes = {key: value for key, value in settings.policy.items() if key != "name"}
-    scenario = settings.stages[0].scenario
-    make_policy(settings.policy["name"], sizes, scenario.action_size, empty_frames(scenario).sizes)
+    build_policy(settings.policy, settings.stages[0].scenario)
     for stage in settings.stages:
         stage.scenario.load_recording()
     ALGORITHMS.config(settings.algorithm)
@@ -163,7 +161,7 @@ def settings_in(config: DictConfig) -> Settings:
         ConfigurationError: a setting is not valid.
     """
     from samarl.policies.checkpoint import find_policy
-    from samarl.training.trainer import TrainerConfig
+    from samarl.training.config import TrainerConfig
 
     stages: list[CurriculumStage] = OmegaConf.to_object(
         OmegaConf.merge(OmegaConf.structured(Curriculum), config.curriculum)

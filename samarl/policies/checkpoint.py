@@ -1,8 +1,8 @@
-"""Checkpoints: safetensors and JSON, written whole or not at all, never a pickle.
+"""Policy files: safetensors and JSON, written atomically and without pickle.
 
-A policy is two files: `NAME.safetensors` holds the weights and `NAME.json` says which class they
-belong to, its sizes, how it was made, and the digest of the weights. Class names resolve through
-`POLICIES` alone, so loading a stranger's file runs none of their code.
+A policy consists of two files: `NAME.safetensors` holds the weights, and the card `NAME.json` holds
+the name of the class, its configuration, the provenance, and a digest of the weights. Class names
+are only looked up in `POLICIES`, so loading a file never executes code from it.
 """
 
 from __future__ import annotations
@@ -16,19 +16,17 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-import torch
 from safetensors import SafetensorError
 from safetensors.torch import load_file, save
 from torch import Tensor, nn
 from torch.nn.modules.module import register_module_parameter_registration_hook
-from torch.utils._pytree import tree_flatten, tree_leaves, tree_unflatten
 
 from mrsan import ConfigurationError
 from mrsan.choices import ACTION_SIZE
 from samarl.files import atomic_write, find_folder, read_json, write_json
 from samarl.messages import choice_hint
 from samarl.observations.frames import FeatureSizes
-from samarl.policies import (  # noqa: F401 (makes them known)
+from samarl.policies import (  # noqa: F401 (registers them)
     flat,
     hierarchical,
     lookahead,
@@ -41,13 +39,13 @@ FORMAT = 3
 
 @dataclass
 class PolicyCard:
-    """What a policy file says of itself."""
+    """The JSON file of a policy."""
 
     policy: str  # a name in POLICIES
     action_size: int
     config: dict[str, Any]  # of the policy, with its encoder
     provenance: dict[str, Any]  # command, commit, configuration, steps ... of the training
-    sha256: str  # digest of the file of the weights
+    sha256: str  # digest of the weights file
     # Fields of `FeatureSizes`; empty in older files, whose policies observe people and robots.
     sizes: dict[str, Any] = field(default_factory=dict)
 
@@ -70,9 +68,9 @@ _CARD_TYPES = {
 
 
 def write_tensors(path: Path, tensors: dict[str, Tensor], metadata: dict[str, str]) -> str:
-    """Write tensors atomically; returns the digest of the file."""
-    content = save({key: value.contiguous().cpu() for key, value in tensors.items()}, metadata)
-    with atomic_write(path) as part, part.open("wb") as file:
+    """Write tensors atomically; return the digest of the file."""
+    content = save({name: value.contiguous().cpu() for name, value in tensors.items()}, metadata)
+    with atomic_write(path) as temporary, temporary.open("wb") as file:
         file.write(content)
         file.flush()
         os.fsync(file.fileno())
@@ -80,7 +78,7 @@ def write_tensors(path: Path, tensors: dict[str, Tensor], metadata: dict[str, st
 
 
 def save_policy(path: Path, policy: Policy, name: str, provenance: dict[str, Any]) -> None:
-    """Write `path` (ending in .safetensors) and its card beside it."""
+    """Write the weights to `path`, which ends in `.safetensors`, and the card next to it."""
     digest = write_tensors(path, dict(policy.state_dict()), {})
     card = PolicyCard(
         name,
@@ -96,24 +94,22 @@ def save_policy(path: Path, policy: Policy, name: str, provenance: dict[str, Any
 def make_policy(
     name: str, config: Mapping[str, Any], action_size: int, sizes: FeatureSizes | None = None
 ) -> Policy:
-    """Return a policy with fresh weights.
+    """Create a policy with random weights.
 
     Args:
         name: in `POLICIES`.
-        config: the numbers of the policy, with its encoder.
-        action_size: A.
+        config: settings of the policy, with its encoder.
+        action_size: numbers per action.
         sizes: the groups of entities and the sensors that it observes; None: people and robots.
 
     Raises:
-        ConfigurationError: a name is not known or a number is wrong.
+        ConfigurationError: a name is unknown or a setting is not valid.
     """
     if action_size not in ACTION_SIZE.values():
         raise ConfigurationError(
             f"action_size is {action_size}; it must be one of {sorted({*ACTION_SIZE.values()})}"
         )
-    values = POLICIES.config({**config, "name": name})
-    policy = POLICIES[name].cls(values, action_size, sizes)
-    return policy
+    return POLICIES[name].cls(POLICIES.config({**config, "name": name}), action_size, sizes)
 
 
 def find_policy(name: str, field: str = "checkpoint") -> Path:
@@ -121,10 +117,10 @@ def find_policy(name: str, field: str = "checkpoint") -> Path:
 
     Args:
         name: a path, or the name of a shipped policy.
-        field: the setting that holds it, for the error.
+        field: name of the setting, for error messages.
 
     Raises:
-        ConfigurationError: there is neither such a file nor such a shipped policy.
+        ConfigurationError: there is no such file and no such shipped policy.
     """
     shipped = find_folder("results") / "checkpoints"
     for path in (Path(name), shipped / f"{name}.safetensors"):
@@ -141,16 +137,14 @@ def load_policy(path: Path) -> tuple[Policy, PolicyCard]:
     """Read a policy and its card.
 
     Raises:
-        ConfigurationError: a file is missing, damaged, foreign or of another format; or a weight
-            is no finite number.
+        ConfigurationError: a file is missing or damaged, is not that of a policy or has another
+            format, or a weight is not finite.
     """
     card, card_path = read_card(path), path.with_suffix(".json")
     if hashlib.sha256(path.read_bytes()).hexdigest() != card.sha256:
-        raise ConfigurationError(
-            f"{path} is damaged: it is not the file that {card_path} describes"
-        )
+        raise ConfigurationError(f"{path} is damaged: its digest is not that in {card_path}")
     try:
-        with _no_larger_than(path):
+        with _limit_parameters(path):
             policy = make_policy(card.policy, card.config, card.action_size, card.feature_sizes())
     except ConfigurationError as error:
         raise ConfigurationError(f"{card_path}: {error}") from error
@@ -162,7 +156,7 @@ def load_policy(path: Path) -> tuple[Policy, PolicyCard]:
 
 @contextlib.contextmanager
 def attribute_errors_to(path: Path, reason: str = "is damaged") -> Iterator[None]:
-    """Whatever goes wrong with the content of a file is said to be its fault.
+    """Attribute all errors that the content of a file causes to that file.
 
     Raises:
         ConfigurationError: names the file.
@@ -180,15 +174,15 @@ def attribute_errors_to(path: Path, reason: str = "is damaged") -> Iterator[None
         ArithmeticError,
         RuntimeError,
     ) as error:
-        what = (str(error).splitlines() or [type(error).__name__])[0]
-        raise ConfigurationError(f"{path} {reason} ({what})") from error
+        cause = (str(error).splitlines() or [type(error).__name__])[0]
+        raise ConfigurationError(f"{path} {reason} ({cause})") from error
 
 
 def check_finite(path: Path, tensors: Mapping[str, Tensor]) -> None:
-    """Refuse weights of a file with which a network gives no numbers.
+    """Refuse weights of a file that are not finite.
 
     Raises:
-        ConfigurationError: names the tensor that holds NaN or infinity.
+        ConfigurationError: names the tensor that contains NaN or infinity.
     """
     for name, tensor in tensors.items():
         if not tensor.isfinite().all():
@@ -198,18 +192,18 @@ def check_finite(path: Path, tensors: Mapping[str, Tensor]) -> None:
 
 
 def read_card(weights: Path) -> PolicyCard:
-    """Read the card beside a file of weights.
+    """Read the card next to a weights file.
 
     Raises:
-        ConfigurationError: one of both files is missing, or the card is damaged or of another
+        ConfigurationError: one of the files is missing, or the card is damaged or has another
             format.
     """
     path = weights.with_suffix(".json")
     for file in (weights, path):
         if not file.is_file():
             raise ConfigurationError(
-                f"there is no file {file}; a policy is a .safetensors file and, beside it, a "
-                ".json file of the same name"
+                f"there is no file {file}; a policy is a .safetensors file with a .json file of "
+                "the same name next to it"
             )
     try:
         content = read_json(path)
@@ -219,23 +213,27 @@ def read_card(weights: Path) -> PolicyCard:
         raise ConfigurationError(f"{path} is not the card of a policy ({error})") from error
     if version != FORMAT:
         raise ConfigurationError(f"{path} has format {version!r}; it must be {FORMAT}")
-    for name, kind in _CARD_TYPES.items():
-        if not isinstance(getattr(card, name), kind):
+    for name, type_ in _CARD_TYPES.items():
+        if not isinstance(getattr(card, name), type_):
             raise ConfigurationError(
-                f"{path} has {name} {getattr(card, name)!r:.60}; it must be a {kind.__name__}"
+                f"{path} has {name} {getattr(card, name)!r:.60}; it must be a {type_.__name__}"
             )
     return card
 
 
 @contextlib.contextmanager
-def _no_larger_than(path: Path) -> Iterator[None]:
-    """Refuse to make networks that are larger than a file of weights by far, before it is done."""
-    left = 2 * path.stat().st_size + 2**20
+def _limit_parameters(path: Path) -> Iterator[None]:
+    """Refuse to create networks that are much larger than a weights file, before memory runs out.
+
+    Raises:
+        ConfigurationError: the parameters need more than twice the size of the file.
+    """
+    remaining_bytes = 2 * path.stat().st_size + 2**20
 
     def count(module: nn.Module, name: str, parameter: nn.Parameter | None) -> None:
-        nonlocal left
-        left -= 0 if parameter is None else parameter.nbytes
-        if left < 0:
+        nonlocal remaining_bytes
+        remaining_bytes -= 0 if parameter is None else parameter.nbytes
+        if remaining_bytes < 0:
             raise ConfigurationError(f"its sizes are those of a policy that {path} cannot hold")
 
     hook = register_module_parameter_registration_hook(count)
@@ -243,36 +241,3 @@ def _no_larger_than(path: Path) -> Iterator[None]:
         yield
     finally:
         hook.remove()
-
-
-def pack(prefix: str, tree: Any) -> dict[str, Tensor]:
-    """The leaves of a nested structure of tensors, arrays and numbers, as named tensors."""
-    leaves = tree_leaves(tree)
-    return {
-        f"{prefix}/{i}": torch.as_tensor(leaf).detach().clone()
-        for i, leaf in enumerate(leaves)
-        if leaf is not None
-    }
-
-
-def unpack(example: Any, prefix: str, tensors: Mapping[str, Tensor]) -> Any:
-    """The inverse of `pack`, in the structure of `example`.
-
-    Raises:
-        ValueError: a tensor is missing, or of another shape or type than in `example`.
-    """
-    leaves, structure = tree_flatten(example)
-    found: list[Any] = []
-    for i, leaf in enumerate(leaves):
-        if leaf is None:
-            found.append(None)
-            continue
-        name, expected = f"{prefix}/{i}", torch.as_tensor(leaf)
-        value = tensors.get(name)
-        if value is None or (value.shape, value.dtype) != (expected.shape, expected.dtype):
-            raise ValueError(f"{name} must be a tensor {list(expected.shape)} of {expected.dtype}")
-        # A copy: what lies in a file's buffer is aligned otherwise, and sums round otherwise.
-        found.append(
-            value.to(leaf.device).clone() if isinstance(leaf, Tensor) else value.numpy().copy()
-        )
-    return tree_unflatten(found, structure)

@@ -1,4 +1,4 @@
-"""What an agent can tell of its reasons."""
+"""Explanations of an agent's decisions."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 
 class Explanation(NamedTuple):
-    """What an agent had in mind when it last acted; None: it has no such thing."""
+    """Reasons for the last action of an agent; fields that it does not have are None."""
 
-    # [E, N, 2] where each robot is driving to, world frame, m
+    # [E, N, 2] current waypoint of each robot, world frame, m
     waypoint: NDArray[np.float32] | None = None
-    humans: NDArray[np.float32] | None = None  # [E, N, M] shares of its attention
-    robots: NDArray[np.float32] | None = None  # [E, N, N - 1]
-    shielded: NDArray[np.bool_] | None = None  # [E, N] the safety shield replaced its action
+    humans: NDArray[np.float32] | None = None  # [E, N, M] attention weights of the people
+    robots: NDArray[np.float32] | None = None  # [E, N, N - 1] and of the other robots
+    shielded: NDArray[np.bool_] | None = None  # [E, N] the safety shield replaced the action

@@ -1,4 +1,4 @@
-"""From a feature to a distribution of actions."""
+"""Heads that map features to distributions of actions."""
 
 from __future__ import annotations
 
@@ -10,40 +10,40 @@ from torch import Tensor, nn
 
 
 class Gaussian(nn.Module):
-    """A diagonal Gaussian whose standard deviation is a parameter of its own."""
+    """A diagonal Gaussian whose standard deviation does not depend on the input."""
 
     def __init__(
         self, inputs: int, hidden: int, mean: Sequence[float], std: Sequence[float]
     ) -> None:
-        """Begin near the same `mean` [A] and with `std` [A], whatever the input."""
+        """Initialise the head to approximately `mean` [A], and to `std` [A], for all inputs."""
         super().__init__()
-        last = nn.Linear(hidden, len(mean))
-        self.body = nn.Sequential(nn.Linear(inputs, hidden), nn.Tanh(), last)
+        output = nn.Linear(hidden, len(mean))
+        self.body = nn.Sequential(nn.Linear(inputs, hidden), nn.Tanh(), output)
         self.log_std = nn.Parameter(torch.tensor(std).log())
-        nn.init.orthogonal_(last.weight, gain=0.01)
+        nn.init.orthogonal_(output.weight, gain=0.01)
         with torch.no_grad():
-            last.bias.copy_(torch.tensor(mean))
+            output.bias.copy_(torch.tensor(mean))
 
     def forward(self, inputs: Tensor) -> tuple[Tensor, Tensor]:
-        """Mean and standard deviation, [..., A]."""
+        """Return mean and standard deviation, [..., A]."""
         mean = self.body(inputs)
         return mean, self.log_std.exp().expand_as(mean)
 
     @torch.no_grad()
-    def bound_std(self, least: float, largest: float) -> None:
-        """Bring the standard deviation between the two; `largest` wins where they disagree."""
-        self.log_std.clamp_(math.log(max(least, 1e-6)), math.log(largest))
+    def bound_std(self, minimum: float, maximum: float) -> None:
+        """Clamp the standard deviation; `maximum` takes precedence over a larger `minimum`."""
+        self.log_std.clamp_(math.log(max(minimum, 1e-6)), math.log(maximum))
 
 
 class SpreadGaussian(nn.Module):
-    """A diagonal Gaussian whose standard deviation depends on the input too."""
+    """A diagonal Gaussian whose mean and standard deviation depend on the input."""
 
-    LEAST, LARGEST = -5.0, 2.0  # of the logarithm of the deviation (Haarnoja et al., 2018)
+    LOG_STD_MIN, LOG_STD_MAX = -5.0, 2.0  # Haarnoja et al., 2018
 
     def __init__(self, inputs: int, hidden: int, actions: int) -> None:
-        """Begin near a mean of 0 and a deviation of 1, whatever the input."""
+        """Initialise the head to approximately a mean of 0 and a deviation of 1 for all inputs."""
         super().__init__()
-        last = nn.Linear(hidden, 2 * actions)
+        output = nn.Linear(hidden, 2 * actions)
         self.body = nn.Sequential(
             nn.Linear(inputs, hidden),
             nn.LeakyReLU(),
@@ -51,17 +51,17 @@ class SpreadGaussian(nn.Module):
             nn.LeakyReLU(),
             nn.Linear(hidden, hidden),
             nn.LeakyReLU(),
-            last,
+            output,
         )
-        nn.init.orthogonal_(last.weight, gain=0.01)
-        nn.init.zeros_(last.bias)
+        nn.init.orthogonal_(output.weight, gain=0.01)
+        nn.init.zeros_(output.bias)
 
     def forward(self, inputs: Tensor) -> tuple[Tensor, Tensor]:
-        """Mean and standard deviation, [..., A]."""
+        """Return mean and standard deviation, [..., A]."""
         mean, log_std = self.body(inputs).chunk(2, -1)
-        return mean, log_std.clamp(self.LEAST, self.LARGEST).exp()
+        return mean, log_std.clamp(self.LOG_STD_MIN, self.LOG_STD_MAX).exp()
 
 
 def log_prob(action: Tensor, mean: Tensor, std: Tensor) -> Tensor:
-    """Of actions [..., A] under a diagonal Gaussian, [...]."""
+    """Return the log-probability [...] of actions [..., A] under a diagonal Gaussian."""
     return torch.distributions.Normal(mean, std, validate_args=False).log_prob(action).sum(-1)

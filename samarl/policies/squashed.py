@@ -1,4 +1,4 @@
-"""One level, a Gaussian squashed by tanh: the actor of soft actor-critic (MSA3C, Eq. 17)."""
+"""The actor of soft actor-critic: one level, a Gaussian squashed by tanh (MSA3C, Eq. 17)."""
 
 from __future__ import annotations
 
@@ -36,15 +36,15 @@ if TYPE_CHECKING:
 
 @dataclass
 class SquashedConfig(PolicyConfig):
-    """Numbers of a squashed policy."""
+    """Settings of a squashed policy."""
 
 
 @POLICIES.register("squashed", SquashedConfig)
 class SquashedPolicy(FlatPolicy):
-    """Drive with tanh(mean + std * noise), at test time with tanh(mean).
+    """Explore with tanh(mean + std * noise), and act with tanh(mean) when deployed.
 
-    Rollouts store the action before tanh: it cannot be recovered from an action near 1. The initial
-    standard deviation is 1, whose actions are nearly uniform.
+    Rollouts store actions before tanh, which cannot be recovered from an action close to 1. With
+    the initial standard deviation of 1 actions are almost uniformly distributed.
     """
 
     def _make_networks(self, encoder: Encoder) -> Networks:
@@ -92,15 +92,17 @@ class SquashedPolicy(FlatPolicy):
     def features(self, sequences: Sequences) -> Tensor:
         """Return the features Y of B robots in T steps, [B, T, F]."""
         features, is_init, encoder_states = sequences
-        sets, per_set = len(self.networks), []
+        sets, features_per_set = len(self.networks), []
         with self._precision():
             for i, net in enumerate(self.networks):
                 visible = features.of(slice(i, None, sets))
                 scene = net.encoder.observe(visible, is_init[i::sets], encoder_states[i])
                 query = visible.ego[:, self.history :]
                 y = net.encoder.read(scene, query.flatten(0, 1))
-                per_set.append(y.view(*query.shape[:2], -1))
-        return torch.stack(per_set, 1).flatten(0, 1).float()  # row b belongs to the set b % sets
+                features_per_set.append(y.view(*query.shape[:2], -1))
+        return (
+            torch.stack(features_per_set, 1).flatten(0, 1).float()
+        )  # row b belongs to the set b % sets
 
     def draw(self, y: Tensor) -> tuple[Tensor, Tensor]:
         """Draw actions [..., N, A] with log-probabilities [..., N] from features Y [..., N, F].
@@ -111,26 +113,26 @@ class SquashedPolicy(FlatPolicy):
         parts = [net.heads[LOCAL](y[..., i::sets, :]) for i, net in enumerate(self.networks)]
         mean, std = (torch.stack(part, -2).flatten(-3, -2) for part in zip(*parts, strict=True))
         noise = torch.randn_like(mean)
-        inside = mean + std * noise
+        unsquashed = mean + std * noise
         normal = -0.5 * noise.square() - std.log() - 0.5 * math.log(2.0 * math.pi)
-        return inside.tanh(), normal.sum(-1) - log_slope(inside)
+        return unsquashed.tanh(), normal.sum(-1) - log_slope(unsquashed)
 
     def bound_std(self, level: str, least: float, largest: float) -> NoReturn:
-        """Refuse: the deviation depends on the features.
+        """Refuse to bound the standard deviation, which depends on the features.
 
         Raises:
             ConfigurationError: always.
         """
         raise ConfigurationError(
             "policy.name is squashed, whose noise is learned; algorithm.name must be one that does "
-            "not cap it: soft_actor_critic"
+            "not bound it: soft_actor_critic"
         )
 
 
-def log_slope(inside: Tensor) -> Tensor:
-    """Return the sum of log(1 - tanh(x)^2) over x [..., A], [...].
+def log_slope(unsquashed: Tensor) -> Tensor:
+    """Return the log-derivative of tanh, log(1 - tanh(x)^2), summed over x [..., A], [...].
 
-    Written so that it is exact where tanh rounds to 1 (Haarnoja et al., Soft actor-critic
-    algorithms and applications, 2018, as in its later implementations).
+    This form is exact even where tanh rounds to 1 (Haarnoja et al., Soft actor-critic algorithms
+    and applications, 2018, as in its later implementations).
     """
-    return 2.0 * (math.log(2.0) - inside - functional.softplus(-2.0 * inside)).sum(-1)
+    return 2.0 * (math.log(2.0) - unsquashed - functional.softplus(-2.0 * unsquashed)).sum(-1)

@@ -1,4 +1,4 @@
-"""What is trained on, and when."""
+"""Curricula: the scenarios of a training, and during which part of it each is used."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from mrsan.fields import check_numbers, number
 
 @dataclass
 class CurriculumStage:
-    """A scenario that is trained on, in how many worlds, and when."""
+    """A scenario for training, the number of its worlds, and when it is used."""
 
     worlds: int = number(MISSING, 1, 10**6, help="worlds simulated side by side")
     begin: float = number(0.0, 0.0, 1.0, help="share of the training after which the stage begins")
@@ -28,9 +28,13 @@ class CurriculumStage:
     )
     scenario: Scenario = field(default_factory=Scenario)
 
+    def is_active(self, share: float) -> bool:
+        """Return whether the stage is used when `share` of the training is completed."""
+        return self.begin <= share < self.end
+
 
 def check_stages(stages: list[CurriculumStage]) -> None:
-    """Check every number, and that there is something to train on at any time.
+    """Check all numbers, and that at least one stage is active at any time.
 
     Raises:
         ConfigurationError: names the field that is wrong.
@@ -43,8 +47,8 @@ def check_stages(stages: list[CurriculumStage]) -> None:
                 f"{name}.begin is {stage.begin}; it must be less than {name}.end ({stage.end})"
             )
     for share in (0.0, *(stage.end for stage in stages)):
-        if share < 1.0 and not any(stage.begin <= share < stage.end for stage in stages):
+        if share < 1.0 and not any(stage.is_active(share) for stage in stages):
             raise ConfigurationError(
-                f"curriculum.stages has none for the time from {share:g} of the training on; it "
-                "must have one"
+                f"curriculum.stages has no stage that is active at {share:g} of the training; it "
+                "must have at least one at any time"
             )

@@ -1,26 +1,33 @@
-"""The torch device that the networks are trained on."""
+"""Device, memory allocator and compilation of the networks that are trained."""
 
 from __future__ import annotations
 
+import contextlib
+import ctypes
 import warnings
+from typing import Any
 
 import torch
 
 from mrsan import ConfigurationError
+from samarl.policies.policy import Policy
+
+# Parameters of glibc's mallopt, from malloc.h.
+_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
 
 
 def usable_device(name: str) -> torch.device:
-    """Return the torch device of a name, after a computation on it.
+    """Return a torch device by its name, after verifying that it can compute.
 
     Args:
         name: the setting `trainer.device`.
 
     Raises:
-        ConfigurationError: there is no such device on this machine, or it cannot compute.
+        ConfigurationError: this machine has no such device, or the device cannot compute.
     """
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # about names that are no longer devices
+            warnings.simplefilter("ignore")  # deprecated device names
             device = torch.device(name)
             torch.zeros(1, device=device).add(1.0).cpu()
     except Exception as error:  # each backend raises its own
@@ -29,3 +36,24 @@ def usable_device(name: str) -> torch.device:
             f"trainer.device is {name!r}; it must be a torch device of this machine ({reason})"
         ) from error
     return device
+
+
+def compile_encoders(policy: Policy) -> None:
+    """Compile the forward passes of the encoders; the weights are not affected."""
+    for networks in policy.networks:
+        encoder: Any = networks.encoder
+        for method in ("observe", "read"):
+            setattr(encoder, method, torch.compile(getattr(encoder, method), dynamic=True))
+
+
+def keep_freed_memory() -> None:
+    """Make glibc reuse freed memory for new tensors instead of returning it to the system.
+
+    Requesting the pages of large tensors from the system again, which zeroes them, would take a
+    third of an update. Has no effect with other C libraries.
+    """
+    threshold = 2**30  # bytes
+    with contextlib.suppress(OSError, AttributeError):
+        mallopt = ctypes.CDLL("libc.so.6").mallopt
+        mallopt(_M_MMAP_THRESHOLD, threshold)
+        mallopt(_M_TRIM_THRESHOLD, threshold)

@@ -1,4 +1,4 @@
-"""Curves while training: TensorBoard always, Weights & Biases if asked for."""
+"""Learning curves: TensorBoard always, Weights & Biases if configured, and a progress bar."""
 
 from __future__ import annotations
 
@@ -9,53 +9,80 @@ from pathlib import Path
 from typing import Any
 
 from torch.utils.tensorboard import SummaryWriter
+from tqdm import tqdm
 
 from mrsan import ConfigurationError
+from samarl.launch import rank
 
 
-class Logger:
-    """Writes scalars; what an interrupted run wrote after its last save is dropped."""
+class Logger(contextlib.AbstractContextManager["Logger"]):
+    """Write scalars and show the progress; only rank 0 of several processes does.
+
+    What an interrupted run logged after its last save is removed from TensorBoard's curves.
+    """
 
     def __init__(
-        self, folder: Path, wandb: str | None, configuration: dict[str, Any], steps_done: int
+        self,
+        folder: Path,
+        wandb: str | None,
+        configuration: dict[str, Any],
+        steps_done: int,
+        total_steps: int,
     ) -> None:
-        """Write into `folder`/tensorboard, and to the project `wandb` where it is not None."""
-        if wandb is not None:
-            try:
-                import wandb as service
-            except ImportError as error:
-                raise ConfigurationError(
-                    f"trainer.wandb is {wandb!r}; it needs: pip install wandb"
-                ) from error
-            service.init(
-                project=wandb,
-                name=folder.name,
-                dir=folder,
-                config=configuration,
-                sync_tensorboard=True,
-            )
-        self._folder = folder / "tensorboard"
-        threading.excepthook = _except_hook
-        with self._writing():
-            self._writer = SummaryWriter(str(self._folder), purge_step=steps_done + 1)
+        """Start logging.
 
-    def log(self, row: Mapping[str, float], step: int) -> None:
-        """Write one row of the curve.
+        Args:
+            folder: of the run; the curves are written to its subfolder `tensorboard`.
+            wandb: project of Weights & Biases that receives the curves too; None: none.
+            configuration: of the run, for Weights & Biases.
+            steps_done: environment steps so far.
+            total_steps: environment steps of the whole training.
 
         Raises:
-            ConfigurationError: it cannot be written.
+            ConfigurationError: wandb is not installed, or the folder cannot be written.
         """
-        with self._writing():
-            for key, value in row.items():
-                self._writer.add_scalar(key, value, step)
+        self._folder = folder / "tensorboard"
+        self._writer: SummaryWriter | None = None
+        if rank() == 0:
+            if wandb is not None:
+                _start_wandb(wandb, folder, configuration)
+            threading.excepthook = _ignore_write_errors
+            with self._report_write_errors():
+                self._writer = SummaryWriter(str(self._folder), purge_step=steps_done + 1)
+        self._bar = tqdm(
+            total=total_steps,
+            initial=steps_done,
+            unit="step",
+            unit_scale=True,
+            disable=None if rank() == 0 else True,
+        )
 
-    def close(self) -> None:
-        """Write what is left; see `log`."""
-        with self._writing():
-            self._writer.close()
+    def log(self, row: Mapping[str, float], steps_done: int) -> None:
+        """Log one row of the learning curve.
+
+        Raises:
+            ConfigurationError: the folder cannot be written.
+        """
+        if self._writer is not None:
+            with self._report_write_errors():
+                for key, value in row.items():
+                    self._writer.add_scalar(key, value, steps_done)
+        self._bar.set_postfix_str(f"success {100 * row['charts/success']:.1f} %")
+        self._bar.update(steps_done - self._bar.n)
+
+    def __exit__(self, *_: Any) -> None:
+        """Write buffered scalars.
+
+        Raises:
+            ConfigurationError: the folder cannot be written.
+        """
+        self._bar.close()
+        if self._writer is not None:
+            with self._report_write_errors():
+                self._writer.close()
 
     @contextlib.contextmanager
-    def _writing(self) -> Iterator[None]:
+    def _report_write_errors(self) -> Iterator[None]:
         try:
             yield
         except OSError as error:
@@ -64,7 +91,23 @@ class Logger:
             ) from None
 
 
-def _except_hook(arguments: threading.ExceptHookArgs) -> None:
-    """Say nothing of what TensorBoard's thread could not write: it is raised again in ours."""
+def _start_wandb(project: str, folder: Path, configuration: dict[str, Any]) -> None:
+    try:
+        import wandb
+    except ImportError as error:
+        raise ConfigurationError(
+            f"trainer.wandb is {project!r}; it needs: pip install wandb"
+        ) from error
+    wandb.init(
+        project=project,
+        name=folder.name,
+        dir=folder,
+        config=configuration,
+        sync_tensorboard=True,
+    )
+
+
+def _ignore_write_errors(arguments: threading.ExceptHookArgs) -> None:
+    """Suppress write errors of TensorBoard's thread: the main thread raises them again."""
     if not isinstance(arguments.exc_value, OSError):
         threading.__excepthook__(arguments)

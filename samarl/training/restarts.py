@@ -1,4 +1,4 @@
-"""Training episodes that begin in the middle, so that difficult situations occur more often."""
+"""Training episodes that start midway, so that difficult situations occur more often."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from torch import Tensor
 
 from mrsan import Scenario, Split, State, World
 
-_FAR_AWAY = 1000.0  # m; there the robot of a crowd meets nobody
-_LEAST_GAP = 1.5  # m between robots that are placed on the circle
+_FAR_AWAY = 1000.0  # m; the robot of a crowd's world is placed so far away that it meets nobody
+_MIN_GAP = 1.5  # m between robots that are placed on the circle
 
 
 class SnapshotBuffer:
@@ -25,7 +25,7 @@ class SnapshotBuffer:
     """
 
     def __init__(self, steps: int) -> None:
-        """Hold the last `steps` states."""
+        """Create a buffer for the last `steps` states."""
         self.steps = steps
         self.snapshots: deque[tuple[State, list[Tensor]]] = deque(maxlen=steps)
 
@@ -43,10 +43,11 @@ class SnapshotBuffer:
         """
         for steps in np.unique(back[back > 0]):
             worlds = back == steps
-            snapshot, past_memory = self.snapshots[-int(steps)]
+            snapshot, earlier_memory = self.snapshots[-int(steps)]
             world.restore(snapshot, worlds)
-            for tensor, past in zip(memory, past_memory, strict=True):
-                tensor[torch.from_numpy(worlds)] = past[torch.from_numpy(worlds)]
+            rows = torch.from_numpy(worlds)
+            for tensor, earlier_tensor in zip(memory, earlier_memory, strict=True):
+                tensor[rows] = earlier_tensor[rows]
 
 
 class WarmStartCrowd:
@@ -61,7 +62,7 @@ class WarmStartCrowd:
         endless = replace(scenario, robots=1, time_limit=10000.0, arena_radius=None)
         self.world = World(endless, worlds)
         self.world.reset([Split.training.case(first + e) for e in range(worlds)])
-        self._send_away(np.ones(worlds, np.bool_))
+        self._remove_robot(np.ones(worlds, np.bool_))
 
     def step(self) -> None:
         """Advance all crowds by one step."""
@@ -69,13 +70,13 @@ class WarmStartCrowd:
         self.world.step(np.zeros((self.world.worlds, 1, self.world.scenario.action_size)))
         if state.truncated.any():
             self.world.reset(worlds=state.truncated.copy())
-            self._send_away(state.clock == 0)
+            self._remove_robot(state.clock == 0)
 
-    def _send_away(self, worlds: NDArray[np.bool_]) -> None:
-        self._change(self.world, worlds, robot_position=np.float32(_FAR_AWAY))
+    def _remove_robot(self, worlds: NDArray[np.bool_]) -> None:
+        self._overwrite(self.world, worlds, robot_position=np.float32(_FAR_AWAY))
 
     @staticmethod
-    def _change(world: World, worlds: NDArray[np.bool_], **arrays: Any) -> None:
+    def _overwrite(world: World, worlds: NDArray[np.bool_], **arrays: Any) -> None:
         """Overwrite arrays in the state of some worlds."""
         state = world.snapshot()
         for name, value in arrays.items():
@@ -90,30 +91,30 @@ class WarmStartCrowd:
         """
         state, crowd, scenario = world.state, self.world.state, world.scenario
         start, goal = (
-            np.arctan2(place[..., 1], place[..., 0])
-            for place in (state.robot_start, state.robot_goal)
+            np.arctan2(position[..., 1], position[..., 0])
+            for position in (state.robot_start, state.robot_goal)
         )
-        way = (goal - start) % (2 * np.pi)
-        done = torch.rand(start.shape).numpy()
-        bearing = start + done * way
-        place = radius * np.stack([np.cos(bearing), np.sin(bearing)], -1)
-        gap = np.linalg.norm(place[:, :, None] - place[:, None], axis=-1)
+        arc = (goal - start) % (2 * np.pi)
+        share = torch.rand(start.shape).numpy()  # of the route that lies behind the robot
+        bearing = start + share * arc
+        position = radius * np.stack([np.cos(bearing), np.sin(bearing)], -1)
+        gap = np.linalg.norm(position[:, :, None] - position[:, None], axis=-1)
         gap[:, np.arange(scenario.robots), np.arange(scenario.robots)] = np.inf
-        chosen = worlds & (gap > _LEAST_GAP).all((1, 2))
+        entered = worlds & (gap > _MIN_GAP).all((1, 2))
         heading = bearing + np.pi / 2
-        ahead = np.stack([np.cos(heading), np.sin(heading)], -1)
-        steps = (done * way).mean(1) * radius / (scenario.robot_speed * scenario.time_step)
+        direction = np.stack([np.cos(heading), np.sin(heading)], -1)
+        steps = (share * arc).mean(1) * radius / (scenario.robot_speed * scenario.time_step)
         people = {
-            name: getattr(crowd, name)[chosen]
+            name: getattr(crowd, name)[entered]
             for name in State._fields
             if name.startswith("human_")
         }
-        self._change(
+        self._overwrite(
             world,
-            chosen,
-            robot_position=place[chosen],
-            robot_heading=((heading + np.pi) % (2 * np.pi) - np.pi)[chosen],
-            robot_velocity=scenario.robot_speed * ahead[chosen],
-            clock=steps[chosen],
+            entered,
+            robot_position=position[entered],
+            robot_heading=((heading + np.pi) % (2 * np.pi) - np.pi)[entered],
+            robot_velocity=scenario.robot_speed * direction[entered],
+            clock=steps[entered],
             **people,
         )

@@ -1,4 +1,4 @@
-"""Which runs may be resumed with which settings."""
+"""Which settings a resumed run may change."""
 
 from __future__ import annotations
 
@@ -9,6 +9,9 @@ from typing import Any
 from mrsan import ConfigurationError
 from samarl.launch import world_size
 
+RESUME_OVERRIDABLE = ("threads", "wandb")
+"""Fields of `TrainerConfig` that a resumed run may change, besides a larger `steps`."""
+
 
 def check_same_run(
     progress: Mapping[str, Any],
@@ -16,35 +19,36 @@ def check_same_run(
     provenance: Mapping[str, Any],
     folder: Path,
 ) -> None:
-    """Refuse to resume a run with other settings than its own; only `trainer.steps` may grow.
+    """Refuse to resume a run with different settings; only `trainer.steps` may grow.
 
     Args:
-        progress: what the run saved.
-        configuration: the settings now.
-        provenance: the command now, with the initial policy if there is one.
+        progress: of the saved run.
+        configuration: of this run, see `Trainer.configuration`.
+        provenance: of this run; `init_from` is present if the run has initial weights.
         folder: of the run.
 
     Raises:
         ConfigurationError: names the first setting that differs.
     """
-    saved_world_size = progress.get("processes", 1)
+    saved_world_size = progress["world_size"]
     if saved_world_size != world_size():
         raise ConfigurationError(
             f"{folder} holds a run with WORLD_SIZE={saved_world_size}; it cannot be resumed with "
             f"WORLD_SIZE={world_size()}"
         )
-    saved = progress["configuration"]
-    steps, saved_steps = (config["trainer"]["steps"] for config in (configuration, saved))
-    current = {**configuration, "trainer": {**configuration["trainer"], "steps": saved_steps}}
+    saved_configuration = progress["configuration"]
+    steps = configuration["trainer"]["steps"]
+    saved_steps = saved_configuration["trainer"]["steps"]
+    same_steps = {**configuration, "trainer": {**configuration["trainer"], "steps": saved_steps}}
     advice = f"choose another run_dir, or resume the run with its own settings: resume={folder}"
-    for name, before, now in _differences(saved, current):
+    for name, saved_value, value in _differences(saved_configuration, same_steps):
         raise ConfigurationError(
-            f"{name} is {now!r:.60}; the run in {folder} has {before!r:.60} ({advice})"
+            f"{name} is {value!r:.60}; the run in {folder} has {saved_value!r:.60} ({advice})"
         )
-    initial = progress["made"].get("init_from")
-    if provenance.get("init_from", initial) != initial:
+    saved_init_from = progress["provenance"].get("init_from")
+    if provenance.get("init_from", saved_init_from) != saved_init_from:
         raise ConfigurationError(
-            f"init_from is another policy than that of the run in {folder} ({advice})"
+            f"init_from is not the policy with which the run in {folder} started ({advice})"
         )
     if steps < saved_steps:
         raise ConfigurationError(
@@ -54,13 +58,13 @@ def check_same_run(
 
 
 def _differences(saved: Any, current: Any, path: str = "") -> Iterator[tuple[str, Any, Any]]:
-    """Yield the settings in which two configurations differ, with both values."""
+    """Yield the name and both values of every setting in which two configurations differ."""
     if isinstance(saved, dict) and isinstance(current, dict):
         for key in dict.fromkeys([*saved, *current]):
             name = f"{path}.{key}" if path else str(key)
             yield from _differences(saved.get(key), current.get(key), name)
     elif isinstance(saved, list) and isinstance(current, list) and len(saved) == len(current):
-        for index, (before, now) in enumerate(zip(saved, current, strict=True)):
-            yield from _differences(before, now, f"{path}[{index}]")
+        for index, (saved_item, item) in enumerate(zip(saved, current, strict=True)):
+            yield from _differences(saved_item, item, f"{path}[{index}]")
     elif saved != current:
         yield path, saved, current

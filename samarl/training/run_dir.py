@@ -1,4 +1,4 @@
-"""The folder of a training run: one training at a time, and everything that is needed to go on."""
+"""The folder of a training run, which one training at a time may use."""
 
 from __future__ import annotations
 
@@ -21,53 +21,58 @@ from samarl.policies.checkpoint import attribute_errors_to, write_tensors
 
 STATE = "state.safetensors"
 LAST, BEST = "last.safetensors", "best.safetensors"  # policies
-FORMAT = 3
+FORMAT = 4  # of STATE
 
 
 class RunDir:
-    """A run's files; locked as long as this object lives."""
+    """The files of a run; the folder is locked as long as this object exists."""
 
     def __init__(self, folder: Path) -> None:
-        """Take the folder.
+        """Create and lock the folder.
 
         Raises:
-            ConfigurationError: another training writes into it.
+            ConfigurationError: another training uses the folder.
         """
         self.folder = folder
         folder.mkdir(parents=True, exist_ok=True)
         self._lock = (folder / ".lock").open("w")
         try:
-            if rank() == 0:  # of several processes of a training
+            if rank() == 0:  # on behalf of all processes of the training
                 fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
             raise ConfigurationError(
-                f"run_dir is {str(folder)!r}, into which another process trains; choose another"
+                f"run_dir is {str(folder)!r}, which another training is using; choose another"
             ) from error
 
     def release(self) -> None:
-        """Let others have the folder."""
+        """Unlock the folder."""
         self._lock.close()
 
     @property
     def has_checkpoint(self) -> bool:
-        """There is something to go on from."""
+        """Whether the folder contains a state from which training can resume."""
         return (self.folder / STATE).is_file()
 
     def save(self, tensors: dict[str, Tensor], progress: dict[str, Any]) -> None:
-        """Write the state and the curve."""
+        """Write the state and `progress.csv`, the learning curve.
+
+        Args:
+            tensors: see `flatten_state`.
+            progress: everything else, as JSON; `rows` is the learning curve.
+        """
         text = json.dumps(progress)
         metadata = {"format": str(FORMAT), "progress": text, "sha256": _digest(tensors, text)}
         write_tensors(self.folder / STATE, tensors, metadata)
         rows = progress["rows"]
-        keys = list(dict.fromkeys(key for row in rows for key in row))
+        columns = list(dict.fromkeys(key for row in rows for key in row))
         table = io.StringIO()
-        writer = csv.DictWriter(table, keys, lineterminator="\n")
+        writer = csv.DictWriter(table, columns, lineterminator="\n")
         writer.writeheader()
         writer.writerows(rows)
         write_text(self.folder / "progress.csv", table.getvalue())
 
     def load(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
-        """The state and the progress.
+        """Return the tensors and the progress that were saved.
 
         Raises:
             ConfigurationError: see `read_progress`.
@@ -76,16 +81,16 @@ class RunDir:
         with attribute_errors_to(path), safe_open(path, "pt") as file:
             metadata = file.metadata()
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-            if metadata.get("sha256") not in (None, _digest(tensors, metadata["progress"])):
-                raise ValueError("it is not what was saved")  # what is older has no digest
+            if metadata["sha256"] != _digest(tensors, metadata["progress"]):
+                raise ValueError("its content does not match its digest")
         return tensors, progress
 
 
 def read_progress(folder: Path) -> dict[str, Any]:
-    """How far the run in a folder is, and its configuration.
+    """Return the progress of the run in a folder, with its configuration.
 
     Raises:
-        ConfigurationError: the folder holds no run, or a damaged one or an older one.
+        ConfigurationError: the folder holds no run, or a damaged one, or one in another format.
     """
     path = folder / STATE
     if not path.is_file():
@@ -100,15 +105,15 @@ def read_progress(folder: Path) -> dict[str, Any]:
                 raise ValueError(f"it has no configuration of the {part}")
     if metadata.get("format") != str(FORMAT):
         raise ConfigurationError(
-            f"{path} was begun by another version of the trainer; begin again in another run_dir"
+            f"{path} was written by another version of the trainer; choose another run_dir"
         )
     return progress
 
 
 def _digest(tensors: dict[str, Tensor], progress: str) -> str:
-    """Of everything in a state."""
-    found = hashlib.sha256(progress.encode())
+    """Return a digest of everything in a state."""
+    digest = hashlib.sha256(progress.encode())
     for name, tensor in sorted(tensors.items()):
-        found.update(f"{name} {tensor.dtype} {list(tensor.shape)}".encode())
-        found.update(tensor.detach().cpu().contiguous().flatten().view(torch.uint8).numpy().data)
-    return found.hexdigest()
+        digest.update(f"{name} {tensor.dtype} {list(tensor.shape)}".encode())
+        digest.update(tensor.detach().cpu().contiguous().flatten().view(torch.uint8).numpy().data)
+    return digest.hexdigest()

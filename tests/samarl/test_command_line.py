@@ -32,7 +32,7 @@ from samarl.configuration import Config
 from samarl.evaluation.table import row_settings
 from samarl.messages import choice_hint, closest_names
 from samarl.planning.shield import Shield
-from samarl.training.trainer import TrainerConfig
+from samarl.training.config import TrainerConfig
 
 ODD = [
     "my data (1)",

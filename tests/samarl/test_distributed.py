@@ -28,9 +28,10 @@ from samarl.distributed import (
 )
 from samarl.launch import launcher, per_process, rank
 from samarl.rollout import Rollout
+from samarl.training.config import TrainerConfig
 from samarl.training.curriculum import CurriculumStage
 from samarl.training.run_dir import LAST, STATE
-from samarl.training.trainer import Trainer, TrainerConfig
+from samarl.training.trainer import Trainer
 from tests.learning import (
     PPO_NUMBERS,
     SOFT_NUMBERS,

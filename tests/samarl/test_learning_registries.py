@@ -119,9 +119,9 @@ def test_every_name_trains_and_its_checkpoint_drives_as_before(choice: str, tmp_
     assert any(not torch.equal(v, before[k]) for k, v in trainer.policy.state_dict().items())
     trainer.save()
     loaded, card = load_policy(tmp_path / "run" / LAST)
-    assert card.policy == trainer.name
+    assert card.policy == trainer.policy_name
     scenario = Scenario(humans=3, robots=2)
-    one, two = (DeployedPolicy(p.eval(), scenario) for p in (trainer.mean, loaded))
+    one, two = (DeployedPolicy(p.eval(), scenario) for p in (trainer.averaged_policy, loaded))
     worlds = World(scenario, 2)
     observation = worlds.reset([0, 1])
     for _ in range(3):

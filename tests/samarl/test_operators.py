@@ -15,8 +15,9 @@ from torch.library import opcheck
 from mrsan import Scenario
 from samarl.encoders.frame_attention import frame_attention, proximity_convolution
 from samarl.encoders.windowed_attention import windowed_attention
+from samarl.training.config import TrainerConfig
 from samarl.training.curriculum import CurriculumStage
-from samarl.training.trainer import Trainer, TrainerConfig
+from samarl.training.trainer import Trainer
 from tests.learning import ENCODERS, PPO_NUMBERS, policy_numbers
 
 P, T, M, H, HEADS, WIDTH, FRAMES = 5, 2, 3, 4, 2, 8, 6  # letters of `windowed_attention`

@@ -28,8 +28,9 @@ from samarl.observations.frames import FeatureSizes, Frames
 from samarl.policies.checkpoint import load_policy
 from samarl.runtime import Driver, InputError
 from samarl.runtime.simulation import as_seen, sensor_readings
+from samarl.training.config import TrainerConfig
 from samarl.training.curriculum import CurriculumStage
-from samarl.training.trainer import Trainer, TrainerConfig
+from samarl.training.trainer import Trainer
 from tests.learning import PPO_NUMBERS, policy_numbers
 
 SETTINGS: dict[str, Any] = {"posts": {"number": 5}, "compass": {}}

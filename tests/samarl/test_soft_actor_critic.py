@@ -149,8 +149,8 @@ def test_attention_between_two_robots_by_hand() -> None:
     for active in (both, none):
         found = critic(y, own, others, active)
         for i, j in ((0, 1), (1, 0)):
-            of_self = critic.own(torch.cat([y[i], own[i]]))
-            told = critic.values(critic.other(torch.cat([y[j], others[j]])))  # a share of 1
+            of_self = critic.embed_own(torch.cat([y[i], own[i]]))
+            told = critic.value(critic.embed_other(torch.cat([y[j], others[j]])))  # a share of 1
             expected = critic.out(torch.cat([told * active[j], of_self]))
             torch.testing.assert_close(found[i], expected[0])
 
@@ -162,9 +162,9 @@ def test_attention_among_many_by_hand() -> None:
     y, own, others = torch.randn(4, 5), torch.randn(4, 2), torch.randn(4, 2)
     active = torch.tensor([True, True, False, True])
     q = critic(y, own, others, active)
-    of_self = critic.own(torch.cat([y, own], -1))
-    of_other = critic.other(torch.cat([y, others], -1))
-    asked, keys, values = critic.asks(of_self), critic.keys(of_other), critic.values(of_other)
+    of_self = critic.embed_own(torch.cat([y, own], -1))
+    of_other = critic.embed_other(torch.cat([y, others], -1))
+    asked, keys, values = critic.query(of_self), critic.key(of_other), critic.value(of_other)
     for i in range(4):
         rest, found = [j for j in (0, 1, 3) if j != i], torch.zeros(8)
         for head in (slice(0, 4), slice(4, 8)):

@@ -13,9 +13,10 @@ import torch
 
 from mrsan import ConfigurationError, Scenario
 from samarl.encoders import ENCODERS
+from samarl.training.config import MAX_SEEDS, TrainerConfig
 from samarl.training.curriculum import CurriculumStage
 from samarl.training.run_dir import LAST, STATE, RunDir
-from samarl.training.trainer import MOST_SEEDS, Trainer, TrainerConfig
+from samarl.training.trainer import Trainer
 from tests.learning import PPO_NUMBERS, crowded, policy_numbers
 
 STAGES = [
@@ -46,7 +47,9 @@ def rounds(of: Trainer, number: int) -> Trainer:
     of.algorithm.set_progress(of.steps_done / of.config.steps)
     for _ in range(number):
         row = of.round()
-        of.rows.append({key: value for key, value in row.items() if key.startswith("losses")})
+        of.progress.rows.append(
+            {key: value for key, value in row.items() if key.startswith("losses")}
+        )
     return of
 
 
@@ -68,17 +71,17 @@ def test_a_run_goes_on_bit_for_bit_with_worlds_that_are_taken_back(
     for name in (LAST,):
         files = [(tmp_path / run / name).read_bytes() for run in ("whole", "again")]
         assert files[0] == files[1]
-    assert whole.rows == again.rows
+    assert whole.progress.rows == again.progress.rows
     assert (tmp_path / "again" / STATE).is_file()
 
 
 def test_a_seed_that_would_share_cases_with_another_is_refused(tmp_path: Path) -> None:
-    for seed in (MOST_SEEDS, 2**63 - 1, -1):
+    for seed in (MAX_SEEDS, 2**63 - 1, -1):
         with pytest.raises(ConfigurationError, match=rf"^trainer\.seed .*{seed}\b.*0") as error:
             trainer(tmp_path / "run", seed=seed)
         assert "\n" not in str(error.value)
     assert not (tmp_path / "run").exists()
-    trainer(tmp_path / "run", seed=MOST_SEEDS - 1)
+    trainer(tmp_path / "run", seed=MAX_SEEDS - 1)
 
 
 def test_no_two_worlds_of_a_run_play_the_same_cases(tmp_path: Path) -> None:
@@ -142,9 +145,11 @@ def test_the_saved_policy_is_the_mean_of_the_weights_after_each_update(tmp_path:
     for _ in range(3):
         made.round()
         weights.append({k: v.clone() for k, v in made.policy.state_dict().items()})
-    for name, value in made.mean.state_dict().items():
+    for name, value in made.averaged_policy.state_dict().items():
         mean = weights[0][name]
         for after in weights[1:]:
             mean = 0.75 * mean + 0.25 * after[name]
         torch.testing.assert_close(value, mean)
-    assert any(not torch.equal(v, weights[-1][k]) for k, v in made.mean.state_dict().items())
+    assert any(
+        not torch.equal(v, weights[-1][k]) for k, v in made.averaged_policy.state_dict().items()
+    )

@@ -256,7 +256,7 @@ def test_a_run_begins_with_the_weights_of_a_policy_but_explores_anew(
     anew = {f"networks.0.heads.{level}.log_std" for level in initial.levels}
     assert all(torch.equal(begins[key], weights[key]) for key in weights.keys() - anew)
     assert begins["networks.0.heads.local.log_std"].min() > -3.0
-    assert begun[0].made["init_from"]["command"] == "test"
+    assert begun[0].provenance["init_from"]["command"] == "test"
 
     flat = policy("flat", hidden=8, encoder_numbers=numbers)
     save_policy(tmp_path / "flat.safetensors", flat, "flat", {})

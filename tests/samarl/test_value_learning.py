@@ -28,9 +28,10 @@ from samarl.policies.lookahead import LookaheadPolicy
 from samarl.registry import Entry
 from samarl.reward_shaping import RewardShaping
 from samarl.rollout import Rollout
+from samarl.training.config import TrainerConfig
 from samarl.training.curriculum import CurriculumStage
 from samarl.training.run_dir import LAST
-from samarl.training.trainer import Trainer, TrainerConfig
+from samarl.training.trainer import Trainer
 from tests.learning import VALUE_NUMBERS, policy_numbers
 from tests.learning import algorithm as ppo
 from tests.scenes import COMMANDS, blind, known, scene_of
@@ -434,7 +435,7 @@ def test_a_run_learns_goes_on_and_its_policy_drives(tmp_path: Path) -> None:
     world = World(scenario, 2)
     observation = world.reset([0, 1])
     commands = command_set(COMMANDS, scenario.kinematics)
-    deployed = DeployedPolicy(last.mean, scenario)
+    deployed = DeployedPolicy(last.averaged_policy, scenario)
     for _ in range(4):
         action = agent.act(observation)
         assert (action[:, :, None] == commands).all(-1).any(-1).all()
