@@ -14,7 +14,7 @@ import os
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeGuard
 
 from safetensors import SafetensorError
 from safetensors.torch import load_file, save
@@ -35,6 +35,7 @@ from samarl.policies import (  # noqa: F401 (registers them)
 from samarl.policies.policy import POLICIES, Policy
 
 FORMAT = 3
+LARGEST_SIZE = 4096  # of a group of features
 
 
 @dataclass
@@ -50,11 +51,34 @@ class PolicyCard:
     sizes: dict[str, Any] = field(default_factory=dict)
 
     def feature_sizes(self) -> FeatureSizes | None:
-        """Return what the policy observes; None: people and robots."""
+        """Return what the policy observes; None: people and robots.
+
+        Raises:
+            ConfigurationError: the card holds something else.
+        """
         if not self.sizes:
             return None
-        sensors = {name: tuple(shape) for name, shape in self.sizes["sensors"].items()}
-        return FeatureSizes(self.sizes["ego"], self.sizes["entities"], sensors)
+        ego, entities, sensors = (self.sizes.get(part) for part in ("ego", "entities", "sensors"))
+        if (
+            _is_size(ego)
+            and isinstance(entities, dict)
+            and isinstance(sensors, dict)
+            and {"humans", "robots"} <= entities.keys()
+            and all(map(_is_size, entities.values()))
+            and all(
+                isinstance(shape, list) and all(map(_is_size, shape)) for shape in sensors.values()
+            )
+        ):
+            shapes = {name: tuple(shape) for name, shape in sensors.items()}
+            return FeatureSizes(ego, entities, shapes)
+        raise ConfigurationError(
+            f"sizes is {self.sizes!r:.100}; it must have `ego`, `entities` with humans and robots, "
+            f"and `sensors`, with sizes from 1 to {LARGEST_SIZE}"
+        )
+
+
+def _is_size(value: Any) -> TypeGuard[int]:
+    return type(value) is int and 1 <= value <= LARGEST_SIZE
 
 
 _CARD_TYPES = {

@@ -31,7 +31,8 @@ def test_who_is_out_of_view_is_remembered_for_six_seconds(time_step: float) -> N
     tracker = Tracker(6.0, time_step)
     memory = tracker.initial(1, 1, 1)
     visible = stage([[0, 0, 0, 0, 9, 0]], [[2, 0, 0, 0]], time_step=time_step).observe()
-    hidden = visible._replace(humans_visible=np.zeros((1, 1, 1), np.bool_))
+    hidden = visible.of_worlds(np.arange(1))
+    hidden.humans_visible[:] = False
     tracker.update(visible, memory, np.array([True]))
     steps = 0
     while tracker.update(hidden, memory, np.array([False])).humans_known.any():
