@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from samarl.encoders.spatio_temporal import Pool, nearness
+from samarl.encoders.transformer_layers import Pool, nearness
 from samarl.observations.frames import Frames
 
 

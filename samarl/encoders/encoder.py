@@ -14,7 +14,7 @@ from samarl.registry import Registry
 
 ENCODERS: Registry[Encoder] = Registry("encoder")
 
-State = dict[str, Tensor]  # of an encoder, each [B, ...]
+EncoderState = dict[str, Tensor]  # of an encoder, each [B, ...]
 
 
 class Encoder(nn.Module, ABC):
@@ -46,7 +46,7 @@ class Encoder(nn.Module, ABC):
 
     @abstractmethod
     def observe(
-        self, frames: Frames, is_init: Tensor, state: State, samples: Tensor | None = None
+        self, frames: Frames, is_init: Tensor, state: EncoderState, samples: Tensor | None = None
     ) -> Any:
         """Return the scene of P samples, a (nested) tuple or dict of tensors [P, ...].
 
@@ -61,11 +61,11 @@ class Encoder(nn.Module, ABC):
     def read(self, scene: Any, query: Tensor) -> Tensor:
         """Return Y [P, features] of a scene for queries [P, F_e]."""
 
-    def initial_state(self, frame: Frames) -> State:
+    def initial_state(self, frame: Frames) -> EncoderState:
         """Return the memory before the first frame; `frame` is an example of one, [B, 1, ...]."""
         return {}
 
-    def step(self, frame: Frames, is_init: Tensor, state: State) -> Any:
+    def step(self, frame: Frames, is_init: Tensor, state: EncoderState) -> Any:
         """Return the scene [B, ...] of one more frame.
 
         Args:
@@ -75,7 +75,7 @@ class Encoder(nn.Module, ABC):
         """
         return self.observe(frame, is_init.unsqueeze(1), state)
 
-    def resume(self, frames: Frames, is_init: Tensor, state: State, rows: Tensor) -> None:
+    def resume(self, frames: Frames, is_init: Tensor, state: EncoderState, rows: Tensor) -> None:
         """Recompute the memory of some robots from their last frames.
 
         This is called when the weights have changed, or when worlds were restored to an earlier
@@ -89,7 +89,7 @@ class Encoder(nn.Module, ABC):
             rows: [R] which robots.
         """
 
-    def memory(self, state: State) -> State:
+    def memory(self, state: EncoderState) -> EncoderState:
         """Return the part of the memory that `resume` cannot recompute."""
         return state
 

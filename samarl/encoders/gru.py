@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from mrsan.fields import required
-from samarl.encoders.encoder import ENCODERS, Encoder, State
+from samarl.encoders.encoder import ENCODERS, Encoder, EncoderState
 from samarl.observations.frames import FeatureSizes, Frames
 
 
@@ -41,7 +41,7 @@ class GRUEncoder(Encoder):
         self.out = nn.Sequential(nn.ReLU(), nn.Linear(2 * width, config.features), nn.ReLU())
 
     def observe(
-        self, frames: Frames, is_init: Tensor, state: State, samples: Tensor | None = None
+        self, frames: Frames, is_init: Tensor, state: EncoderState, samples: Tensor | None = None
     ) -> Tensor:
         """See `Encoder.observe`; the scene is the summary plus the hidden state, [P, D]."""
         summary, hidden, hidden_states = self._summary(frames), state["hidden"], []
@@ -55,11 +55,11 @@ class GRUEncoder(Encoder):
         """See `Encoder.read`."""
         return self.out(torch.cat([scene, self.query(query)], -1))
 
-    def initial_state(self, frame: Frames) -> State:
+    def initial_state(self, frame: Frames) -> EncoderState:
         """The hidden state, [B, D]."""
         return {"hidden": frame.ego.new_zeros(len(frame.ego), self.cell.hidden_size)}
 
-    def step(self, frame: Frames, is_init: Tensor, state: State) -> Any:
+    def step(self, frame: Frames, is_init: Tensor, state: EncoderState) -> Any:
         """See `Encoder.step`."""
         summary = self._summary(frame)[:, 0]
         hidden = self.cell(summary, torch.where(is_init[:, None], 0.0, state["hidden"]))

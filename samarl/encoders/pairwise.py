@@ -12,7 +12,7 @@ import torch
 from torch import Tensor, nn
 
 from mrsan.fields import required
-from samarl.encoders.encoder import ENCODERS, Encoder, State, single_frames
+from samarl.encoders.encoder import ENCODERS, Encoder, EncoderState, single_frames
 from samarl.observations.frames import FeatureSizes, Frames
 
 
@@ -47,7 +47,7 @@ class PairwiseEncoder(Encoder):
         self.own_alone = nn.Linear(2 * sizes.ego, width)
 
     def observe(
-        self, frames: Frames, is_init: Tensor, state: State, samples: Tensor | None = None
+        self, frames: Frames, is_init: Tensor, state: EncoderState, samples: Tensor | None = None
     ) -> Frames:
         """See `Encoder.observe`; the scene is the frames of P samples."""
         return single_frames(frames, samples)

@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from mrsan.fields import required
-from samarl.encoders.encoder import ENCODERS, Encoder, State, single_frames
+from samarl.encoders.encoder import ENCODERS, Encoder, EncoderState, single_frames
 from samarl.encoders.windowed_attention import MASKED
 from samarl.observations.frames import FeatureSizes, Frames
 
@@ -49,7 +49,7 @@ class SocialAttentionEncoder(Encoder):
         self.score = nn.Sequential(nn.ReLU(inplace=True), nn.Linear(e, 1))
 
     def observe(
-        self, frames: Frames, is_init: Tensor, state: State, samples: Tensor | None = None
+        self, frames: Frames, is_init: Tensor, state: EncoderState, samples: Tensor | None = None
     ) -> Frames:
         """See `Encoder.observe`; the scene is the frames of P samples."""
         return single_frames(frames, samples)

@@ -1,9 +1,9 @@
 """SAMARL's hybrid spatio-temporal transformer (Sec. IV-B, Eq. 5 to 8).
 
-Humans and robots have blocks of their own, as they interact differently. A spatial transformer
-relates the agents of one frame, a temporal one each agent's own history; the robot itself asks
-both, and cross-modal attention fuses what it gets. Who is not known is masked everywhere, and every
-question of the robot also has a learned "nobody" to turn to, so the result is finite with nobody
+Humans and robots have separate blocks, because they interact differently. A spatial transformer
+relates the agents of one frame, and a temporal transformer each agent's own history. The robot
+itself attends to both, and cross-modal attention fuses the results. Unknown agents are masked
+everywhere, and the robot can also attend to a learned "nobody", so the result is finite with nobody
 in view.
 """
 
@@ -14,14 +14,11 @@ from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
-from torch.nn import functional
 
 from mrsan import ConfigurationError
 from mrsan.fields import required, setting
-from samarl.encoders.encoder import ENCODERS, Encoder, State, frame_numbers
-from samarl.encoders.frame_attention import frame_attention, frame_shares, proximity_convolution
-from samarl.encoders.windowed_attention import MASKED, windowed_attention
-from samarl.observations.features import LENGTH_SCALE, NEAR_NOW, NEAR_SOON, POSITION
+from samarl.encoders.encoder import ENCODERS, Encoder, EncoderState, frame_numbers
+from samarl.encoders.transformer_layers import SpatialTransformer, TemporalTransformer, nearness
 from samarl.observations.frames import FeatureSizes, Frames
 
 
@@ -39,131 +36,8 @@ class SpatioTemporalConfig:
     one_block: bool = setting(False, kw_only=True, help="treat people and robots alike")
 
 
-def nearness(others: Tensor, known: Tensor, heads: int) -> Tensor:
-    """What is added to the scores [P, M, heads] of a robot's attention over others [P, M, F].
-
-    Nearer agents matter more: to the even heads those that are near now, to the odd ones those
-    whose closest approach ahead is near and soon, each less by 1 per metre. Attention that begins
-    with equal shares learns to tell agents apart too late.
-    """
-    now, soon = (others[..., k].clamp_min(1e-20).log() / 2 for k in (NEAR_NOW, NEAR_SOON))
-    score = torch.stack([(now, soon)[head % 2] for head in range(heads)], -1)
-    return torch.where(known.unsqueeze(-1), score, MASKED)
-
-
-class Pool(nn.Module):
-    """Attention of the robot itself over a set of agents, with a key for "nobody"."""
-
-    def __init__(self, width: int, heads: int) -> None:
-        super().__init__()
-        self.scale = (width // heads) ** -0.5
-        self.query = nn.Linear(width, width)
-        self.key_value = nn.Linear(width, 2 * width)
-        self.nobody = nn.Parameter(torch.zeros(2 * width))
-        self.out = nn.Linear(width, width)
-
-    def forward(self, own: Tensor, tokens: Tensor, score: Tensor) -> Tensor:
-        """Summary [P, D] of `tokens` [P, M, D] for the robot's own embedding [P, D].
-
-        `score` [P, M, heads] is added to the attention's own, see `nearness`.
-        """
-        return self.out(frame_attention(*self._asked(own, tokens, score)).squeeze(1))
-
-    def shares(self, own: Tensor, tokens: Tensor, score: Tensor) -> Tensor:
-        """The share of the attention that each of the M gets, [P, M]; "nobody" gets the rest."""
-        return frame_shares(*self._asked(own, tokens, score)).mean(1)[:, 0, 1:]
-
-    def _asked(self, own: Tensor, tokens: Tensor, score: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """The question [P, 1, D], keys and values [P, 1 + M, 2 D] and score with nobody first."""
-        kept = self.key_value(tokens)
-        kept = torch.cat([self.nobody.to(kept.dtype).expand(len(tokens), 1, -1), kept], 1)
-        query = (self.query(own) * self.scale).unsqueeze(1)
-        return query, kept, functional.pad(score, (0, 0, 1, 0))
-
-
-class SpatialTransformer(nn.Module):
-    """Agents of one frame: attention and graph convolution, fused by a gate (Eq. 6).
-
-    The graph is weighted by proximity, exp(-distance / 2 m): near agents matter more.
-    """
-
-    def __init__(self, width: int, heads: int, graph: bool) -> None:
-        super().__init__()
-        self.heads, self.scale, self.graph = heads, (width // heads) ** -0.5, graph
-        self.norm = nn.LayerNorm(width)
-        # Query, key, value, and what the graph passes on.
-        self.project = nn.Linear(width, (4 if graph else 3) * width)
-        if graph:
-            self.gate = nn.Linear(2 * width, width)
-        self.pool = Pool(width, heads)
-
-    def forward(self, tokens: Tensor, others: Tensor, known: Tensor) -> Tensor:
-        """The tokens [P, M, D] of P frames, each knowing of the others.
-
-        Args:
-            tokens: [P, M, D] embeddings.
-            others: [P, M, F] what is known of them.
-            known: [P, M].
-        """
-        p, m, d = tokens.shape
-        if m == 0:
-            return tokens
-        normed, sizes = self.norm(tokens), (d, 2 * d, d) if self.graph else (d, 2 * d)
-        query, kept, *passed = (  # products of their own: each result is contiguous
-            functional.linear(normed, weight, bias)
-            for weight, bias in zip(
-                self.project.weight.split(sizes), self.project.bias.split(sizes), strict=True
-            )
-        )
-        masked = torch.where(known, 0.0, MASKED).unsqueeze(-1).expand(p, m, self.heads)
-        attention = frame_attention(query * self.scale, kept, masked)
-        if not self.graph:
-            return tokens + attention
-        graph = torch.relu(
-            proximity_convolution(passed[0], others[..., POSITION], known, LENGTH_SCALE / 2.0)
-        )
-        gate = torch.sigmoid(self.gate(torch.cat([attention, graph], -1)))
-        return tokens + torch.lerp(graph, attention, gate)
-
-
-class TemporalTransformer(nn.Module):
-    """Each agent along its own last H frames, causal (Eq. 6).
-
-    Recent frames weigh more by a fixed slope per head, so heads look back differently far.
-    """
-
-    slopes: Tensor  # [heads]
-
-    def __init__(self, width: int, heads: int) -> None:
-        super().__init__()
-        self.scale = (width // heads) ** -0.5
-        self.norm = nn.LayerNorm(width)
-        self.query = nn.Linear(width, width)
-        self.key_value = nn.Linear(width, 2 * width)
-        self.register_buffer("slopes", 2.0 ** -torch.arange(heads), persistent=False)
-        self.pool = Pool(width, heads)
-
-    def keys_values(self, tokens: Tensor) -> Tensor:
-        """What a frame's tokens [..., D] are to later frames, [..., 2 D]."""
-        return self.key_value(self.norm(tokens))
-
-    def forward(self, tokens: Tensor, kept: Tensor, window: Tensor, allowed: Tensor) -> Tensor:
-        """The tokens [P, M, D] of P frames, each knowing of its own past.
-
-        Args:
-            tokens: [P, M, D] embeddings of the present.
-            kept: [F, M, 2 D] `keys_values` of all frames.
-            window: [P, H] which are the last H, the present first.
-            allowed: [P, H, M] whether a frame is of this episode and the agent was known in it.
-        """
-        query = self.query(self.norm(tokens)) * self.scale
-        lag = torch.arange(window.shape[1], device=tokens.device)
-        bias = -self.slopes.unsqueeze(1) * lag
-        return tokens + windowed_attention(query, kept, window, allowed, bias)
-
-
-class Seen(NamedTuple):
-    """What the block of one kind of agent found in P frames."""
+class BlockScene(NamedTuple):
+    """The output of the block of one kind of agent for P frames."""
 
     spatial: Tensor  # [P, M, D] tokens
     temporal: Tensor  # [P, M, D]
@@ -186,73 +60,73 @@ class Block(nn.Module):
 
     def forward(
         self, ego: Tensor, others: Tensor, known: Tensor, window: Tensor, fresh: Tensor
-    ) -> Seen:
-        """What is to be seen in P of the frames.
+    ) -> BlockScene:
+        """Return the tokens of P of the frames.
 
         Args:
             ego: [F, F_e] of frames of all robots.
             others: [F, M, F_o].
             known: [F, M].
-            window: [P, H] which of them are the last H of each, the present first.
+            window: [P, H] indices of the last H frames of each, the present first.
             fresh: [P, H] whether they belong to the same episode as the present.
         """
         tokens, frame = self.embedded(ego, others), window[:, 0]
         allowed = known[window] & fresh.unsqueeze(-1)
-        kept = self.temporal.keys_values(tokens)
-        return self._seen(tokens[frame], others[frame], known[frame], kept, window, allowed)
+        key_value = self.temporal.keys_values(tokens)
+        return self._scene(tokens[frame], others[frame], known[frame], key_value, window, allowed)
 
     def step(
         self,
         ego: Tensor,
         others: Tensor,
         known: Tensor,
-        kept: Tensor,
-        kept_known: Tensor,
+        key_value: Tensor,
+        buffer_known: Tensor,
         count: Tensor,
-    ) -> Seen:
-        """Do the same for one more frame, whose keys and values go into a ring buffer.
+    ) -> BlockScene:
+        """Do the same for one more frame, whose keys and values are written to a ring buffer.
 
         Args:
             ego: [B, F_e].
             others: [B, M, F_o].
             known: [B, M].
-            kept: [B, H, M, 2 D] the ring buffer, updated in place.
-            kept_known: [B, H, M].
+            key_value: [B, H, M, 2 D] the ring buffer, updated in place.
+            buffer_known: [B, H, M] which agents were known then, updated in place.
             count: [B] frames of the episode before this one.
         """
         tokens, size = self.embedded(ego, others), self.past + 1
         rows = torch.arange(len(count), device=count.device)
-        kept[rows, count % size] = self.temporal.keys_values(tokens).to(kept.dtype)
-        kept_known[rows, count % size] = known
+        key_value[rows, count % size] = self.temporal.keys_values(tokens).to(key_value.dtype)
+        buffer_known[rows, count % size] = known
         lag = torch.arange(size, device=count.device)
         slot = (count.unsqueeze(1) - lag) % size
-        allowed = kept_known[rows.unsqueeze(1), slot] & (lag <= count.unsqueeze(1)).unsqueeze(-1)
+        allowed = buffer_known[rows.unsqueeze(1), slot] & (lag <= count.unsqueeze(1)).unsqueeze(-1)
         window = rows.unsqueeze(1) * size + slot
-        return self._seen(tokens, others, known, kept.flatten(0, 1), window, allowed)
+        return self._scene(tokens, others, known, key_value.flatten(0, 1), window, allowed)
 
     def embedded(self, ego: Tensor, others: Tensor) -> Tensor:
-        """Tokens [..., M, D] of `others` [..., M, F_o] to robots `ego` [..., F_e]."""
+        """Return the tokens [..., M, D] of `others` [..., M, F_o] for robots `ego` [..., F_e]."""
         return self.embed(torch.relu(self.embed_other(others) + self.embed_ego(ego).unsqueeze(-2)))
 
-    def asked(self, own: Tensor, seen: Seen) -> list[Tensor]:
-        """The robot's spatial and temporal feature, [P, D] each."""
+    def pooled(self, own: Tensor, scene: BlockScene) -> list[Tensor]:
+        """Return the robot's spatial and temporal feature, [P, D] each."""
         return [
-            self.spatial.pool(own, seen.spatial, seen.score),
-            self.temporal.pool(own, seen.temporal, seen.score),
+            self.spatial.pool(own, scene.spatial, scene.score),
+            self.temporal.pool(own, scene.temporal, scene.score),
         ]
 
-    def _seen(
+    def _scene(
         self,
         tokens: Tensor,
         others: Tensor,
         known: Tensor,
-        kept: Tensor,
+        key_value: Tensor,
         window: Tensor,
         allowed: Tensor,
-    ) -> Seen:
-        timed = self.temporal(tokens, kept, window, allowed)
+    ) -> BlockScene:
+        temporal = self.temporal(tokens, key_value, window, allowed)
         score = nearness(others, known, self.spatial.heads)
-        return Seen(self.spatial(tokens, others, known), timed, score)
+        return BlockScene(self.spatial(tokens, others, known), temporal, score)
 
 
 class CrossModal(nn.Module):
@@ -270,7 +144,7 @@ class CrossModal(nn.Module):
         self.out = nn.Linear((1 + features) * width, config.features)
 
     def forward(self, own: Tensor, modalities: Tensor) -> Tensor:
-        """Y [P, out] from the robot's own embedding [P, D] and the features [P, 4, D]."""
+        """Return Y [P, out] from the robot's own embedding [P, D] and the features [P, 4, D]."""
         if self.attends:
             fused = self.norm(modalities)
             crossed, _ = self.cross(fused, fused, fused, need_weights=False)
@@ -278,16 +152,16 @@ class CrossModal(nn.Module):
         return torch.relu(self.out(torch.cat([own, modalities.flatten(1)], -1)))
 
 
-SpatioTemporalScene = tuple[Seen, ...]
-"""What each block found: of robots and of humans, or of all together."""
+SpatioTemporalScene = tuple[BlockScene, ...]
+"""The output of each block: of robots and of humans, or of all agents together."""
 
 
 @ENCODERS.register("spatio_temporal", SpatioTemporalConfig)
 class SpatioTemporalEncoder(Encoder):
-    """Y_t of each robot from what it knew in its last H frames (Eq. 8).
+    """Y_t of each robot from its last H frames (Eq. 8).
 
-    The tokens of a frame, their keys and values are computed once, however many windows they are
-    in, and not where they are in none; everything else is computed for the samples alone.
+    Tokens, keys and values are computed once per frame that is in any window; everything else is
+    computed for the samples only.
     """
 
     def __init__(self, config: SpatioTemporalConfig, sizes: FeatureSizes) -> None:
@@ -309,14 +183,14 @@ class SpatioTemporalEncoder(Encoder):
         self.cross = CrossModal(2 * len(self.kinds), config)
 
     def observe(
-        self, frames: Frames, is_init: Tensor, state: State, samples: Tensor | None = None
+        self, frames: Frames, is_init: Tensor, state: EncoderState, samples: Tensor | None = None
     ) -> SpatioTemporalScene:
         """See `Encoder.observe`."""
         frame = frame_numbers(frames, self.history, samples).unsqueeze(1)
         steps = torch.arange(is_init.shape[1], device=is_init.device)
-        began = torch.where(is_init, steps, -1).cummax(1).values  # [B, h + T]
+        episode_start = torch.where(is_init, steps, -1).cummax(1).values  # [B, h + T]
         lag = torch.arange(self.history + 1, device=is_init.device)
-        fresh = frame % is_init.shape[1] - lag >= began.flatten()[frame].clamp_min(0)
+        fresh = frame % is_init.shape[1] - lag >= episode_start.flatten()[frame].clamp_min(0)
         needed, window = torch.where(fresh, frame - lag, frame).unique(return_inverse=True)
         f = frames.map(lambda tensor: tensor.flatten(0, 1)[needed])
         return tuple(
@@ -327,14 +201,14 @@ class SpatioTemporalEncoder(Encoder):
         """See `Encoder.read`."""
         own = self.own(query)
         features: list[Tensor] = []
-        for kind, seen in zip(self.kinds, scene, strict=True):
-            features += getattr(self, kind).asked(own, seen)
+        for kind, of_kind in zip(self.kinds, scene, strict=True):
+            features += getattr(self, kind).pooled(own, of_kind)
         y: Tensor = self.cross(own, torch.stack(features, 1))
         return y
 
-    def initial_state(self, frame: Frames) -> State:
-        """Ring buffers of the keys and values of the last H frames, and how many there were."""
-        state: State = {
+    def initial_state(self, frame: Frames) -> EncoderState:
+        """Return ring buffers of keys and values of the last H frames, and the number of frames."""
+        state: EncoderState = {
             "count": torch.zeros(len(frame.ego), dtype=torch.long, device=frame.ego.device)
         }
         for kind in self.kinds:
@@ -344,8 +218,8 @@ class SpatioTemporalEncoder(Encoder):
             state[f"{kind}_known"] = known.new_zeros(b, self.history + 1, m)
         return state
 
-    def step(self, frame: Frames, is_init: Tensor, state: State) -> Any:
-        """See `Encoder.step`; the earlier frames are not computed again."""
+    def step(self, frame: Frames, is_init: Tensor, state: EncoderState) -> Any:
+        """See `Encoder.step`; earlier frames are not encoded again."""
         count = torch.where(is_init, 0, state["count"])
         state["count"][:] = count + 1
         f = frame.map(lambda tensor: tensor[:, 0])
@@ -356,9 +230,9 @@ class SpatioTemporalEncoder(Encoder):
             for kind in self.kinds
         )
 
-    def resume(self, frames: Frames, is_init: Tensor, state: State, rows: Tensor) -> None:
-        """See `Encoder.resume`: the last frames are what the ring buffers hold."""
-        for t in range(self.history):  # a frame is only taken in; nobody asks about it
+    def resume(self, frames: Frames, is_init: Tensor, state: EncoderState, rows: Tensor) -> None:
+        """See `Encoder.resume`: fill the ring buffers with the last frames."""
+        for t in range(self.history):
             begins = is_init[:, t] if t else torch.ones_like(is_init[:, 0])
             count = torch.where(begins, 0, state["count"][rows])
             slot = count % (self.history + 1)
@@ -370,26 +244,26 @@ class SpatioTemporalEncoder(Encoder):
                 state[f"{kind}_known"][rows, slot] = known[:, t]
             state["count"][rows] = count + 1
 
-    def memory(self, state: State) -> State:
-        """Nothing: `resume` computes all of it."""
+    def memory(self, state: EncoderState) -> EncoderState:
+        """Return nothing: `resume` recomputes all of it."""
         return {}
 
     def attention(self, scene: SpatioTemporalScene, query: Tensor) -> tuple[Tensor, Tensor] | None:
-        """See `Encoder.attention`; that of the spatial part. None where all are in one block."""
+        """See `Encoder.attention`: of the spatial part; None if all agents share a block."""
         if "robots" not in self.kinds:
             return None
         own = self.own(query)
         robots, humans = (
-            getattr(self, kind).spatial.pool.shares(own, seen.spatial, seen.score)
-            for kind, seen in zip(self.kinds, scene, strict=True)
+            getattr(self, kind).spatial.pool.weights(own, of_kind.spatial, of_kind.score)
+            for kind, of_kind in zip(self.kinds, scene, strict=True)
         )
         return robots, humans
 
 
 def _agents(frames: Frames, kind: str) -> tuple[Tensor, Tensor]:
-    """Those of a kind in some frames: [..., M, F_o] what is known of them, [..., M] whether it is.
+    """Return the features [..., M, F_o] and the mask [..., M] of one kind of agent.
 
-    What is known of robots and of humans has the same numbers, so `everybody` is both.
+    Robots and humans have the same features, so they can be concatenated as `everybody`.
     """
     if kind == "everybody":
         return (

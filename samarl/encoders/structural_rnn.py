@@ -99,10 +99,10 @@ class StructuralRNNEncoder(RecurrentGraph):
             2,
         )
         score = (self.asks(temporal) * keys).sum(-1) * self.scale
-        score = score * known.sum(-1, keepdim=True)  # DSRNN's: the more there are, the sharper
-        share = torch.softmax(torch.where(known, score, MASKED), -1) * known  # zero with nobody
-        return (share.unsqueeze(2) @ spatial).squeeze(2), share
+        score = score * known.sum(-1, keepdim=True)  # as in DSRNN: sharper with more agents
+        weights = torch.softmax(torch.where(known, score, MASKED), -1) * known  # zero with nobody
+        return (weights.unsqueeze(2) @ spatial).squeeze(2), weights
 
-    def _node(self, frames: Frames, temporal: Tensor, found: Tensor) -> Tensor:
-        edges = self.embed["edges"](torch.cat([temporal, found], -1))
+    def _node(self, frames: Frames, temporal: Tensor, attended: Tensor) -> Tensor:
+        edges = self.embed["edges"](torch.cat([temporal, attended], -1))
         return torch.cat([self.embed["ego"](frames.ego), edges], -1)

@@ -1,7 +1,7 @@
 """MSA3C's social encoder, a temporal-spatial graph (MSA3C, Eq. 6-10).
 
-A graph of gated recurrent units as in `recurrent_graph.py`, from places alone: nobody's velocity is
-looked at, it is left to the units to find out who moves how. All spatial edges share their weights.
+A graph of gated recurrent units as in `recurrent_graph.py`, whose inputs are positions: velocities
+are not observed, and the units must infer them. All spatial edges share their parameters.
 """
 
 from __future__ import annotations
@@ -33,20 +33,20 @@ class TemporalSpatialGraphConfig:
 
 
 def embedding(inputs: int, outputs: int) -> nn.Sequential:
-    """The paper's phi: a layer, its normalisation and a leaky rectifier."""
+    """Return the paper's phi: a linear layer, layer normalisation and a leaky ReLU."""
     return nn.Sequential(nn.Linear(inputs, outputs), nn.LayerNorm(outputs), nn.LeakyReLU())
 
 
 @ENCODERS.register("temporal_spatial_graph", TemporalSpatialGraphConfig)
 class TemporalSpatialGraphEncoder(RecurrentGraph):
-    """Where others are, over time; attention weighs them, and the node keeps what it finds.
+    """Positions of the others over time; attention weights them, and the node remembers the result.
 
-    Places are seen along the line to the goal. A holonomic robot's heading is that of its last
-    action: seen from its body all the world would jump with every step, and memories of where
-    somebody was would say nothing of how he moves.
+    The x axis of positions points to the goal. The heading of a holonomic robot is that of its last
+    action: in its body frame all positions would jump with every step, and would not show how
+    others move.
 
-    An edge is told the radius as well. The paper lists positions alone, but also lets robots sense
-    everybody's radius with noise; and who does not know it must keep the largest from everybody.
+    The radius is an input of an edge as well. The paper lists only positions, but also lets robots
+    observe radii with noise; a robot that does not observe them must keep the largest distance.
     """
 
     def __init__(self, config: TemporalSpatialGraphConfig, sizes: FeatureSizes) -> None:
@@ -88,7 +88,7 @@ class TemporalSpatialGraphEncoder(RecurrentGraph):
         self.out = embedding(self.node + sizes.ego, self.features)
 
     def read(self, scene: GraphScene, query: Tensor) -> Tensor:
-        """See `Encoder.read`; Eq. 10, of the node and of what is asked."""
+        """See `Encoder.read`; Eq. 10."""
         return self.out(torch.cat([scene.node, query], -1))
 
     def _hidden(self, robots: int, humans: int) -> dict[str, tuple[int, int]]:
@@ -99,37 +99,39 @@ class TemporalSpatialGraphEncoder(RecurrentGraph):
         }
 
     def _temporal(self, frames: Frames) -> Tensor:
-        # Eq. 7: how far it went in the last step, which is its velocity but for the time step.
-        moved = towards(frames.ego[..., EGO_DIRECTION], frames.ego[..., EGO_VELOCITY])
-        return self.embed["temporal"](moved).unsqueeze(2)
+        # Eq. 7: its displacement in the last step, here its velocity, which differs by a factor.
+        displacement = towards(frames.ego[..., EGO_DIRECTION], frames.ego[..., EGO_VELOCITY])
+        return self.embed["temporal"](displacement).unsqueeze(2)
 
     def _spatial(self, frames: Frames, unit: Unit) -> Tensor:
         others = torch.cat([frames.robots, frames.humans], 2)
         direction = frames.ego[..., EGO_DIRECTION].unsqueeze(2)
-        place = towards(direction, others[..., POSITION])
+        position = towards(direction, others[..., POSITION])
         known = torch.cat([frames.robots_known, frames.humans_known], -1)
-        inputs = self.embed["others"](torch.cat([place, others[..., RADIUS]], -1))
+        inputs = self.embed["others"](torch.cat([position, others[..., RADIUS]], -1))
         return unit("others", inputs, known)  # Eq. 6
 
     def _attend(
         self, temporal: Tensor, spatial: Tensor, known: Tensor, robots: int
     ) -> tuple[Tensor, Tensor]:
-        # Eq. 8. What is asked goes through the keys' layer, and what is found through the values':
-        # the same numbers as when every edge does, but there are many edges.
-        asked = self.asks(temporal.squeeze(2)).unflatten(-1, (self.heads, -1))
-        asked = torch.einsum("tbha,had->tbhd", asked, self.keys)
-        score = (asked @ spatial.transpose(-2, -1)) * self.scale  # [T, B, heads, N - 1 + M]
+        # Eq. 8. The layer of the keys is applied to the query, and that of the values to the
+        # result: the numbers are the same as for every edge, and there are many edges.
+        query = self.asks(temporal.squeeze(2)).unflatten(-1, (self.heads, -1))
+        query = torch.einsum("tbha,had->tbhd", query, self.keys)
+        score = (query @ spatial.transpose(-2, -1)) * self.scale  # [T, B, heads, N - 1 + M]
         known = known.unsqueeze(2)
-        share = torch.softmax(torch.where(known, score, MASKED), -1) * known  # zero with nobody
-        found = torch.einsum("tbhd,hda->tbha", share @ spatial, self.values)
-        return found.flatten(2), share.mean(2)
+        weights = torch.softmax(torch.where(known, score, MASKED), -1) * known  # zero with nobody
+        attended = torch.einsum("tbhd,hda->tbha", weights @ spatial, self.values)
+        return attended.flatten(2), weights.mean(2)
 
-    def _node(self, frames: Frames, temporal: Tensor, found: Tensor) -> Tensor:
-        return torch.cat([self.embed["found"](found), self.embed["ego"](frames.ego)], -1)  # Eq. 9
+    def _node(self, frames: Frames, temporal: Tensor, attended: Tensor) -> Tensor:
+        return torch.cat(
+            [self.embed["found"](attended), self.embed["ego"](frames.ego)], -1
+        )  # Eq. 9
 
 
 def towards(direction: Tensor, vector: Tensor) -> Tensor:
-    """Vectors [..., 2] as they lie along a `direction` [..., 2] and to the left of it."""
+    """Return the components of vectors [..., 2] along a `direction` [..., 2] and to its left."""
     along = (direction * vector).sum(-1)
     left = direction[..., 0] * vector[..., 1] - direction[..., 1] * vector[..., 0]
     return torch.stack([along, left], -1)

@@ -7,9 +7,9 @@ import torch
 from torch import Tensor
 
 from samarl.encoders import ENCODERS, Encoder
-from samarl.encoders.encoder import State
+from samarl.encoders.encoder import EncoderState
 from samarl.encoders.recurrent_graph import RecurrentUnit
-from samarl.encoders.spatio_temporal import Pool, nearness
+from samarl.encoders.transformer_layers import Pool, nearness
 from samarl.observations.features import (
     AGENT_SIZES,
     NEAR_NOW,
@@ -53,7 +53,7 @@ def frames(b: int = 6, t: int = 11, m: int = 5, n: int = 3) -> Frames:
     )
 
 
-def start(model: Encoder, data: Frames) -> State:
+def start(model: Encoder, data: Frames) -> EncoderState:
     return model.initial_state(data.at(slice(0, 1)))
 
 
@@ -215,7 +215,7 @@ def test_attention_begins_with_the_near_and_with_those_who_will_be_near() -> Non
     with torch.no_grad():
         pool.query.weight.zero_()  # nothing learned yet: 1 per metre, and 0 for nobody
         pool.query.bias.zero_()
-    shares = pool.shares(torch.zeros(1, 16), torch.randn(1, 3, 16), score[..., :1])
+    shares = pool.weights(torch.zeros(1, 16), torch.randn(1, 3, 16), score[..., :1])
     weights = torch.exp(torch.tensor([-0.5, -1.5]))
     torch.testing.assert_close(shares[0, :2], weights / (1 + weights.sum()))
     assert shares[0, 2] == 0

@@ -10,7 +10,7 @@ from torch import Tensor
 from samarl.encoders import frame_attention as module
 from samarl.encoders.frame_attention import (
     frame_attention,
-    frame_shares,
+    frame_attention_weights,
     proximity_convolution,
 )
 
@@ -58,7 +58,7 @@ def test_shares_add_up_and_leave_out_who_is_not_known() -> None:
     torch.manual_seed(0)
     known = masks(0.5)
     score = torch.where(known, 0.0, -1e9).unsqueeze(-1).repeat(1, 1, HEADS)
-    share = frame_shares(torch.randn(P, T, WIDTH), torch.randn(P, M, 2 * WIDTH), score)
+    share = frame_attention_weights(torch.randn(P, T, WIDTH), torch.randn(P, M, 2 * WIDTH), score)
     assert share.shape == (P, HEADS, T, M)
     torch.testing.assert_close(share.sum(-1), torch.ones(P, HEADS, T))
     somebody = known.any(1)

@@ -16,7 +16,7 @@ from mrsan import ConfigurationError, Observation, Scenario, World
 from samarl.agents import Agent, build_agent
 from samarl.agents.learned import DeployedPolicy
 from samarl.commands.render import picture_writer
-from samarl.encoders.spatio_temporal import Pool
+from samarl.encoders.transformer_layers import Pool
 from samarl.evaluation.trajectory import record_episode
 from samarl.policies.checkpoint import save_policy
 from samarl.report.animation import _draw_state, frame_times, save_animation
@@ -138,7 +138,7 @@ def test_attention_weights_reproduce_the_pooled_features() -> None:
     torch.nn.init.normal_(pool.nobody)
     own, tokens = torch.randn(5, 8), torch.randn(5, 3, 8)
     masked = torch.where(torch.rand(5, 3, 1) < 0.4, -1e9, torch.randn(5, 3, 1))
-    shares = pool.shares(own, tokens, masked)
+    shares = pool.weights(own, tokens, masked)
     assert (shares[masked[..., 0] < -1e8] == 0).all()
     value, nobody = pool.key_value(tokens)[..., 8:], pool.nobody[8:]
     rest = 1 - shares.sum(-1, keepdim=True)
