@@ -83,7 +83,6 @@ RUN = [
     "trainer.threads=1",
     "trainer.rollout=4",
     "algorithm.critic_width=8",
-    "algorithm.critic_heads=1",
     "algorithm.critic_features=8",
     "curriculum.stages=[{worlds: 1, scenario: {humans: 2, robots: 2}}]",
 ]

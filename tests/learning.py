@@ -35,6 +35,7 @@ ENCODERS: dict[str, dict[str, Any]] = {
         "features": 16,
     },
     "pairwise": {"width": 16},
+    "set_pool": {"width": 16, "features": 16},
     "social_attention": {"embedding": 16, "interaction": 8},
 }
 POLICIES: dict[str, dict[str, Any]] = {
@@ -76,7 +77,6 @@ PPO_NUMBERS: dict[str, Any] = {
     "std_start": 1.0,
     "std_end": 0.1,
     "critic_width": 8,
-    "critic_heads": 2,
     "critic_features": 8,
     "shield_coefficient": 0.0,
     "path_penalty": 0.0,

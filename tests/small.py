@@ -10,6 +10,7 @@ from samarl.policies.policy import Policy
 ENCODERS: dict[str, dict[str, Any]] = {
     "spatio_temporal": {"width": 8, "heads": 2, "history": 3, "features": 8},
     "gru": {"width": 8, "features": 8},
+    "set_pool": {"width": 8, "features": 8},
     "structural_rnn": {"embedding": 8, "edge": 8, "node": 8, "attention": 8, "features": 8},
 }
 SHARED = {

@@ -5,48 +5,36 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from samarl.encoders.transformer_layers import Pool, nearness
+from samarl.encoders.set_pool import PooledSet
 from samarl.observations.frames import Frames
 
 
-class SetEncoder(nn.Module):
+class CriticEncoder(nn.Module):
     """Encode one frame of all agents into a feature vector, without history.
 
     The global state contains all velocities and goals, so a single frame is sufficient.
     """
 
-    def __init__(self, ego: int, other: int, width: int, heads: int, out: int) -> None:
+    def __init__(self, ego: int, other: int, width: int, features: int) -> None:
         """Create the layers.
 
         Args:
             ego: length of a robot's own state.
             other: length of the state of another agent.
             width: of the hidden layers.
-            heads: of the attention.
-            out: length of the feature vector.
+            features: length of the feature vector.
         """
         super().__init__()
-
-        def mlp(inputs: int, outputs: int) -> nn.Sequential:
-            return nn.Sequential(nn.Linear(inputs, width), nn.ReLU(), nn.Linear(width, outputs))
-
-        self.heads = heads
-        self.embed_ego = mlp(ego, width)
-        self.embed_humans, self.embed_robots = mlp(other, width), mlp(other, width)
-        self.humans, self.robots = Pool(width, heads), Pool(width, heads)
-        self.out = nn.Sequential(nn.Linear(3 * width, out), nn.ReLU(), nn.Linear(out, out))
+        self.own = nn.Sequential(nn.Linear(ego, width), nn.ReLU())
+        self.humans, self.robots = PooledSet(ego, other, width), PooledSet(ego, other, width)
+        self.out = nn.Sequential(nn.Linear(3 * width, features), nn.ReLU())
 
     def forward(self, frames: Frames) -> Tensor:
-        """Return the features [P, out] of `frames` [P, ...]."""
-        ego = self.embed_ego(frames.ego)
-        features = [ego]
-        for pool, embed, (others, mask) in (
-            (self.humans, self.embed_humans, frames.entities["humans"]),
-            (self.robots, self.embed_robots, frames.entities["robots"]),
-        ):
-            score = nearness(others, mask, self.heads)
-            features.append(pool(ego, torch.relu(embed(others)), score))
-        return torch.relu(self.out(torch.cat(features, -1)))
+        """Return the features [P, features] of `frames` [P, ...]."""
+        ego, entities = frames.ego, frames.entities
+        pooled = [self.humans(ego, entities["humans"]), self.robots(ego, entities["robots"])]
+        y: Tensor = self.out(torch.cat([self.own(ego), *pooled], -1))
+        return y
 
 
 class PopArtHead(nn.Module):

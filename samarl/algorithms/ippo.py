@@ -8,7 +8,7 @@ from torchrl.objectives.multiagent import IPPOLoss
 
 from mrsan.fields import setting
 from samarl.algorithms.algorithm import ALGORITHMS
-from samarl.algorithms.critics import SetEncoder
+from samarl.algorithms.critics import CriticEncoder
 from samarl.algorithms.ppo import PPO, PPOConfig
 from samarl.observations.features import NETWORK_EGO_FEATURES, NETWORK_OTHER_FEATURES
 from samarl.observations.frames import Frames
@@ -37,9 +37,9 @@ class IPPO(PPO):
         super().__init__(policy, config)
         self.reward_shaping.team_bonus = config.team_reward
 
-    def _make_critic(self, config: PPOConfig) -> SetEncoder:
-        sizes = config.critic_width, config.critic_heads, config.critic_features
-        return SetEncoder(NETWORK_EGO_FEATURES, NETWORK_OTHER_FEATURES, *sizes)
+    def _make_critic(self, config: PPOConfig) -> CriticEncoder:
+        sizes = config.critic_width, config.critic_features
+        return CriticEncoder(NETWORK_EGO_FEATURES, NETWORK_OTHER_FEATURES, *sizes)
 
     def _critic_frames(self, rollout: Rollout) -> Frames:
         return rollout.frames.at(slice(self.policy.history, None))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from samarl.algorithms.algorithm import ALGORITHMS
-from samarl.algorithms.critics import SetEncoder
+from samarl.algorithms.critics import CriticEncoder
 from samarl.algorithms.ppo import PPO, PPOConfig
 from samarl.observations.features import NETWORK_EGO_FEATURES, STATE_OTHER_FEATURES
 from samarl.observations.frames import Frames
@@ -23,9 +23,9 @@ class MAPPO(PPO):
 
     uses_global_state = True
 
-    def _make_critic(self, config: PPOConfig) -> SetEncoder:
-        sizes = config.critic_width, config.critic_heads, config.critic_features
-        return SetEncoder(NETWORK_EGO_FEATURES, STATE_OTHER_FEATURES, *sizes)
+    def _make_critic(self, config: PPOConfig) -> CriticEncoder:
+        sizes = config.critic_width, config.critic_features
+        return CriticEncoder(NETWORK_EGO_FEATURES, STATE_OTHER_FEATURES, *sizes)
 
     def _critic_frames(self, rollout: Rollout) -> Frames:
         assert rollout.state is not None

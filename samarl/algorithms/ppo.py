@@ -18,17 +18,18 @@ from torch import Tensor, nn
 from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.multiagent import MAPPOLoss
 
-from mrsan import ConfigurationError, Scenario
+from mrsan import ConfigurationError
 from mrsan.fields import number, required
-from samarl.algorithms.action_limits import excess
+from samarl.algorithms.action_limits import action_limits, excess
 from samarl.algorithms.advantages import macro_advantages, step_advantages, streams
 from samarl.algorithms.algorithm import Algorithm
-from samarl.algorithms.critics import PopArtHead, SetEncoder
+from samarl.algorithms.critics import CriticEncoder, PopArtHead
+from samarl.algorithms.training_data import TrainingData, merge
 from samarl.distributed import all_gather_cat, all_gather_object, average_gradients
 from samarl.observations.frames import Frames
 from samarl.policies.hierarchical import WAYPOINT_FEATURES
 from samarl.policies.policy import LOCAL, MACRO, Policy
-from samarl.policies.stochastic import StochasticPolicy
+from samarl.policies.stochastic import Sequences, StochasticPolicy
 from samarl.rollout import Rollout, level_key
 
 MACRO_RISE = 0.3
@@ -90,7 +91,6 @@ class PPOConfig:
         0.0, 10.0, help="lower bound of the macro level's noise, below its upper bound"
     )
     critic_width: int = required(8, 1024, help="width of the critics' encoder")
-    critic_heads: int = required(1, 64, help="attention heads of the critics' encoder")
     critic_features: int = required(8, 4096, help="output size of the critics' encoder")
     target_kl: float | None = number(
         None, 0.0, 1e6, help="KL divergence beyond which epochs stop; null: never"
@@ -98,7 +98,6 @@ class PPOConfig:
 
 
 Statistics = dict[str, list[float]]
-LevelBatches = dict[str, TensorDict]  # of each level, see `PPO.prepare`
 
 
 class PPO(Algorithm):
@@ -132,11 +131,14 @@ class PPO(Algorithm):
         self.to(policy.device)
         self.losses = {level: self._make_loss(level) for level in policy.levels}
         self.optimiser = torch.optim.Adam(
-            [*policy.parameters(), *self.parameters()], lr=config.learning_rate, eps=1e-5
+            [*policy.parameters(), *self.parameters()],
+            lr=config.learning_rate,
+            eps=1e-5,
+            fused=policy.device.type in ("cpu", "cuda"),
         )
 
     @abstractmethod
-    def _make_critic(self, config: PPOConfig) -> SetEncoder:
+    def _make_critic(self, config: PPOConfig) -> CriticEncoder:
         """Return the encoder of the critics."""
 
     @abstractmethod
@@ -186,23 +188,23 @@ class PPO(Algorithm):
         """Run all epochs over the rollouts of one or several stages."""
         rollouts = [rollout.to(self.policy.device) for rollout in rollouts]
         statistics: Statistics = defaultdict(list)
-        batches = self.prepare(rollouts, statistics)
-        self._run_epochs(rollouts, batches, self._select(batches), statistics)
+        self._run_epochs(self.prepare(rollouts, statistics), statistics)
         return {key: sum(values) / len(values) for key, values in statistics.items()}
 
     @torch.no_grad()
-    def prepare(self, rollouts: list[Rollout], statistics: Statistics) -> list[LevelBatches]:
-        """Return the data of each level of each rollout, and update the value scales once.
+    def prepare(self, rollouts: list[Rollout], statistics: Statistics) -> list[TrainingData]:
+        """Return what the losses read, and update the value scales once.
 
         Returns:
-            For each level a TensorDict [B, T] with the keys that TorchRL's loss reads: `action`,
-            `sample_log_prob`, `advantage`, `value_target` and `state_value` (before the update),
-            the last three normalised, and the inputs of actor and critic but the encoded ones;
-            with `decides` (the level made a decision that counts), `valued` (the critic learns
-            from this step); and of the local level what its auxiliary losses read.
+            The rows of all rollouts, in as few parts as `merge` allows. Each level has a TensorDict
+            [B, T] with the keys that TorchRL's loss reads: `action`, `sample_log_prob`,
+            `advantage`, `value_target` and `state_value` (before the update), the last three
+            normalised, and the inputs of actor and critic but the encoded ones; with `decides` (the
+            level made a decision that counts), `valued` (the critic learns from this step); and of
+            the local level what its auxiliary losses read.
         """
         features = [self._critic_features(rollout) for rollout in rollouts]
-        batches: list[LevelBatches] = [{} for _ in rollouts]
+        batches: list[dict[str, TensorDict]] = [{} for _ in rollouts]
         for level, head in self.heads.items():
             pairs = zip(rollouts, features, strict=True)
             levels = [self._level_batch(level, rollout, feature) for rollout, feature in pairs]
@@ -227,7 +229,22 @@ class PPO(Algorithm):
                 data["value_target"] = head.normalise(data["value_target"])
                 data["state_value"] = head.normalise(data["state_value"])
                 batch[level] = data
-        return batches
+        parts = zip(rollouts, batches, self._select(batches), strict=True)
+        return merge([self._training_data(*part) for part in parts])
+
+    def _training_data(
+        self, rollout: Rollout, levels: dict[str, TensorDict], selected: Tensor
+    ) -> TrainingData:
+        """Return the rows of one rollout."""
+        row = torch.arange(len(selected), device=selected.device)
+        return TrainingData(
+            Sequences(rollout.frames, rollout.is_init, rollout.encoder),
+            self._critic_frames(rollout),
+            levels,
+            selected,
+            row % rollout.robots,
+            row // rollout.robots,
+        )
 
     def _critic_features(self, rollout: Rollout) -> Tensor:
         """Return the critics' view of all steps, [S, T + 1, N, F]."""
@@ -260,12 +277,14 @@ class PPO(Algorithm):
             data |= {key: agents[key][:, :-1] for key in present}
             correlation = torch.full_like(advantage, rollout.correlation)
             data["noise_correlation"] = correlation.unsqueeze(-1)
+            limits = torch.tensor(action_limits(rollout.scenario), device=advantage.device)
+            data["action_limits"] = limits.expand(*advantage.shape, -1)
         data |= {"advantage": advantage.unsqueeze(-1), "value_target": target.unsqueeze(-1)}
         data["state_value"] = value[:, :-1].unsqueeze(-1)
         by_row = {key: x.transpose(1, 2).flatten(0, 1) for key, x in data.items()}
         return TensorDict(by_row, by_row["decides"].shape)
 
-    def _select(self, batches: list[LevelBatches]) -> list[Tensor]:
+    def _select(self, batches: list[dict[str, TensorDict]]) -> list[Tensor]:
         """Return the steps [B, T] from which the policy learns.
 
         They are those with the largest advantages, as most steps are as good as expected and carry
@@ -292,37 +311,22 @@ class PPO(Algorithm):
             selected = [chosen | (local["decides"] & local["unsafe"]) for chosen, local in pairs]
         return selected
 
-    def _run_epochs(
-        self,
-        rollouts: list[Rollout],
-        batches: list[LevelBatches],
-        selected: list[Tensor],
-        statistics: Statistics,
-    ) -> None:
+    def _run_epochs(self, data: list[TrainingData], statistics: Statistics) -> None:
         """Take all steps of the optimiser: whole sequences are shuffled into minibatches."""
         for epoch in range(1, self.config.epochs + 1):
             statistics["losses/epochs"] = [float(epoch)]  # the last one that was run
             divergence: list[float] = []
-            splits = [
-                torch.randperm(len(rollout.steps)).tensor_split(self.config.minibatches)
-                for rollout in rollouts
-            ]
-            for minibatch in zip(*splits, strict=True):
+            minibatches = [part.minibatches(self.config.minibatches) for part in data]
+            for minibatch in zip(*minibatches, strict=True):
                 self.optimiser.zero_grad(set_to_none=True)
-                for rollout, batch, mask, sequences in zip(
-                    rollouts, batches, selected, minibatch, strict=True
-                ):
-                    if len(sequences) == 0:
+                rows = sum(len(part.robot) for part in minibatch)
+                for part in minibatch:
+                    if len(part.robot) == 0:
                         continue
-                    sequences = sequences.to(self.policy.device)
-                    rows = rollout.rows(sequences)
-                    part = {level: data[rows] for level, data in batch.items()}
-                    loss = self._policy_loss(
-                        rollout, sequences, part, mask[rows], statistics, divergence
-                    )
-                    loss = loss + self._value_loss(rollout, rows, part, mask[rows], statistics)
+                    loss = self._policy_loss(part, statistics, divergence)
+                    loss = loss + self._value_loss(part, statistics)
                     if loss.requires_grad:  # otherwise no sample counts
-                        (loss / len(rollouts)).backward()
+                        (loss * (len(part.robot) / rows)).backward()
                 self._descend(statistics)
             divergence = [value for values in all_gather_object(divergence) for value in values]
             mean_kl = sum(divergence) / max(len(divergence), 1)
@@ -340,21 +344,17 @@ class PPO(Algorithm):
         self.optimiser.step()
 
     def _policy_loss(
-        self,
-        rollout: Rollout,
-        sequences: Tensor,
-        batch: LevelBatches,
-        selected: Tensor,
-        statistics: Statistics,
-        divergence: list[float],
+        self, data: TrainingData, statistics: Statistics, divergence: list[float]
     ) -> Tensor:
-        """Return the loss of all levels over the selected steps [B, T] of some sequences."""
-        row, step = selected.nonzero(as_tuple=True)
-        samples = {level: data[row, step] for level, data in batch.items()}  # [P]
-        index = {level: data["decides"].nonzero().squeeze(1) for level, data in samples.items()}
+        """Return the loss of all levels over the selected steps."""
+        row, step = data.selected.nonzero(as_tuple=True)
+        samples = {level: of_level[row, step] for level, of_level in data.levels.items()}  # [P]
+        index = {
+            level: of_level["decides"].nonzero().squeeze(1) for level, of_level in samples.items()
+        }
         embeddings = self.policy.embed(
-            rollout.sequences(sequences),
-            row * rollout.steps.shape[1] + step,
+            data.sequences,
+            row * (data.selected.shape[1] + 1) + step,  # sequences have one more step
             samples[LOCAL].get("waypoint_features", None),
             index,
         )
@@ -373,12 +373,10 @@ class PPO(Algorithm):
             for key, name in STATISTICS.items():
                 statistics[f"losses/{level}_{name}"].append(float(terms[key].detach()))
             if level == LOCAL:
-                total = total + self._auxiliary_loss(decisions, rollout.scenario, statistics)
+                total = total + self._auxiliary_loss(decisions, statistics)
         return total
 
-    def _auxiliary_loss(
-        self, decisions: TensorDict, scenario: Scenario, statistics: Statistics
-    ) -> Tensor:
+    def _auxiliary_loss(self, decisions: TensorDict, statistics: Statistics) -> Tensor:
         """Return the penalties on the local level's means: robots' limits and the shield."""
         c = self.config
         total = torch.zeros((), device=self.policy.device)
@@ -386,7 +384,8 @@ class PPO(Algorithm):
             return total
         mean, std = self.policy.distribution(LOCAL, decisions["embedding"], decisions["row"])
         if c.action_limit_penalty > 0.0:
-            beyond = excess(mean, std, decisions["speed"], scenario, c.action_limit_slack).mean()
+            speed, limits = decisions["speed"], decisions["action_limits"]
+            beyond = excess(mean, std, speed, limits, c.action_limit_slack).mean()
             total = total + c.action_limit_penalty * beyond
             statistics["losses/action_limit_penalty"].append(float(beyond.detach()))
         if self.uses_shield_targets:
@@ -398,22 +397,14 @@ class PPO(Algorithm):
             statistics["losses/shield_error"].append(float(wrong.detach()))
         return total
 
-    def _value_loss(
-        self,
-        rollout: Rollout,
-        rows: Tensor,
-        batch: LevelBatches,
-        selected: Tensor,
-        statistics: Statistics,
-    ) -> Tensor:
+    def _value_loss(self, data: TrainingData, statistics: Statistics) -> Tensor:
         """Return the value loss (Yu et al., 2022) over the policy's samples and waiting robots."""
-        local = batch[LOCAL]
-        row, step = (selected | (local["valued"] & ~local["decides"])).nonzero(as_tuple=True)
-        frames = self._critic_frames(rollout).map(lambda x: x[rows[row], step])
-        features = self.encoder(frames)
+        local = data.levels[LOCAL]
+        row, step = (data.selected | (local["valued"] & ~local["decides"])).nonzero(as_tuple=True)
+        features = self.encoder(data.critic_frames.map(lambda x: x[row, step]))
         total = features.new_zeros(())
-        for level, data in batch.items():
-            samples = data[row, step]
+        for level, of_level in data.levels.items():
+            samples = of_level[row, step]
             samples["critic_features"] = features
             samples = samples[samples["valued"]]
             if len(samples) > 0:

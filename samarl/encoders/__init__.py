@@ -3,6 +3,7 @@
 from samarl.encoders import (  # noqa: F401 (makes them known)
     gru,
     pairwise,
+    set_pool,
     social_attention,
     spatio_temporal,
     structural_rnn,

@@ -91,41 +91,68 @@ def frames_of(tracks: Tracks, scenario: Scenario, known_origin: bool = True) -> 
     ego = _ego_features(tracks.ego, scenario)
     if not known_origin:
         ego[..., EGO_PLACE] = 0.0
-    entities = {}
-    for name, (features, known) in tracks.entities.items():
-        if name in ("humans", "robots"):
-            age = torch.as_tensor(features[..., AGE : AGE + 1])
-            entities[name] = _agent_features(features, age, known, scenario)
-        else:
-            entities[name] = _additional_group(name, features, known, scenario)
-    return Frames(ego, entities, _additional_sensors(tracks.sensors, scenario))
+    return _frames(ego, tracks, AGE, scenario)
 
 
 def state_of(world: World) -> Frames:
-    """Return the true state as seen from every robot: the input of the critics' encoder.
+    """Return the true state as seen from every robot, the input of the critics' encoder.
 
     Everybody is known, with the goal, and robots with whether they have arrived.
     """
-    state, scenario = world.state, world.scenario
+    return state_features(true_state(world), world.scenario)
+
+
+def true_state(world: World) -> Tracks:
+    """Return the true state as seen from every robot: `state_of` before it is scaled.
+
+    Features of people and robots end with the goal in the body frame (units of `LENGTH_SCALE`) and
+    whether they have arrived.
+    """
+    state, n = world.state, world.scenario.robots
     observation = world.observe(all_seeing=True)
-    n = scenario.robots
     others = np.array([[k for k in range(n) if k != i] for i in range(n)], int).reshape(n, n - 1)
     human_goals = np.repeat(state.human_goal[:, None], n, 1)  # [E, N, M, 2]
     goals_and_arrivals = {
         "humans": (human_goals, np.zeros(human_goals.shape[:3], np.bool_)),
         "robots": (state.robot_goal[:, others], state.arrived[:, others]),
     }
+    entities = dict(observation.entities)
+    for name, (goals, arrived) in goals_and_arrivals.items():
+        features, mask = observation.entities[name]
+        goal = to_body(goals, observation.ego[:, :, None]) / np.float32(LENGTH_SCALE)
+        extended = np.concatenate([features, goal, arrived[..., None]], -1, dtype=np.float32)
+        entities[name] = Entities(extended, mask)
+    return Tracks(observation.ego, entities, observation.sensors)
+
+
+def state_features(state: Tracks, scenario: Scenario) -> Frames:
+    """Return the features [B, 1, ...] of a `true_state`."""
+    return _frames(_ego_features(state.ego, scenario), state, OTHER_RADIUS + 1, scenario)
+
+
+def _frames(ego: Tensor, tracks: Tracks, extra: int, scenario: Scenario) -> Frames:
+    """Return the features of all groups and sensors.
+
+    Args:
+        ego: [B, 1, F_e].
+        tracks: [E, N, ...].
+        extra: index of the first feature of people and robots that is passed on as it is.
+        scenario: the task.
+    """
+    agents = {name: tracks.entities[name] for name in ("humans", "robots")}
     entities = {}
-    for name, (features, mask) in observation.entities.items():
-        if name in goals_and_arrivals:
-            goals, arrived = goals_and_arrivals[name]
-            goal = to_body(goals, observation.ego[:, :, None]) / np.float32(LENGTH_SCALE)
-            extra = np.concatenate([goal, arrived[..., None]], -1, dtype=np.float32)
-            entities[name] = _agent_features(features, torch.from_numpy(extra), mask, scenario)
-        else:
-            entities[name] = _additional_group(name, features, mask, scenario)
-    sensors = _additional_sensors(observation.sensors, scenario)
-    return Frames(_ego_features(observation.ego, scenario), entities, sensors)
+    for name, (features, known) in tracks.entities.items():
+        if name not in agents:
+            entities[name] = _additional_group(name, features, known, scenario)
+    # People and robots in one pass: each operation of torch costs more than its arithmetic.
+    observed = torch.cat([torch.as_tensor(features) for features, _ in agents.values()], -2)
+    mask = torch.cat([torch.as_tensor(mask) for _, mask in agents.values()], -1)
+    both = _agent_features(observed.flatten(0, 1), mask.flatten(0, 1), extra, scenario)
+    slots = [mask.shape[-1] for _, mask in agents.values()]
+    parts = zip(agents, both.features.split(slots, 2), both.mask.split(slots, 2), strict=True)
+    split = {name: EntityFeatures(features, mask) for name, features, mask in parts}
+    ordered = {name: (split | entities)[name] for name in tracks.entities}
+    return Frames(ego, ordered, _additional_sensors(tracks.sensors, scenario))
 
 
 def empty_tracks(scenario: Scenario, worlds: int = 1) -> Tracks:
@@ -197,14 +224,13 @@ def features_of_target(target: Tensor) -> Tensor:
 
 
 def _agent_features(
-    observed: NDArray[np.float32], extra: Tensor, known: NDArray[np.bool_], scenario: Scenario
+    others: Tensor, known: Tensor, extra: int, scenario: Scenario
 ) -> EntityFeatures:
-    """Return the features [B, 1, M, 9 + extra] of people or robots.
+    """Return the features [B, 1, M, F] of people and robots [B, M, ...].
 
     They include the closest approach ahead: when and how near the two will pass if both keep their
-    velocities.
+    velocities. Features from index `extra` on are appended as they are.
     """
-    others, mask = torch.as_tensor(observed).flatten(0, 1), torch.as_tensor(known).flatten(0, 1)
     position, velocity = others[..., OTHER_POSITION], others[..., OTHER_VELOCITY]
     radii = others[..., OTHER_RADIUS : OTHER_RADIUS + 1] + scenario.robot_radius
     gap = position.norm(dim=-1, keepdim=True) - radii
@@ -221,11 +247,11 @@ def _agent_features(
             soon,
             near,
             soon * near,
-            extra.flatten(0, 1),
+            others[..., extra:],
         ],
         -1,
     )
-    return _masked(features, mask)
+    return _masked(features, known)
 
 
 def _additional_group(

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor
+from torch.nn.functional import pad
 from torch.utils._pytree import tree_map
 
 from mrsan.observation import named_arrays, parts_of_named
@@ -120,3 +121,22 @@ class Frames(NamedTuple):
     def cat(parts: Sequence[Frames], dimension: int) -> Frames:
         """Concatenate along the robots (0) or the frames (1)."""
         return tree_map(lambda *tensors: torch.cat(tensors, dimension), *parts)
+
+    @staticmethod
+    def cat_padded(parts: Sequence[Frames]) -> Frames:
+        """Concatenate along the robots; empty slots are added to smaller groups."""
+        entities = {}
+        for name in parts[0].entities:
+            groups = [part.entities[name] for part in parts]
+            slots = max(group.mask.shape[2] for group in groups)
+            missing = [slots - group.mask.shape[2] for group in groups]
+            pairs = list(zip(groups, missing, strict=True))
+            entities[name] = EntityFeatures(
+                torch.cat([pad(group.features, (0, 0, 0, more)) for group, more in pairs]),
+                torch.cat([pad(group.mask, (0, more)) for group, more in pairs]),
+            )
+        return Frames(
+            torch.cat([part.ego for part in parts]),
+            entities,
+            {name: torch.cat([part.sensors[name] for part in parts]) for name in parts[0].sensors},
+        )

@@ -13,8 +13,9 @@ from torch.utils._pytree import tree_leaves, tree_map
 
 from mrsan import Episodes, Split, World
 from mrsan.metrics import episodes_of
-from samarl.observations.features import speed_of, state_of
+from samarl.observations.features import speed_of, state_features, true_state
 from samarl.observations.frames import Frames
+from samarl.observations.tracker import Tracks
 from samarl.planning.shield import Shield, apply_shield
 from samarl.policies.policy import LOCAL, Decision, Policy, PolicyState
 from samarl.policies.stochastic import StochasticPolicy
@@ -105,7 +106,7 @@ class RolloutCollector:
         columns, states = [], []
         episodes: list[Episodes] = []
         for step in range(t):
-            states.append(state_of(world) if self.uses_global_state else None)
+            states.append(true_state(world) if self.uses_global_state else None)
             columns.append(self._decision_column() | self._step(episodes))
             back = self._begin(world.state.done)
             if back.any():
@@ -119,7 +120,7 @@ class RolloutCollector:
             self._decide(step + 1)
         outcome = {key: torch.zeros_like(x) for key, x in columns[-1].items() if key[0] == "next"}
         columns.append(self._decision_column() | outcome)
-        states.append(state_of(world) if self.uses_global_state else None)
+        states.append(true_state(world) if self.uses_global_state else None)
         return self._rollout(columns, states, mask, closed, encoder_before, episodes)
 
     def _decide(self, step: int) -> None:
@@ -276,7 +277,7 @@ class RolloutCollector:
     def _rollout(
         self,
         columns: list[dict[Any, Tensor]],
-        states: list[Frames | None],
+        states: list[Tracks | None],
         mask: Tensor,
         closed: list,
         encoder_before: Any,
@@ -290,7 +291,7 @@ class RolloutCollector:
         frames, begins = self._rollout_frames(slice(None))
         state = None
         if self.uses_global_state:
-            state = Frames.cat([s for s in states if s is not None], 1)
+            state = self._state_frames([s for s in states if s is not None])
         if closed:
             worlds = torch.from_numpy(np.concatenate([part[0] for part in closed]))
             extra = steps[worlds]
@@ -317,6 +318,13 @@ class RolloutCollector:
             episodes,
             e * self.steps,
         )
+
+    def _state_frames(self, states: list[Tracks]) -> Frames:
+        """Return the features of T + 1 true states, [B, T + 1, ...]."""
+        together = tree_map(lambda *arrays: np.concatenate(arrays), *states)  # [(T + 1) E, ...]
+        frames = state_features(together, self.stage.scenario)
+        shape = len(states), len(frames.ego) // len(states)
+        return frames.map(lambda x: x.view(*shape, *x.shape[2:]).transpose(0, 1).contiguous())
 
     def state_dict(self) -> dict[str, Any]:
         """Return all that the next `collect` depends on, except networks and torch's generator."""

@@ -128,10 +128,7 @@ def test_an_encoder_of_your_own(tmp_path: Path) -> None:
         text=True,
     )
     assert done.returncode == 2  # plugins are imported only on request
-    assert (
-        "encoder.name is 'deep_sets'; it must be one of gru, pairwise, social_attention"
-        in done.stderr
-    )
+    assert "encoder.name is 'deep_sets'; it must be one of gru, pairwise, set_pool" in done.stderr
 
 
 def test_an_algorithm_in_samarl_train(tmp_path: Path) -> None:

@@ -86,14 +86,14 @@ def test_every_decision_counts_the_same_whatever_its_level() -> None:
     )
     rollout = learning.collector(policy, 6, 12).collect()
     statistics: dict[str, list[float]] = defaultdict(list)
-    prepared = learner.prepare([rollout], statistics)
-    acts = prepared[0][LOCAL]["decides"]
+    (data,) = learner.prepare([rollout], statistics)
+    acts = data.levels[LOCAL]["decides"]
     selected = acts & (torch.rand(acts.shape) < 0.3)  # of all, the advantages add up to zero
-    every = torch.arange(len(rollout.steps))
-    loss = learner._policy_loss(rollout, every, prepared[0], selected, statistics, [])
+    loss = learner._policy_loss(data._replace(selected=selected), statistics, [])
     # Before anything has moved all ratios are 1: the objective is minus the advantage.
     total = sum(
-        float(data["advantage"][data["decides"] & selected].sum()) for data in prepared[0].values()
+        float(level["advantage"][level["decides"] & selected].sum())
+        for level in data.levels.values()
     )
     assert abs(float(loss.detach()) + total / int(selected.sum())) < 1e-4
     assert abs(total) > 1.0

@@ -203,7 +203,7 @@ def test_a_loss_that_is_not_finite_stops_the_run_and_names_the_last_good_state(
         calls.append(arguments)
         (data,) = prepare(self, *arguments)
         if len(calls) == 3:
-            data[LOCAL][number] *= float("nan")
+            data.levels[LOCAL][number] *= float("nan")
         return [data]
 
     monkeypatch.setattr(PPO, "prepare", poisoned)

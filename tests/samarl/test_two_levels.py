@@ -11,7 +11,7 @@ import torch
 from mrsan import ConfigurationError, World
 from mrsan.features import GOAL
 from samarl.agents.learned import DeployedPolicy
-from samarl.algorithms.action_limits import excess
+from samarl.algorithms.action_limits import action_limits, excess
 from samarl.encoders import ENCODERS
 from samarl.observations.features import to_body
 from samarl.policies.hierarchical import decode_waypoint
@@ -205,12 +205,12 @@ def test_commands_beyond_the_limits_cost_and_only_those() -> None:
         (1.0, [0.0, 0.0, -1.2], ((0.3 * math.pi / 3 - 0.25) / math.radians(15.0)) ** 2),
     ]
     speed, mean = torch.tensor([c[0] for c in cases]), torch.tensor([c[1] for c in cases])
-    found = excess(mean, torch.full_like(mean, 0.3), speed, SCENARIO, slack=0.0)
+    limits = torch.tensor(action_limits(SCENARIO)).expand(len(mean), -1)
+    found = excess(mean, torch.full_like(mean, 0.3), speed, limits, slack=0.0)
     assert found.tolist() == pytest.approx([c[2] for c in cases], abs=1e-6)
-    forgiven = excess(mean[2:3], torch.full((1, 3), 0.2), speed[2:3], SCENARIO, slack=1.0)
+    forgiven = excess(mean[2:3], torch.full((1, 3), 0.2), speed[2:3], limits[2:3], slack=1.0)
     assert forgiven.item() == pytest.approx(0.1**2)
-    holonomic = replace(SCENARIO, kinematics="holonomic")
-    assert not excess(mean[:, :2], mean[:, :2], speed, holonomic, slack=0.0).any()
+    assert not excess(mean[:, :2], mean[:, :2], speed, limits, slack=0.0).any()  # holonomic
 
 
 def test_the_mean_is_drawn_back_to_what_can_be_done() -> None:
@@ -231,11 +231,8 @@ def test_the_mean_is_drawn_back_to_what_can_be_done() -> None:
 def test_kept_samples_are_those_of_the_largest_advantages() -> None:
     model = policy("flat")
     learner = algorithm(model, advantage_filter_fraction=0.25)
-    prepared = learner.prepare(
-        [collector(model).collect()], {"losses/local_explained_variance": []}
-    )
-    (selected,) = learner._select(prepared)
-    local = prepared[0][LOCAL]
+    (data,) = learner.prepare([collector(model).collect()], {"losses/local_explained_variance": []})
+    selected, local = data.selected, data.levels[LOCAL]
     decides, advantage = local["decides"], local["advantage"].squeeze(-1)
     size = advantage.abs()
     assert selected.sum().item() == pytest.approx(0.25 * decides.sum().item(), abs=2)

@@ -1,0 +1,81 @@
+"""A pooled set: the maximum over the agents around the robot, feature by feature, of one frame.
+
+The shape of the networks of GIGAFLOW (Cusumano-Towner et al., Robust autonomy emerges from
+self-play, 2025) and of PointNet: the cheapest encoder that accepts any number of agents.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+from mrsan.fields import required
+from samarl.encoders.encoder import ENCODERS, Encoder, EncoderState, single_frames
+from samarl.encoders.set_pooling import set_pooling
+from samarl.observations.frames import EntityFeatures, FeatureSizes, Frames
+
+
+@dataclass
+class SetPoolConfig:
+    """Sizes of the pooled set encoder."""
+
+    width: int = required(8, 1024, help="width of all hidden layers")
+    features: int = required(8, 4096, help="length of the output Y")
+
+
+class PooledSet(nn.Module):
+    """Two layers per agent, conditioned on the robot's own state, and the maximum over agents."""
+
+    def __init__(self, ego: int, other: int, width: int) -> None:
+        super().__init__()
+        self.embed_ego = nn.Linear(ego, width)
+        self.embed_other = nn.Linear(other, width, bias=False)
+        self.second = nn.Linear(width, width)
+        for layer in (self.embed_ego, self.embed_other, self.second):
+            nn.init.orthogonal_(layer.weight, gain=2**0.5)
+
+    def forward(self, ego: Tensor, agents: EntityFeatures) -> Tensor:
+        """Return the maximum of each feature over the known agents [P, width]; 0 without any.
+
+        Args:
+            ego: [P, F_e] the robots' own states.
+            agents: [P, M, F_o] and which of them are known, [P, M].
+        """
+        own = self.embed_ego(ego)
+        second = self.second
+        return set_pooling(own, *agents, self.embed_other.weight, second.weight, second.bias)
+
+
+@ENCODERS.register("set_pool", SetPoolConfig)
+class SetPoolEncoder(Encoder):
+    """Pool humans and robots separately; read the pooled features with the robot's own state."""
+
+    def __init__(self, config: SetPoolConfig, sizes: FeatureSizes) -> None:
+        """See `Encoder`."""
+        super().__init__(config, sizes)
+        width, self.features = config.width, config.features
+        self.humans, self.robots = (
+            PooledSet(sizes.ego, sizes.entities[group], width) for group in ("humans", "robots")
+        )
+        self.query = nn.Sequential(nn.Linear(sizes.ego, width), nn.ReLU())
+        self.out = nn.Sequential(nn.Linear(3 * width, config.features), nn.ReLU())
+
+    def observe(
+        self, frames: Frames, is_init: Tensor, state: EncoderState, samples: Tensor | None = None
+    ) -> Tensor:
+        """See `Encoder.observe`; the scene is the pooled features, [P, 2 width]."""
+        frame = single_frames(frames, samples)
+        return torch.cat(
+            [
+                self.humans(frame.ego, frame.entities["humans"]),
+                self.robots(frame.ego, frame.entities["robots"]),
+            ],
+            -1,
+        )
+
+    def read(self, scene: Tensor, query: Tensor) -> Tensor:
+        """See `Encoder.read`."""
+        y: Tensor = self.out(torch.cat([scene, self.query(query)], -1))
+        return y
