@@ -3,6 +3,7 @@
 from samarl.algorithms import (  # noqa: F401 (makes them known)
     ippo,
     mappo,
+    reppo,
     soft_actor_critic,
     value_learning,
 )

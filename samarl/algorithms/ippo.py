@@ -9,6 +9,7 @@ from torchrl.objectives.multiagent import IPPOLoss
 from mrsan.fields import setting
 from samarl.algorithms.algorithm import ALGORITHMS
 from samarl.algorithms.critics import CriticEncoder
+from samarl.algorithms.on_policy import OnPolicyConfig
 from samarl.algorithms.ppo import PPO, PPOConfig
 from samarl.observations.features import NETWORK_EGO_FEATURES, NETWORK_OTHER_FEATURES
 from samarl.observations.frames import Frames
@@ -31,13 +32,14 @@ class IPPO(PPO):
 
     config: IPPOConfig
     loss_class = IPPOLoss
+    uses_global_state = False
 
     def __init__(self, policy: Policy, config: IPPOConfig) -> None:
         """See `PPO`."""
         super().__init__(policy, config)
         self.reward_shaping.team_bonus = config.team_reward
 
-    def _make_critic(self, config: PPOConfig) -> CriticEncoder:
+    def _make_critic_encoder(self, config: OnPolicyConfig) -> CriticEncoder:
         sizes = config.critic_width, config.critic_features
         return CriticEncoder(NETWORK_EGO_FEATURES, NETWORK_OTHER_FEATURES, *sizes)
 

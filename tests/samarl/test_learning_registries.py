@@ -133,7 +133,7 @@ def test_every_name_trains_and_its_checkpoint_drives_as_before(choice: str, tmp_
 @pytest.mark.parametrize(
     ("kind", "values", "message"),
     [
-        ("encoder", {"name": "os.system"}, r"encoder\.name .*os\.system.*gru, pairwise, social"),
+        ("encoder", {"name": "os.system"}, r"encoder\.name .*os\.system.*gru, pairwise, set_pool"),
         ("policy", {"name": None}, r"policy\.name .*None.*flat"),
         ("encoder", {"name": "gru", "width": 8, "wdith": 8}, r"encoder\.wdith"),
         ("encoder", {"name": "gru", "width": 0, "features": 8}, r"encoder\.width .*0.* \[?\d+"),
