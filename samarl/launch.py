@@ -1,18 +1,27 @@
 """Number and rank of the processes of one training.
 
-`torchrun`, or the launcher of a cluster, starts a command several times and sets the environment
-variables `RANK`, `WORLD_SIZE`, `LOCAL_RANK`, `MASTER_ADDR` and `MASTER_PORT` of each process.
+`trainer.processes`, `torchrun` or the launcher of a cluster starts a command several times and sets
+the environment variables `RANK`, `WORLD_SIZE`, `LOCAL_RANK`, `MASTER_ADDR` and `MASTER_PORT` of
+each process.
 """
 
 from __future__ import annotations
 
+import contextlib
 import os
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any, TypeVar
 
 from mrsan import ConfigurationError
 
 T = TypeVar("T")
+
+SHUTDOWN_SECONDS = 10.0  # for which the other processes may end by themselves
+COPIES = "SAMARL_COPIES"  # environment variable, set where `copies` started the processes
 
 
 def world_size() -> int:
@@ -27,9 +36,56 @@ def rank() -> int:
 
 def launcher() -> list[str]:
     """Return the prefix of a command line that starts it in the same number of processes."""
-    if world_size() == 1:
+    if world_size() == 1 or COPIES in os.environ:
         return []
     return ["torchrun", "--nproc-per-node", str(world_size()), "--no-python"]
+
+
+@contextlib.contextmanager
+def copies(number: int, module: str, arguments: Sequence[str]) -> Iterator[None]:
+    """Run a command in several processes on this machine: this one, and copies that it starts.
+
+    Nothing is started where the processes exist already, as under `torchrun`.
+
+    Args:
+        number: of processes.
+        module: that runs the command, as in `python -m module`.
+        arguments: of the command.
+    """
+    if number == 1 or world_size() > 1:
+        yield
+        return
+    with socket.socket() as listener:
+        listener.bind(("127.0.0.1", 0))
+        port = listener.getsockname()[1]
+    shared = {
+        "WORLD_SIZE": str(number),
+        "MASTER_ADDR": "127.0.0.1",
+        "MASTER_PORT": str(port),
+        COPIES: str(number),
+    }
+    command = [sys.executable, "-m", module, *arguments]
+    own = {**shared, "RANK": "0", "LOCAL_RANK": "0"}
+    before = {name: os.environ.get(name) for name in own}
+    started = [
+        subprocess.Popen(
+            command,
+            env={**os.environ, **shared, "RANK": str(i), "LOCAL_RANK": str(i)},
+            stdin=subprocess.DEVNULL,
+        )
+        for i in range(1, number)
+    ]
+    os.environ.update(own)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            os.environ.pop(name) if value is None else os.environ.update({name: value})
+        for process in started:
+            try:
+                process.wait(timeout=SHUTDOWN_SECONDS)
+            except subprocess.TimeoutExpired:
+                process.kill()
 
 
 def local_device(device: str) -> str:

@@ -1,11 +1,15 @@
-"""REPPO: on-policy learning with action values instead of advantages.
+"""REPPO: on-policy learning with action values instead of advantages of what was done.
 
-Relative Entropy Pathwise Policy Optimization (Voelcker et al., 2025): a categorical critic learns
-Q(s, a) from multi-step returns of the newest rollout alone, the policy follows the gradient of Q
-through its own actions, and a KL bound keeps it near the policy that collected the rollout. Here
-every level of a policy has its Q, whose input is the true state of the team and the robot's own
-action. As the standard deviation of the actors does not depend on the state, it follows a schedule
-and there is no entropy bonus.
+Relative Entropy Pathwise Policy Optimization (Voelcker et al., 2025): critics learn Q(s, a) from
+multi-step returns of the newest rollout alone, with a categorical loss; the policy follows the
+gradient of Q through its own actions; and a KL bound keeps it near the policy that collected the
+rollout. What differs here:
+
+- Q(s, a) = V(s) + A(s, a), where V is categorical and A is a regression on normalised advantages: a
+  single action changes a return by less than the width of a category.
+- Every level of a policy has its Q, of the true state of the team and the robot's own action.
+- The standard deviation of the actors does not depend on the state. It follows the schedule of
+  `OnPolicy`, so there is no entropy bonus.
 """
 
 from __future__ import annotations
@@ -31,6 +35,7 @@ from samarl.algorithms.on_policy import (
     selected_decisions,
 )
 from samarl.algorithms.training_data import TrainingData
+from samarl.distributed import all_gather_cat
 from samarl.policies.policy import LOCAL, MACRO, Policy
 from samarl.rollout import Rollout, level_key
 
@@ -48,46 +53,57 @@ class REPPOConfig(OnPolicyConfig):
     kl_bound: float = required(0.0, 100.0, help="largest KL divergence from the old policy")
 
 
-class CategoricalCritic(nn.Module):
-    """Q(s, a) as the mean of a histogram over returns, learned by cross-entropy (HL-Gauss)."""
+class DuelingCritic(nn.Module):
+    """V(s) as the mean of a histogram over returns, and the normalised advantage A(s, a)."""
 
     centers: Tensor
 
-    def __init__(self, inputs: int, hidden: int, config: REPPOConfig) -> None:
-        """Create the layers; `inputs` counts the features of the state and the action."""
+    def __init__(self, inputs: int, actions: int, hidden: int, config: REPPOConfig) -> None:
+        """Create the layers.
+
+        Args:
+            inputs: length of the features of the state.
+            actions: length of an action.
+            hidden: width of the hidden layers.
+            config: with the categories.
+        """
         super().__init__()
-        self.body = nn.Sequential(
-            nn.Linear(inputs, hidden),
-            nn.LayerNorm(hidden),
-            nn.SiLU(),
-            nn.Linear(hidden, hidden),
-            nn.LayerNorm(hidden),
-            nn.SiLU(),
-            nn.Linear(hidden, config.bins),
-        )
-        width = (config.value_max - config.value_min) / config.bins
-        centers = config.value_min + width * (torch.arange(config.bins) + 0.5)
+        self.value_body = _mlp(inputs, hidden, config.bins)
+        self.advantage_body = _mlp(inputs + actions, hidden, 1)
+        self.width = (config.value_max - config.value_min) / config.bins
+        centers = config.value_min + self.width * (torch.arange(config.bins) + 0.5)
         self.register_buffer("centers", centers)
-        self.width = width
 
-    def forward(self, *inputs: Tensor) -> Tensor:
-        """Return the logits of the histogram, [..., bins]."""
-        logits: Tensor = self.body(torch.cat(inputs, -1))
-        return logits
+    def value(self, features: Tensor) -> Tensor:
+        """Return V [...] for features [..., F]."""
+        value: Tensor = self.value_body(features).softmax(-1) @ self.centers
+        return value
 
-    def value(self, logits: Tensor) -> Tensor:
-        """Return the mean of a histogram, [...]."""
-        return logits.softmax(-1) @ self.centers
+    def advantage(self, features: Tensor, action: Tensor) -> Tensor:
+        """Return A [...] for features [..., F] and actions [..., A]."""
+        advantage: Tensor = self.advantage_body(torch.cat([features, action], -1)).squeeze(-1)
+        return advantage
 
-    def loss(self, logits: Tensor, target: Tensor) -> Tensor:
-        """Return the cross-entropy with a Gaussian around each target [R], cut at the ends."""
+    def value_loss(self, features: Tensor, target: Tensor) -> Tensor:
+        """Return the cross-entropy with a Gaussian around each return [R] (HL-Gauss)."""
         edges = torch.cat([self.centers - self.width / 2, self.centers[-1:] + self.width / 2])
         target = target.clamp(float(edges[0]), float(edges[-1])).unsqueeze(-1)
-        scale = SMOOTHING * self.width * math.sqrt(2.0)
-        cumulative = torch.erf((edges - target) / scale)
+        cumulative = torch.erf((edges - target) / (SMOOTHING * self.width * math.sqrt(2.0)))
         share = cumulative[:, 1:] - cumulative[:, :-1]
         share = share / (cumulative[:, -1:] - cumulative[:, :1])
-        return -(share * logits.log_softmax(-1)).sum(-1).mean()
+        return -(share * self.value_body(features).log_softmax(-1)).sum(-1).mean()
+
+
+def _mlp(inputs: int, hidden: int, outputs: int) -> nn.Sequential:
+    return nn.Sequential(
+        nn.Linear(inputs, hidden),
+        nn.LayerNorm(hidden),
+        nn.SiLU(),
+        nn.Linear(hidden, hidden),
+        nn.LayerNorm(hidden),
+        nn.SiLU(),
+        nn.Linear(hidden, outputs),
+    )
 
 
 @ALGORITHMS.register("reppo", REPPOConfig)
@@ -95,7 +111,7 @@ class REPPO(OnPolicy):
     """The critic of a robot sees the global state and the robot's action."""
 
     config: REPPOConfig
-    heads: Mapping[str, CategoricalCritic]  # type: ignore[assignment]
+    heads: Mapping[str, DuelingCritic]  # type: ignore[assignment]
 
     def __init__(self, policy: Policy, config: REPPOConfig) -> None:
         """See `OnPolicy`.
@@ -112,14 +128,14 @@ class REPPO(OnPolicy):
         for level in policy.levels:
             self.register_buffer(f"kl_weight_log_{level}", torch.zeros((), device=policy.device))
 
-    def _make_head(self, level: str, inputs: int) -> CategoricalCritic:
+    def _make_head(self, level: str, inputs: int) -> DuelingCritic:
         actions = self.policy.action_sizes()[level]
-        return CategoricalCritic(inputs + actions, self.config.critic_features, self.config)
+        return DuelingCritic(inputs, actions, self.config.critic_features, self.config)
 
     def _level_batches(
         self, rollouts: list[Rollout], statistics: Statistics
     ) -> list[dict[str, TensorDict]]:
-        """See `OnPolicy.prepare`; each level has its old distribution and the targets of Q."""
+        """See `OnPolicy.prepare`; each level has its old distribution and the critic's targets."""
         batches = []
         for rollout in rollouts:
             features, old = self._critic_features(rollout), self._distributions(rollout)
@@ -130,13 +146,16 @@ class REPPO(OnPolicy):
                 }
             )
         for level in self.policy.levels:
-            target, value = (
-                torch.cat([batch[level][key][batch[level]["valued"]] for batch in batches])
-                for key in ("value_target", "state_value")
+            of_level = [batch[level] for batch in batches]
+            advantage, target = (
+                all_gather_cat(torch.cat([data[key][data["valued"]] for data in of_level]))
+                for key in ("advantage", "value_target")
             )
             if len(target) > 1:
-                unexplained = (target - value).var() / target.var().clamp_min(1e-8)
+                unexplained = advantage.var() / target.var().clamp_min(1e-8)
                 statistics[f"losses/{level}_explained_variance"].append(1.0 - float(unexplained))
+                for data in of_level:
+                    data["advantage"] = (data["advantage"] - advantage.mean()) / advantage.std()
         return batches
 
     def _distributions(self, rollout: Rollout) -> dict[str, tuple[Tensor, Tensor]]:
@@ -169,25 +188,21 @@ class REPPO(OnPolicy):
         of_level, stream = rollout.steps[level_key(level)], streams(rollout.steps)
         reward = rollout.steps["next", *level_key(level), "reward"][:, :-1]
         data = self._level_data(level, rollout)
-        active = rollout.steps["agents", "active_mask"].unsqueeze(-1)
-        action, waypoint = of_level["action"], []
-        if level == MACRO:  # where no waypoint was chosen, the value is that of a new choice
-            chosen = of_level["decision_mask"].unsqueeze(-1)
-            action = torch.where(chosen, action, mean + std * torch.randn_like(mean))
-        elif "waypoint_features" in data:
-            waypoint = [of_level["waypoint_features"]]
-        action = action.clamp(-1.0, 1.0) * active
-        value = head.value(head(features, *waypoint, action))
+        if level == LOCAL and "waypoint_features" in data:
+            features = torch.cat([features, of_level["waypoint_features"]], -1)
+        value = head.value(features)
         if level == MACRO:
             decided = of_level["decision_mask"][:, :-1]
-            _, target, valued = macro_advantages(
+            advantage, target, valued = macro_advantages(
                 stream, decided, reward, value, c.discount, c.gae_lambda
             )
             data |= {"decides": valued & decided, "valued": valued}
         else:
-            _, target = step_advantages(stream, reward, value, c.local_discount, c.gae_lambda)
+            advantage, target = step_advantages(
+                stream, reward, value, c.local_discount, c.gae_lambda
+            )
             data |= {"decides": stream.acts, "valued": stream.counts}
-        data |= {"executed": action[:, :-1], "value_target": target, "state_value": value[:, :-1]}
+        data |= {"advantage": advantage, "value_target": target}
         return data | {"old_mean": mean[:, :-1], "old_std": std[:, :-1]}
 
     def _loss(self, data: TrainingData, statistics: Statistics, divergence: list[float]) -> Tensor:
@@ -208,11 +223,9 @@ class REPPO(OnPolicy):
                 continue
             mean, std = self.policy.distribution(level, decisions["embedding"], decisions["row"])
             action = (mean + std * torch.randn_like(mean)).clamp(-1.0, 1.0)
-            inputs = [features[decisions["sample"]]]
-            if level == LOCAL and "waypoint_features" in decisions:
-                inputs.append(decisions["waypoint_features"])
+            state = _with_waypoint(features[decisions["sample"]], decisions)
             head = self.heads[level].requires_grad_(False)  # the gradient is that of the action
-            value = head.value(head(*inputs, action))
+            value = head.advantage(state, action)
             head.requires_grad_(True)
             kl = gaussian_kl(decisions["old_mean"], decisions["old_std"], mean, std)
             weight_log = getattr(self, f"kl_weight_log_{level}")
@@ -232,7 +245,7 @@ class REPPO(OnPolicy):
         return total
 
     def _critic_loss(self, data: TrainingData, statistics: Statistics) -> Tensor:
-        """Return the cross-entropy between the critics and their targets."""
+        """Return the loss of V over all steps, and of A where something was decided."""
         row, step = data.levels[LOCAL]["valued"].nonzero(as_tuple=True)
         features = self.encoder(data.critic_frames.map(lambda x: x[row, step]))
         total = features.new_zeros(())
@@ -241,14 +254,21 @@ class REPPO(OnPolicy):
             index = samples["valued"].nonzero().squeeze(1)
             if len(index) == 0:
                 continue
-            samples, inputs = samples[index], [features[index]]
-            if level == LOCAL and "waypoint_features" in samples:
-                inputs.append(samples["waypoint_features"])
-            logits = self.heads[level](*inputs, samples["executed"])
-            loss = self.heads[level].loss(logits, samples["value_target"])
-            total = total + loss
-            statistics[f"losses/{level}_critic"].append(float(loss.detach()))
+            samples, head = samples[index], self.heads[level]
+            state = _with_waypoint(features[index], samples)
+            value_loss = head.value_loss(state, samples["value_target"])
+            advantage = head.advantage(state, samples["action"].clamp(-1.0, 1.0))
+            error = (advantage - samples["advantage"]).square() * samples["decides"]
+            total = total + value_loss + error.mean()
+            statistics[f"losses/{level}_critic"].append(float(value_loss.detach()))
+            statistics[f"losses/{level}_advantage_error"].append(float(error.detach().mean()))
         return total
+
+
+def _with_waypoint(features: Tensor, samples: TensorDict) -> Tensor:
+    """Return the critic's features [R, ...] with the waypoint, if the level has one."""
+    waypoint = samples.get("waypoint_features", None)
+    return features if waypoint is None else torch.cat([features, waypoint], -1)
 
 
 def gaussian_kl(old_mean: Tensor, old_std: Tensor, mean: Tensor, std: Tensor) -> Tensor:

@@ -5,17 +5,19 @@ from __future__ import annotations
 import logging
 import shlex
 import signal
+import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from hydra.core.hydra_config import HydraConfig
+from hydra.types import RunMode
 from omegaconf import MISSING, DictConfig, OmegaConf
 
 from mrsan import ConfigurationError
 from mrsan.fields import check_numbers
 from samarl.commands.cli import command_line, run_command
-from samarl.launch import launcher, rank
+from samarl.launch import copies, launcher, rank
 from samarl.registry import checked_fields
 from samarl.training.curriculum import CurriculumStage, check_stages
 
@@ -56,6 +58,18 @@ def train(config: DictConfig) -> None:
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # like Ctrl-C
     if config.resume is not None:
         config = resumed_config(config)
+    processes = settings_in(config).trainer.processes
+    if processes > 1 and HydraConfig.get().mode is RunMode.MULTIRUN:
+        raise ConfigurationError(
+            f"trainer.processes is {processes}; it must be 1 in a sweep, which runs its cells side "
+            "by side"
+        )
+    with copies(processes, "samarl.commands.train", sys.argv[1:]):
+        _run(config)
+
+
+def _run(config: DictConfig) -> None:
+    """Train in this process, of possibly several."""
     trainer = build_trainer(config, command_line("samarl-train"))
     logging.getLogger("torchrl").setLevel(logging.WARNING)  # it logs every replay buffer
     resume_command = shlex.join([*launcher(), "samarl-train", f"resume={trainer.run_dir.folder}"])

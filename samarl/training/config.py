@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from mrsan.fields import required, setting
+from mrsan.fields import number, required, setting
 from samarl.training.curriculum import CurriculumStage
 from samarl.training.resume import RESUME_OVERRIDABLE
 
@@ -28,6 +28,7 @@ class TrainerConfig:
     ema_decay: float = required(
         0.0, 0.9999, help="decay of the moving average of the weights, per update"
     )
+    processes: int = number(1, 1, 256, help="processes that train together on this machine")
     device: str = setting("cpu", help="device of the networks; the simulation runs on the CPU")
     bfloat16: bool = setting(False, help="encode with bfloat16")
     compile: bool = setting(False, help="compile the encoders (needs a C++ compiler)")

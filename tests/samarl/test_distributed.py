@@ -6,6 +6,7 @@ import multiprocessing
 import os
 import signal
 import socket
+import subprocess
 import sys
 import time
 from collections.abc import Callable
@@ -30,10 +31,11 @@ from samarl.launch import launcher, per_process, rank
 from samarl.rollout import Rollout
 from samarl.training.config import TrainerConfig
 from samarl.training.curriculum import CurriculumStage
-from samarl.training.run_dir import LAST, STATE
+from samarl.training.run_dir import LAST, STATE, read_progress
 from samarl.training.trainer import Trainer
 from tests.learning import (
     PPO_NUMBERS,
+    REPPO_NUMBERS,
     SOFT_NUMBERS,
     VALUE_NUMBERS,
     algorithm,
@@ -165,6 +167,7 @@ LEARNERS: dict[str, tuple[str, str, dict[str, Any]]] = {
         "gru",
         FEW_EPOCHS,
     ),
+    "reppo": ("flat", "gru", REPPO_NUMBERS),
     "value_learning": ("lookahead", "pairwise", VALUE_NUMBERS),
     "soft_actor_critic": ("squashed", "gru", SOFT_NUMBERS),
 }
@@ -303,3 +306,16 @@ def test_numbers_that_cannot_be_divided_are_refused(monkeypatch: pytest.MonkeyPa
     )
     with pytest.raises(ConfigurationError, match=r"^trainer.device is 'mps'; with several proc"):
         init_process_group("mps")
+
+
+def test_a_command_starts_its_own_processes(tmp_path: Path) -> None:
+    arguments = [*COMMAND[1:], "trainer.processes=2", "trainer.steps=64"]
+    command = [sys.executable, "-m", "samarl.commands.train", *arguments]
+    for steps in (64, 96):  # the second continues the run of the first
+        command[-1] = f"trainer.steps={steps}"
+        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+        assert done.stdout.count("written to run") == 1
+        assert read_progress(tmp_path / "run")["steps_done"] == steps
+    assert "resuming at step 64 of 96" in done.stdout
+    assert read_progress(tmp_path / "run")["world_size"] == 2
