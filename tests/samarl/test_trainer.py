@@ -57,10 +57,10 @@ def rounds(of: Trainer, number: int) -> Trainer:
 def test_a_run_goes_on_bit_for_bit_with_worlds_that_are_taken_back(
     encoder: str, tmp_path: Path
 ) -> None:
-    numbers: dict[str, Any] = {"policy": policy_numbers(encoder=encoder), "steps": 800}
-    whole = rounds(trainer(tmp_path / "whole", **numbers), 6)
+    numbers: dict[str, Any] = {"policy": policy_numbers(encoder=encoder), "steps": 900}
+    whole = rounds(trainer(tmp_path / "whole", **numbers), 7)
     whole.save()
-    cut = rounds(trainer(tmp_path / "cut", **numbers), 4)
+    cut = rounds(trainer(tmp_path / "cut", **numbers), 5)
     assert sum(int((~c.fresh).sum()) for c in cut.collectors) > 0  # some have been taken back
     cut.save()
     shutil.copytree(tmp_path / "cut", tmp_path / "again")
