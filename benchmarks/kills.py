@@ -41,6 +41,7 @@ TRAINING = [
     "trainer.rollout=8",
     "trainer.threads=1",
     "encoder.width=8",
+    "encoder=spatio_temporal",
     "encoder.heads=1",
     "encoder.history=3",
     "encoder.features=8",

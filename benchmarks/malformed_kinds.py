@@ -66,6 +66,7 @@ MINIMAL = {  # so that accidentally valid command lines are accepted quickly
     "train": [
         "run_dir=out",
         "encoder.width=8",
+        "encoder=spatio_temporal",
         "encoder.heads=1",
         "encoder.features=8",
         "policy.hidden=8",
@@ -76,6 +77,7 @@ MINIMAL = {  # so that accidentally valid command lines are accepted quickly
 RUN = [
     "run_dir=run",
     "encoder.width=8",
+    "encoder=spatio_temporal",
     "encoder.heads=1",
     "encoder.history=2",
     "encoder.features=8",

@@ -140,8 +140,8 @@ class OnPolicy(Algorithm):
         """Return the steps [B, T] of each rollout from which the policy learns."""
         return [batch[LOCAL]["decides"] for batch in batches]
 
-    def _should_stop(self, divergence: list[float]) -> bool:
-        """Return whether to stop after an epoch with these KL divergences."""
+    def _finish_epoch(self, divergence: list[float]) -> bool:
+        """Return whether to stop after an epoch with these KL divergences of all processes."""
         return False
 
     def set_progress(self, share: float) -> None:
@@ -231,7 +231,7 @@ class OnPolicy(Algorithm):
                         (loss * (len(part.robot) / rows)).backward()
                 self._descend(statistics)
             divergence = [value for values in all_gather_object(divergence) for value in values]
-            if self._should_stop(divergence):
+            if self._finish_epoch(divergence):
                 break
 
     def _descend(self, statistics: Statistics) -> None:

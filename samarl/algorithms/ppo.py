@@ -180,7 +180,7 @@ class PPO(OnPolicy):
             selected = [chosen | more for chosen, more in zip(selected, corrected, strict=True)]
         return selected
 
-    def _should_stop(self, divergence: list[float]) -> bool:
+    def _finish_epoch(self, divergence: list[float]) -> bool:
         mean = sum(divergence) / max(len(divergence), 1)
         return self.config.target_kl is not None and mean > self.config.target_kl
 

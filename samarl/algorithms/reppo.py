@@ -40,7 +40,7 @@ from samarl.policies.policy import LOCAL, MACRO, Policy
 from samarl.rollout import Rollout, level_key
 
 SMOOTHING = 0.75  # standard deviation of the targets' histogram in bins (Farebrother et al., 2024)
-KL_WEIGHT_RATE = 0.01  # learning rate of the logarithm of the weight of the KL divergence
+KL_WEIGHT_RATE = 0.1  # largest change of the logarithm of the KL divergence's weight per epoch
 
 
 @dataclass
@@ -112,6 +112,7 @@ class REPPO(OnPolicy):
 
     config: REPPOConfig
     heads: Mapping[str, DuelingCritic]  # type: ignore[assignment]
+    kl_weight_log: Tensor
 
     def __init__(self, policy: Policy, config: REPPOConfig) -> None:
         """See `OnPolicy`.
@@ -125,8 +126,7 @@ class REPPO(OnPolicy):
                 f"algorithm.value_max ({config.value_max})"
             )
         super().__init__(policy, config)
-        for level in policy.levels:
-            self.register_buffer(f"kl_weight_log_{level}", torch.zeros((), device=policy.device))
+        self.register_buffer("kl_weight_log", torch.zeros((), device=policy.device))
 
     def _make_head(self, level: str, inputs: int) -> DuelingCritic:
         actions = self.policy.action_sizes()[level]
@@ -228,13 +228,8 @@ class REPPO(OnPolicy):
             value = head.advantage(state, action)
             head.requires_grad_(True)
             kl = gaussian_kl(decisions["old_mean"], decisions["old_std"], mean, std)
-            weight_log = getattr(self, f"kl_weight_log_{level}")
-            with torch.no_grad():  # the weight rises while the divergence is too large
-                excess = (kl.mean() / self.config.kl_bound - 1.0).clamp(-1.0, 1.0)
-                weight_log.add_(KL_WEIGHT_RATE * excess)
-                weight_log.clamp_(-5.0, 5.0)
             within = kl.detach() < self.config.kl_bound
-            objective = torch.where(within, -value, weight_log.exp() * kl)
+            objective = torch.where(within, -value, self.kl_weight_log.exp() * kl)
             total = total + len(decisions) / steps * objective.mean()
             divergence.append(float(kl.detach().mean()))
             statistics[f"losses/{level}_kl"].append(divergence[-1])

@@ -20,6 +20,7 @@ from samarl.files import find_folder
 ONE = ["evaluation.cases=1", "scenario.humans=0", "scenario.robots=1"]
 TINY = [
     "encoder.width=8",
+    "encoder=spatio_temporal",
     "encoder.heads=1",
     "encoder.history=2",
     "encoder.features=8",

@@ -31,6 +31,7 @@ SMALL = [
     "{worlds: 8, scenario: {humans: 3, robots: 3, fov_degrees: 90}, begin: 0.5,"
     "midway_start_probability: 0.5, failure_restart_probability: 0.5, noise_correlation: 0.5}]",
     "encoder.width=8",
+    "encoder=spatio_temporal",
     "encoder.heads=1",
     "encoder.history=3",
     "encoder.features=8",
