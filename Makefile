@@ -28,8 +28,8 @@ lint: setup ## Check style and types
 	@$(BIN)/ruff check . && $(BIN)/ruff format --check .
 	@$(BIN)/mypy
 
-train: setup ## Train SAMARL with the default recipe, or resume an interrupted training (an hour)
-	@$(BIN)/samarl-train
+train: setup ## Train SAMARL's two levels on two cores, or resume an interrupted training (20 minutes)
+	@$(BIN)/samarl-train trainer.processes=2 trainer.threads=1
 
 results: setup ## Rewrite results/ and the README's tables and pictures (RECORDINGS=folder of recordings)
 	@$(BIN)/python -m tools.rewrite_results $(if $(RECORDINGS),--recordings $(RECORDINGS))
