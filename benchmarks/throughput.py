@@ -38,6 +38,9 @@ BY_WORLDS = (1, 64, 512, 4096)
 BY_HUMANS = (0, 1, 2, 5, 10, 20, 40, 64)
 BY_ROBOTS = (1, 2, 3, 5, 8, 16)
 
+# Places with walls: the layout, and the number of rays of the lidar.
+BY_PLACE = (("circle", 0), ("doorway", 0), ("rooms", 0), ("rooms", 72), ("pillars", 0))
+
 _REPETITIONS = 5
 _STARTS = 3  # processes timed for the start from the cache
 _FIRST_STEP = f"""
@@ -69,7 +72,7 @@ def measure(seconds: float, with_compile: bool) -> dict[str, Any]:
         seconds: the duration of the measurement of each point.
         with_compile: also time a first start without compiled kernels (a minute).
     """
-    points = len(BY_WORLDS) + len(BY_HUMANS) + len(BY_ROBOTS) + 3
+    points = len(BY_WORLDS) + len(BY_HUMANS) + len(BY_ROBOTS) + len(BY_PLACE) + 3
     with tqdm(total=points, desc="throughput", unit="point", disable=None) as bar:
 
         def point(worlds: int, humans: int, robots: int) -> Point:
@@ -82,6 +85,13 @@ def measure(seconds: float, with_compile: bool) -> dict[str, Any]:
         by_worlds = [point(worlds, HUMANS, ROBOTS) for worlds in BY_WORLDS]
         by_humans = [point(WORLDS, humans, ROBOTS) for humans in BY_HUMANS]
         by_robots = [point(WORLDS, HUMANS, robots) for robots in BY_ROBOTS]
+        by_place = []
+        for layout, rays in BY_PLACE:
+            bar.set_postfix_str(f"{layout}, {rays} rays")
+            stepper = RandomStepper(WORLDS, HUMANS, ROBOTS, layout=layout, lidar_rays=rays)
+            rates = [rate * WORLDS for rate in steps_per_second(stepper.step, seconds)]
+            by_place.append({"place": layout, "rays": rays} | _point(WORLDS, HUMANS, ROBOTS, rates))
+            bar.update()
         bar.set_postfix_str("PettingZoo")
         pettingzoo = _point(1, HUMANS, ROBOTS, steps_per_second(_pettingzoo_step(), seconds))
         bar.update()
@@ -96,6 +106,7 @@ def measure(seconds: float, with_compile: bool) -> dict[str, Any]:
         "by_worlds": by_worlds,
         "by_humans": by_humans,
         "by_robots": by_robots,
+        "by_place": by_place,
         "pettingzoo": pettingzoo,
         "start": start,
         "seconds_per_point": seconds,
@@ -133,12 +144,21 @@ def format_tables(result: dict[str, Any]) -> str:
         _table(key, result[f"by_{key}"], text, of_all_worlds=key == "worlds")
         for key, text in scaling_laws.items()
     ]
+    places = markdown_table(
+        ("place", "lidar rays", "world-steps/s", "smallest", "largest"),
+        [
+            [p["place"], str(p["rays"])]
+            + [f"{p[name]:,.0f}" for name in ("world_steps_per_second", "min", "max")]
+            for p in result["by_place"]
+        ],
+    )
     compiled = "not measured (--compile)" if compile_seconds is None else f"{compile_seconds} s"
     return "\n\n".join(
         [
             f"Full step, {WORLDS} worlds, {HUMANS} humans, {ROBOTS} robots: "
             f"{_range(full)} world-steps/s",
             *tables,
+            places,
             f"PettingZoo, one world: {_range(pettingzoo)} steps/s\n"
             "From process start to the first step, with cached kernels: "
             f"{start['from_cache_seconds']} s\nThe same without cached kernels: {compiled}",
@@ -244,7 +264,7 @@ def _parse() -> argparse.Namespace:
         "--seconds",
         type=positive_number,
         default=2.0,
-        help="duration of the measurement of each of the 20 points (default: 2)",
+        help="duration of the measurement of each of the 25 points (default: 2)",
     )
     parser.add_argument(
         "--compile",

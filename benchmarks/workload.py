@@ -9,6 +9,7 @@ import shlex
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,9 +25,16 @@ _BATCHES = 16  # of random actions, used in turn, so that drawing them is not me
 class RandomStepper:
     """Steps E worlds, which reset automatically, with random actions."""
 
-    def __init__(self, worlds: int, humans: int = 10, robots: int = 3) -> None:
-        """Create the worlds, compile their kernels and let their episodes drift apart."""
-        scenario = Scenario(humans=humans, robots=robots)
+    def __init__(self, worlds: int, humans: int = 10, robots: int = 3, **fields: Any) -> None:
+        """Create the worlds, compile their kernels and let their episodes drift apart.
+
+        Args:
+            worlds: their number E.
+            humans: number of people.
+            robots: number of robots.
+            **fields: other fields of the scenario.
+        """
+        scenario = Scenario(humans=humans, robots=robots, **fields)
         self.world = World(scenario, worlds, auto_reset=True)
         self.world.reset(np.arange(worlds))
         generator = np.random.default_rng(0)

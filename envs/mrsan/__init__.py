@@ -9,14 +9,15 @@ let_threads_sleep()  # before anything loads OpenMP
 ensure_compile_cache()  # before anything is compiled
 
 from mrsan.cases import Split
-from mrsan.choices import Crowd, Kinematics, Layout, TeamPerception
+from mrsan.choices import Crowd, Kinematics, Layout, LidarSees, TeamPerception
 from mrsan.crowds import register_crowd
 from mrsan.features import EGO_FEATURES, OTHER_FEATURES
 from mrsan.fields import ConfigurationError
 from mrsan.metrics import Episodes, Outcome, social_score
 from mrsan.observation import Entities, Observation
-from mrsan.reward import RewardParts
-from mrsan.scenario import Reward, Scenario
+from mrsan.place import Place
+from mrsan.reward import Reward, RewardParts
+from mrsan.scenario import Scenario
 from mrsan.sensors import EntitySensor, ValueSensor, register_sensor
 from mrsan.state import State
 from mrsan.world import ActionError, Step, World
@@ -34,8 +35,10 @@ __all__ = [
     "Episodes",
     "Kinematics",
     "Layout",
+    "LidarSees",
     "Observation",
     "Outcome",
+    "Place",
     "Reward",
     "RewardParts",
     "Scenario",

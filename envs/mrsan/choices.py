@@ -26,6 +26,21 @@ class Layout(Enum):
     opposite = layout_kernel.OPPOSITE  # people in two streams along one band
     square = layout_kernel.SQUARE  # people anywhere on a square floor
     mixed = layout_kernel.MIXED  # one of these four, drawn per episode
+    doorway = layout_kernel.DOORWAY  # two rooms with an opening in the wall between them
+    corridor = layout_kernel.CORRIDOR  # two rooms joined by a corridor
+    intersection = layout_kernel.INTERSECTION  # four arms
+    corner = layout_kernel.CORNER  # two arms with a blind corner
+    rooms = layout_kernel.ROOMS  # a grid of rooms with doors
+    pillars = layout_kernel.PILLARS  # a floor with boxes and round pillars
+    places = layout_kernel.PLACES  # one of these six, drawn per episode
+    map = layout_kernel.MAP  # anywhere on the floor of `Scenario.map`
+
+
+class LidarSees(Enum):
+    """What stops the rays of a lidar."""
+
+    walls = 0
+    all = 1  # also people and robots
 
 
 class TeamPerception(Enum):

@@ -31,8 +31,23 @@ def check_consistency(s: Scenario) -> None:
             "scenario.crowd is recorded; then scenario.robots_visible must be false and "
             "scenario.arena_radius null: recorded people react neither to robots nor to walls"
         )
+    _check_walls(s)
     if s.arena_radius is not None:
         _check_arena(s, s.arena_radius)
+
+
+def _check_walls(s: Scenario) -> None:
+    """Check the settings of places with walls."""
+    if (s.map is not None) != (s.layout is Layout.map):
+        raise ConfigurationError(
+            f"scenario.map is {s.map!r} and scenario.layout is {s.layout.name}; layout must be map "
+            "with a map file, and only then"
+        )
+    if s.has_walls and s.arena_radius is not None:
+        raise ConfigurationError(
+            f"scenario.arena_radius is {s.arena_radius}; it must be null with walls (scenario."
+            f"layout {s.layout.name})"
+        )
 
 
 def _layouts(s: Scenario) -> list[Layout]:
@@ -47,7 +62,7 @@ def _check_order(s: Scenario) -> None:
     """Check that no smallest value exceeds the largest one, where both apply."""
     layouts, simulated = _layouts(s), s.crowd != Crowd.recorded
     circle = Layout.circle in layouts
-    floor = any(layout is not Layout.circle for layout in layouts)
+    floor = any(Layout.circle.value < layout.value < Layout.mixed.value for layout in layouts)
     walking = simulated and s.crowd != Crowd.still
     for low, high, applies in (
         ("humans_min", "humans", simulated),

@@ -28,6 +28,7 @@ from mrsan.kernels.people import (
     walk_to_goals,
 )
 from mrsan.kernels.step import advance
+from mrsan.kernels.walled import progress_along_route, robot_touches_wall, walk_along_routes
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -61,12 +62,14 @@ def register_crowd(name: str, settings: type | None = None) -> Callable[[F], F]:
       `Scenario.robots_visible`, of the robots; radii include `Scenario.human_safety_space`;
     - `count`: the number of rows;
     - `i`: the row of the person;
-    - `preferred_x`, `preferred_y`: the velocity straight to the goal at the preferred speed, or
-      zero for a person who stands;
+    - `preferred_x`, `preferred_y`: the velocity straight to the goal, or to the next corner of the
+      route, at the preferred speed; zero for a person who stands;
     - `max_speed`: the preferred speed;
     - `p`: the scenario's parameters, such as `p.time_step`;
     - `settings`: the model's own settings, such as `settings.reach`;
-    - `scratch`: the working arrays that `mrsan.kernels.orca.orca_room` returns.
+    - `scratch`: the working arrays that `mrsan.kernels.orca.orca_room` returns. In places with
+      walls `scratch.wall_points` holds the nearest points of the first `scratch.wall_counts[0]`
+      walls, nearest first. A velocity that would lead into a wall is changed afterwards.
 
     Args:
         name: value of `Scenario.crowd`, an identifier. A later model of the same name replaces an
@@ -234,11 +237,26 @@ def check_crowd(name: Any, settings: Any) -> None:
 
 
 @cache
-def step_kernel(model: CrowdModel) -> kernel:
-    """Return the kernel that moves worlds whose people follow a crowd model."""
+def step_kernel(model: CrowdModel, walled: bool = False) -> kernel:
+    """Return the kernel that moves worlds whose people follow a crowd model.
+
+    Args:
+        model: the crowd model.
+        walled: in places with walls.
+    """
+    if not walled:
+        return advance.variant(
+            model.variant,
+            choose_velocities=model.choose_velocities,
+            update_presence=model.update_presence,
+            crowd_velocity=model.crowd_velocity,
+        )
+    walks = model.choose_velocities is walk_to_goals
     return advance.variant(
-        model.variant,
-        choose_velocities=model.choose_velocities,
+        f"{model.variant}_walled",
+        choose_velocities=walk_along_routes if walks else model.choose_velocities,
         update_presence=model.update_presence,
         crowd_velocity=model.crowd_velocity,
+        touches_wall=robot_touches_wall,
+        route_progress=progress_along_route,
     )

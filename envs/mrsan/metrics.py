@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mrsan.kernels.step import HIT_HUMAN, HIT_ROBOT, PERSONAL_SPACE
+from mrsan.kernels.step import HIT_HUMAN, HIT_ROBOT, HIT_WALL, PERSONAL_SPACE
 from mrsan.kernels.tally import TALLY
 from mrsan.scenario import Scenario
 from mrsan.state import State
@@ -22,6 +22,7 @@ class Outcome(IntEnum):
     hit_robot = HIT_ROBOT
     timeout = 3  # had not arrived at the time limit
     interrupted = 4  # had not arrived when a team-mate collided
+    hit_wall = HIT_WALL
 
 
 class Episodes(NamedTuple):
@@ -33,6 +34,7 @@ class Episodes(NamedTuple):
     outcome: NDArray[np.int8]  # [B, N] Outcome
     path_length: NDArray[np.float64]  # [B, N] length of the path driven, m
     straight_line: NDArray[np.float64]  # [B, N] from start to goal, m
+    shortest_path: NDArray[np.float64]  # [B, N] the same round walls, m
     time: NDArray[np.float64]  # [B, N] time until arrival or the end of the episode, s
     closest_human: NDArray[np.float64]  # [B, N] surface distance, also within steps, m; or inf
     close_share: NDArray[np.float64]  # [B, N] share of steps within 0.45 m of the nearest human
@@ -47,6 +49,7 @@ class Episodes(NamedTuple):
     arrived: NDArray[np.bool_]  # [B, N] in time, regardless of collisions
     contacts: NDArray[np.float64]  # [B, N] beginnings of contacts; two robots share one
     comfort_share: NDArray[np.float64]  # [B, N] share of steps within 0.25 m of a human
+    deadlock: NDArray[np.bool_]  # [B] every driving robot stood still for 10 s
 
     @property
     def success(self) -> NDArray[np.bool_]:
@@ -74,6 +77,11 @@ class Episodes(NamedTuple):
         return (self.outcome == Outcome.hit_robot).any(axis=1)
 
     @property
+    def hit_wall(self) -> NDArray[np.bool_]:
+        """Return whether a robot hit a wall, [B]."""
+        return (self.outcome == Outcome.hit_wall).any(axis=1)
+
+    @property
     def timeout(self) -> NDArray[np.bool_]:
         """Return whether the time limit ended the episode for a robot, [B]."""
         return (self.outcome == Outcome.timeout).any(axis=1)
@@ -91,13 +99,17 @@ def episodes_of(state: State, scenario: Scenario, worlds: NDArray[np.bool_]) -> 
     tally = dict(zip(TALLY, columns, strict=True))
     per_step = dict(zip(TALLY, columns / np.maximum(tally["driven_steps"], 1.0), strict=True))
     to_goal = (state.robot_goal[rows] - state.robot_start[rows]).astype(np.float64)
+    straight_line = np.sqrt(np.square(to_goal).sum(-1))
     return Episodes(
         case=state.case[rows],
         episode=state.episode[rows],
         duration=clock.astype(np.float64) * scenario.time_step,
         outcome=outcome,
         path_length=tally["path_length"],
-        straight_line=np.sqrt(np.square(to_goal).sum(-1)),
+        straight_line=straight_line,
+        shortest_path=state.route_length[rows].astype(np.float64)
+        if scenario.has_walls
+        else straight_line,
         time=tally["driven_steps"] * scenario.time_step,
         closest_human=tally["closest_human"],
         close_share=per_step["close_steps"],
@@ -112,18 +124,19 @@ def episodes_of(state: State, scenario: Scenario, worlds: NDArray[np.bool_]) -> 
         arrived=arrived,
         contacts=tally["contacts"],
         comfort_share=per_step["comfort_steps"],
+        deadlock=(tally["deadlocks"] > 0).any(axis=1),
     )
 
 
 def social_score(episodes: Episodes) -> NDArray[np.float64]:
     """Return the social score F of each robot, [B, N], 0 to 100 (our form of SAMARL, Eq. 11).
 
-    F = 100 A (P / 2 + C / 2): A is arrival; P is the straight line over the path driven; C is half
+    F = 100 A (P / 2 + C / 2): A is arrival; P is the shortest path over the path driven; C is half
     the closest approach to a human (up to 0.45 m) and half the share of steps outside personal
     space. The paper does not define F, and its column is on another scale.
     """
     arrived = episodes.outcome == Outcome.arrived
-    path = episodes.straight_line / np.maximum(episodes.path_length, episodes.straight_line)
+    path = episodes.shortest_path / np.maximum(episodes.path_length, episodes.shortest_path)
     approach = np.clip(episodes.closest_human / PERSONAL_SPACE, 0.0, 1.0)
     comfort = 0.5 * approach + 0.5 * (1.0 - episodes.close_share)
     return 100.0 * arrived * (0.5 * path + 0.5 * comfort)

@@ -17,7 +17,8 @@ import numpy as np
 
 from mrsan.choices import Crowd, Kinematics
 from mrsan.fields import kernel_form
-from mrsan.scenario import Reward, Scenario
+from mrsan.reward import Reward
+from mrsan.scenario import Scenario
 
 # Fields that no kernel reads, or only in the form that `_derived` gives them: every number that is
 # handed over costs time in each call.
@@ -44,12 +45,23 @@ _NOT_COPIED = {
     "relaxation_time",
     "force_strength",
     "force_range",
+    "map_known",
+    "walls_hide",
+    "nearest_walls",
+    "lidar_rays",
+    "lidar_range",
+    "lidar_fov_degrees",
+    "lidar_noise",
+    "lidar_noise_share",
+    "lidar_dropout",
+    "lidar_sees",
     "reward_lookahead",
     "reward_lookahead_steps",
     "reward_lookahead_distance",
 }
 
 _f = np.float32
+DEADLOCK_TIME = 10.0  # for which every driving robot stands still, s
 
 
 def _derived(s: Scenario) -> dict[str, Any]:
@@ -73,6 +85,8 @@ def _derived(s: Scenario) -> dict[str, Any]:
         "goal_change_probability_max": _f(
             probability if probability_max is None else probability_max
         ),
+        "route_clearance": _f(s.route_clearance),
+        "deadlock_steps": _f(s.steps(DEADLOCK_TIME)),
         "late_steps": s.steps(s.late_time),
         "people_recorded": s.crowd == Crowd.recorded,
         "people_come_and_go": s.late_probability > 0 or s.leave_probability > 0,

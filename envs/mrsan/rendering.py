@@ -9,7 +9,9 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 from mrsan.fields import ConfigurationError
+from mrsan.kernels.walls import WALLS
 from mrsan.scenario import Scenario
+from mrsan.state import State
 from mrsan.world import World
 
 RENDER_MODES = ["rgb_array", "human"]
@@ -78,6 +80,8 @@ class _Drawing:
     def picture(self, world: World, index: int) -> NDArray[np.uint8]:
         state, scenario = world.state, self.scenario
         self._grid()
+        for x0, y0, x1, y1 in walls_of(state, index):
+            self._line(np.array([x0, y0]), np.array([x1, y1]), _INK, 4)
         people = np.flatnonzero(state.human_present[index])
         zone = scenario.reward.discomfort_distance
         for j in people:
@@ -143,6 +147,12 @@ class _Drawing:
 
     def _line(self, a: NDArray[Any], b: NDArray[Any], colour: str, width: int = 2) -> None:
         self.draw.line([self._pixel(a), self._pixel(b)], fill=colour, width=width * _OVERSAMPLING)
+
+
+def walls_of(state: State, index: int) -> NDArray[np.float32]:
+    """Return the wall segments of one world, [W, 4]: x and y of their starts and ends, m."""
+    count = int(state.place[index, WALLS]) if state.place.shape[1] else 0
+    return state.walls[index, :4, :count].T
 
 
 class _Window:

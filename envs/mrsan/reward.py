@@ -1,13 +1,47 @@
 """The reward of a step and its terms (SAMARL, Eq. 10; MSA3C, Eq. 2-4)."""
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mrsan.fields import number, setting
 from mrsan.kernels import function
 
 _ZERO = np.float32(0.0)
+
+
+@dataclass
+class Reward:
+    """Weights of SAMARL, Eq. 10, and of the additional terms of MSA3C, Eq. 2-4."""
+
+    arrival: float = number(10.0, -1e6, 1e6, help="for a robot that reaches its goal")
+    team: float = number(5.0, -1e6, 1e6, help="for every robot when the last one arrives")
+    collision: float = number(-20.0, -1e6, 1e6, help="for a robot that touches another agent")
+    discomfort: float = number(1.0, 0.0, 1e6, help="w in max(-w / d, discomfort_limit)")
+    discomfort_limit: float = number(-5.0, -1e6, 0.0, help="lower bound of the discomfort term")
+    discomfort_distance: float = number(
+        0.45, 0.0, 100.0, unit="m", help="distance d to the nearest person below which it applies"
+    )
+    progress: float = number(2.0, -1e6, 1e6, help="per metre of progress towards the goal")
+    goal_distance: float = number(
+        0.0, 0.0, 1e6, help="penalty per step, times d_g / circle_radius^2"
+    )
+    time: float = number(0.0, -1e6, 1e6, help="per step until arrival")
+    literal: bool = setting(
+        False, help="the paper's first matching case only: the last robot to arrive gets only team"
+    )
+    lookahead: float = number(
+        0.0, 0.0, 1e6, help="w in -w exp(-k) for a person who will be too close in k steps"
+    )
+    lookahead_steps: int = number(5, 1, 200, help="largest k")
+    lookahead_distance: float = number(
+        0.25, 0.0, 100.0, unit="m", help="a person closer than this is too close"
+    )
+    lookahead_predictor: str = setting(
+        "constant_velocity", help="predictor of people: a name or a weights file"
+    )
 
 
 class RewardParts(NamedTuple):

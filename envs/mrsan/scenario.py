@@ -9,44 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from mrsan.choices import ACTION_SIZE, Crowd, Kinematics, Layout, TeamPerception
+from mrsan.choices import ACTION_SIZE, Crowd, Kinematics, Layout, LidarSees, TeamPerception
 from mrsan.consistency import check_consistency
 from mrsan.crowds import check_crowd
 from mrsan.fields import ConfigurationError, UnknownFieldError, check_numbers, number, setting
+from mrsan.fixed_map import fixed_map, map_size
+from mrsan.place import Place, check_place, half_size, largest_place
 from mrsan.recording import NOBODY, Recording, RecordingError, load_recording
+from mrsan.reward import Reward
 from mrsan.sensors.sensor import check_sensors
-
-
-@dataclass
-class Reward:
-    """Weights of SAMARL, Eq. 10, and of the additional terms of MSA3C, Eq. 2-4."""
-
-    arrival: float = number(10.0, -1e6, 1e6, help="for a robot that reaches its goal")
-    team: float = number(5.0, -1e6, 1e6, help="for every robot when the last one arrives")
-    collision: float = number(-20.0, -1e6, 1e6, help="for a robot that touches another agent")
-    discomfort: float = number(1.0, 0.0, 1e6, help="w in max(-w / d, discomfort_limit)")
-    discomfort_limit: float = number(-5.0, -1e6, 0.0, help="lower bound of the discomfort term")
-    discomfort_distance: float = number(
-        0.45, 0.0, 100.0, unit="m", help="distance d to the nearest person below which it applies"
-    )
-    progress: float = number(2.0, -1e6, 1e6, help="per metre of progress towards the goal")
-    goal_distance: float = number(
-        0.0, 0.0, 1e6, help="penalty per step, times d_g / circle_radius^2"
-    )
-    time: float = number(0.0, -1e6, 1e6, help="per step until arrival")
-    literal: bool = setting(
-        False, help="the paper's first matching case only: the last robot to arrive gets only team"
-    )
-    lookahead: float = number(
-        0.0, 0.0, 1e6, help="w in -w exp(-k) for a person who will be too close in k steps"
-    )
-    lookahead_steps: int = number(5, 1, 200, help="largest k")
-    lookahead_distance: float = number(
-        0.25, 0.0, 100.0, unit="m", help="a person closer than this is too close"
-    )
-    lookahead_predictor: str = setting(
-        "constant_velocity", help="predictor of people: a name or a weights file"
-    )
 
 
 @dataclass
@@ -67,6 +38,9 @@ class Scenario:
 
     # The place and the clock.
     layout: Layout = setting(Layout.circle, help="where agents start and go")
+    map: str | None = setting(None, help="file of walls, for layout map")
+    map_known: bool = setting(True, help="robots know the map: they observe the next corner")
+    place: Place = field(default_factory=Place)
     circle_radius: float = number(
         5.0, 2.0, 1000.0, unit="m", help="radius of the circle on which agents start"
     )
@@ -135,6 +109,21 @@ class Scenario:
     )
     sensing_range: float = number(10.0, 0.1, 1000.0, unit="m", help="range of the sensor")
     occlusion: bool = setting(False, help="people and robots hide agents behind them")
+    walls_hide: bool = setting(True, help="walls hide agents behind them")
+    nearest_walls: int | None = number(
+        None, 0, 64, help="largest number of walls a robot sees; null: 12, or 0 without walls"
+    )
+    lidar_rays: int = number(0, 0, 1024, help="number of rays of a lidar; 0: robots have none")
+    lidar_range: float = number(10.0, 0.1, 1000.0, unit="m", help="range of the lidar")
+    lidar_fov_degrees: float = number(
+        360.0, 0.0, 360.0, above=True, unit="degrees", help="field of view of the lidar"
+    )
+    lidar_noise: float = number(0.01, 0.0, 10.0, unit="m", help="standard deviation of its ranges")
+    lidar_noise_share: float = number(
+        0.01, 0.0, 1.0, help="a further standard deviation, as a share of the range"
+    )
+    lidar_dropout: float = number(0.01, 0.0, 1.0, help="probability of losing a ray, per step")
+    lidar_sees: LidarSees = setting(LidarSees.walls, help="what stops its rays")
     position_noise: float = number(
         0.0, 0.0, 10.0, unit="m", help="standard deviation of observed positions"
     )
@@ -244,6 +233,9 @@ class Scenario:
     time_horizon: float = number(
         5.0, 0.01, 100.0, unit="s", help="ORCA: time for which velocities are free of collisions"
     )
+    time_horizon_obstacles: float = number(
+        2.0, 0.01, 100.0, unit="s", help="ORCA: the same for collisions with walls"
+    )
     relaxation_time: float = number(
         0.5, 0.01, 10.0, unit="s", help="social force: time to reach the preferred velocity"
     )
@@ -266,6 +258,7 @@ class Scenario:
         if not isinstance(self.reward, Reward):
             raise ConfigurationError(f"scenario.reward is {self.reward!r}; it must be a Reward")
         check_numbers(self.reward, "scenario.reward")
+        check_place(self.place)
         check_crowd(self.crowd, self.crowd_settings)
         self.crowd = str(self.crowd)
         check_sensors(self.sensors)
@@ -275,6 +268,38 @@ class Scenario:
     def action_size(self) -> int:
         """Return how many numbers in [-1, 1] drive one robot."""
         return ACTION_SIZE[self.kinematics]
+
+    @property
+    def has_walls(self) -> bool:
+        """Return whether the place has walls."""
+        return self.layout.value > Layout.mixed.value
+
+    @property
+    def walls_observed(self) -> int:
+        """Return the largest number of walls that a robot observes."""
+        usual = 12 if self.has_walls else 0
+        return usual if self.nearest_walls is None else self.nearest_walls
+
+    @property
+    def route_clearance(self) -> float:
+        """Return the distance that routes keep from walls, m: they suit all robots and people."""
+        return max(self.robot_radius, self.human_radius_max) + self.place.feasible_margin
+
+    @property
+    def most_walls(self) -> int:
+        """Return the largest number of wall segments of a place."""
+        return self._place_size[0]
+
+    @property
+    def most_corners(self) -> int:
+        """Return the largest number of corners of the route graph of a place."""
+        return self._place_size[1]
+
+    @property
+    def _place_size(self) -> tuple[int, int]:
+        if self.layout is Layout.map:
+            return map_size(self)
+        return largest_place(self.layout, self.place)
 
     @property
     def time_limit_steps(self) -> int:
@@ -342,6 +367,8 @@ class Scenario:
             )
         if self.crowd == Crowd.recorded:
             place = f"on the recorded floor with scenario.human_radius_max {self.human_radius_max}"
+        elif self.has_walls:
+            place = f"in layout {self.layout.name}"
         elif self.layout is Layout.circle:
             place = f"on a circle of scenario.circle_radius {self.circle_radius}"
         else:
@@ -362,6 +389,10 @@ class Scenario:
         )
         if self.layout is Layout.circle:
             return circle
+        if self.layout is Layout.map:
+            return float(np.abs(fixed_map(self).zone).max())
+        if self.has_walls:
+            return half_size(self.layout, self.place)
         return max(self.floor_size / 2, circle if self.layout is Layout.mixed else 0.0)
 
 

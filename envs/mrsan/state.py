@@ -37,11 +37,21 @@ class State(NamedTuple):
     robot_heading: Floats  # [E, N]
     robot_goal: Floats  # [E, N, 2]
     robot_start: Floats  # [E, N, 2]
+    route_length: Floats  # [E, N] of the shortest route from start to goal, m
+    route_left: Floats  # [E, N] of the rest of the route, m; only with walls
     arrived: Bools  # [E, N]
     collision: NDArray[np.int8]  # [E, N] 0, or the first collision (kernels.step.HIT_*)
     last_contact: NDArray[np.int32]  # [E, N, M + N] clock at the last contact; -1: never
     robot_acceleration: Floats  # [E, N, 2] in the last step
-    tally: Floats  # [E, N, 13] statistics of the episode, `mrsan.kernels.tally.TALLY`
+    tally: Floats  # [E, N, 15] statistics of the episode, `mrsan.kernels.tally.TALLY`
+    # Places with walls; W and V are zero without.
+    place: Floats  # [E, 8] description of the place, columns in `mrsan.kernels.walls`
+    walls: Floats  # [E, 12, W] segments, rows in `mrsan.kernels.walls`
+    zones: Floats  # [E, 9, 4] left, bottom, right and top of where starts and goals are drawn
+    corners: Floats  # [E, 2, V] nodes of the route graph
+    corner_linked: Bools  # [E, V, V] an agent can move straight between them
+    route_cost: Floats  # [E, M + N, V] length of the route from a corner to an agent's goal
+    route_corner: NDArray[np.int32]  # [E, M + N] corner an agent heads for; -1: its goal
     # The last reports of robots in the world frame, indexed by the clock modulo L:
     message_buffer: Floats  # [E, L, N, M + N, 5] OTHER_FEATURES; radius 0: not seen
 

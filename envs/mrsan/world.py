@@ -15,12 +15,17 @@ from numpy.typing import ArrayLike
 from mrsan.crowds import crowd_model, step_kernel
 from mrsan.features import OTHER_FEATURES
 from mrsan.fields import ConfigurationError
+from mrsan.fixed_map import fixed_map
+from mrsan.kernels.places import MOST_ZONES
 from mrsan.kernels.spawn import NO_ROOM_FOR_ROBOTS, begin_episodes
 from mrsan.kernels.tally import TALLY
+from mrsan.kernels.walled_spawn import walled_begin
+from mrsan.kernels.walls import PLACE_COLUMNS, WALL_ROWS
 from mrsan.lookahead import LookaheadReward
 from mrsan.metrics import Episodes, episodes_of
 from mrsan.observation import Observation
 from mrsan.parameters import kernel_parameters
+from mrsan.place import place_parameters
 from mrsan.reward import RewardParts
 from mrsan.scenario import Scenario
 from mrsan.sensors.suite import SensorSuite
@@ -80,10 +85,14 @@ class World:
         self.auto_reset = auto_reset
         self._lookahead = LookaheadReward(scenario) if scenario.reward.lookahead else None
         history = self._lookahead.predictor.history if self._lookahead else 0
-        self.state = _empty_state(worlds, scenario, history)
         self._parameters = kernel_parameters(scenario)
+        self._place = place_parameters(scenario.place)
+        self._map = fixed_map(scenario)
+        self.state = _empty_state(worlds, scenario, history)
         crowd = crowd_model(scenario.crowd)
-        self._advance, self._crowd_settings = step_kernel(crowd), crowd.kernel_settings(scenario)
+        self._advance = step_kernel(crowd, scenario.has_walls)
+        self._begin_episodes = walled_begin() if scenario.has_walls else begin_episodes
+        self._crowd_settings = crowd.kernel_settings(scenario)
         self._recording = scenario.load_recording()
         self._sensors = SensorSuite(scenario)
         self._all_seeing = SensorSuite(scenario, all_seeing=True)
@@ -130,7 +139,16 @@ class World:
     def _place_agents(self, worlds: Bools) -> None:
         """Draw the starts and goals of all agents in some worlds [E]."""
         problem = np.zeros(self.worlds, np.int8)
-        begin_episodes(self.worlds, worlds, self.state, self._parameters, self._recording, problem)
+        self._begin_episodes(
+            self.worlds,
+            worlds,
+            self.state,
+            self._parameters,
+            self._place,
+            self._map,
+            self._recording,
+            problem,
+        )
         if problem.any():
             world = int(np.flatnonzero(problem)[0])
             robots = problem[world] == NO_ROOM_FOR_ROBOTS
@@ -269,6 +287,8 @@ def _empty_state(e: int, scenario: Scenario, history: int) -> State:
     """Allocate the state of E worlds, with `history` past positions of each person."""
     f, n, m = np.float32, scenario.robots, scenario.humans
     messages = scenario.team_delay_steps + 1 if scenario.team_tracks else 0
+    walls, corners = scenario.most_walls, scenario.most_corners
+    walled = int(walls > 0)
     return State(
         case=np.arange(e, dtype=np.int64),
         episode=np.full(e, -1, np.int64),
@@ -292,10 +312,19 @@ def _empty_state(e: int, scenario: Scenario, history: int) -> State:
         robot_heading=np.zeros((e, n), f),
         robot_goal=np.zeros((e, n, 2), f),
         robot_start=np.zeros((e, n, 2), f),
+        route_length=np.zeros((e, n), f),
+        route_left=np.zeros((e, n), f),
         arrived=np.zeros((e, n), np.bool_),
         collision=np.zeros((e, n), np.int8),
         last_contact=np.full((e, n, m + n), -1, np.int32),
         robot_acceleration=np.zeros((e, n, 2), f),
         tally=np.zeros((e, n, len(TALLY)), f),
+        place=np.zeros((e, PLACE_COLUMNS * walled), f),
+        walls=np.zeros((e, WALL_ROWS, walls), f),
+        zones=np.zeros((e, MOST_ZONES * walled, 4), f),
+        corners=np.zeros((e, 2, corners), f),
+        corner_linked=np.zeros((e, corners, corners), np.bool_),
+        route_cost=np.zeros((e, (m + n) * walled, corners), f),
+        route_corner=np.zeros((e, (m + n) * walled), np.int32),
         message_buffer=np.zeros((e, messages, n, m + n, len(OTHER_FEATURES)), f),
     )

@@ -5,8 +5,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from samarl.encoders.set_pool import PooledSet
-from samarl.observations.frames import Frames
+from samarl.encoders.set_pool import PooledSets
+from samarl.observations.frames import FeatureSizes, Frames
 
 
 class CriticEncoder(nn.Module):
@@ -15,25 +15,22 @@ class CriticEncoder(nn.Module):
     The global state contains all velocities and goals, so a single frame is sufficient.
     """
 
-    def __init__(self, ego: int, other: int, width: int, features: int) -> None:
+    def __init__(self, sizes: FeatureSizes, width: int, features: int) -> None:
         """Create the layers.
 
         Args:
-            ego: length of a robot's own state.
-            other: length of the state of another agent.
+            sizes: of the frames; sensors are not used.
             width: of the hidden layers.
             features: length of the feature vector.
         """
         super().__init__()
-        self.own = nn.Sequential(nn.Linear(ego, width), nn.ReLU())
-        self.humans, self.robots = PooledSet(ego, other, width), PooledSet(ego, other, width)
-        self.out = nn.Sequential(nn.Linear(3 * width, features), nn.ReLU())
+        self.own = nn.Sequential(nn.Linear(sizes.ego, width), nn.ReLU())
+        self.sets = PooledSets(sizes, width)
+        self.out = nn.Sequential(nn.Linear(width + self.sets.features, features), nn.ReLU())
 
     def forward(self, frames: Frames) -> Tensor:
         """Return the features [P, features] of `frames` [P, ...]."""
-        ego, entities = frames.ego, frames.entities
-        pooled = [self.humans(ego, entities["humans"]), self.robots(ego, entities["robots"])]
-        y: Tensor = self.out(torch.cat([self.own(ego), *pooled], -1))
+        y: Tensor = self.out(torch.cat([self.own(frames.ego), self.sets(frames)], -1))
         return y
 
 

@@ -11,7 +11,6 @@ from samarl.algorithms.algorithm import ALGORITHMS
 from samarl.algorithms.critics import CriticEncoder
 from samarl.algorithms.on_policy import OnPolicyConfig
 from samarl.algorithms.ppo import PPO, PPOConfig
-from samarl.observations.features import NETWORK_EGO_FEATURES, NETWORK_OTHER_FEATURES
 from samarl.observations.frames import Frames
 from samarl.policies.policy import Policy
 from samarl.rollout import Rollout
@@ -41,7 +40,7 @@ class IPPO(PPO):
 
     def _make_critic_encoder(self, config: OnPolicyConfig) -> CriticEncoder:
         sizes = config.critic_width, config.critic_features
-        return CriticEncoder(NETWORK_EGO_FEATURES, NETWORK_OTHER_FEATURES, *sizes)
+        return CriticEncoder(self.policy.sizes, *sizes)
 
     def _critic_frames(self, rollout: Rollout) -> Frames:
         return rollout.frames.at(slice(self.policy.history, None))

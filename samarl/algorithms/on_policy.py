@@ -18,7 +18,7 @@ from samarl.algorithms.algorithm import Algorithm
 from samarl.algorithms.critics import CriticEncoder
 from samarl.algorithms.training_data import TrainingData, merge
 from samarl.distributed import all_gather_object, average_gradients
-from samarl.observations.features import NETWORK_EGO_FEATURES, STATE_OTHER_FEATURES
+from samarl.observations.features import state_sizes
 from samarl.observations.frames import Frames
 from samarl.policies.hierarchical import WAYPOINT_FEATURES
 from samarl.policies.policy import LOCAL, MACRO, Policy
@@ -119,7 +119,7 @@ class OnPolicy(Algorithm):
     def _make_critic_encoder(self, config: OnPolicyConfig) -> CriticEncoder:
         """Return the encoder of the critics' inputs, by default of the global state."""
         sizes = config.critic_width, config.critic_features
-        return CriticEncoder(NETWORK_EGO_FEATURES, STATE_OTHER_FEATURES, *sizes)
+        return CriticEncoder(state_sizes(self.policy.sizes), *sizes)
 
     def _critic_frames(self, rollout: Rollout) -> Frames:
         """Return the input of the critics, [B, T + 1, ...]; by default the global state."""

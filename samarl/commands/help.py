@@ -15,7 +15,7 @@ from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
-from mrsan import Reward, Scenario
+from mrsan import Place, Reward, Scenario
 from mrsan.fields import permitted_range
 from samarl.agents.build import find_class
 from samarl.commands.composition import composed, config_loader
@@ -159,7 +159,7 @@ def _classes(config: DictConfig) -> dict[str, Any]:
     """Return the dataclasses of the settings, by path."""
     classes: dict[str, Any] = {}
     if "scenario" in config:
-        classes |= {"scenario": Scenario, "scenario.reward": Reward}
+        classes |= {"scenario": Scenario, "scenario.reward": Reward, "scenario.place": Place}
     if "evaluation" in config:
         classes["evaluation"] = Evaluation
     if "agent" in config:
@@ -179,6 +179,7 @@ def _classes(config: DictConfig) -> dict[str, Any]:
             "curriculum.stages": CurriculumStage,
             "curriculum.stages.scenario": Scenario,
             "curriculum.stages.scenario.reward": Reward,
+            "curriculum.stages.scenario.place": Place,
             "algorithm": ALGORITHMS[config.algorithm.name].config,
             "policy": POLICIES[config.policy.name].config,
             "encoder": ENCODERS[config.encoder.name].config,

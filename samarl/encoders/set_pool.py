@@ -13,6 +13,7 @@ from torch import Tensor, nn
 
 from mrsan.fields import required
 from samarl.encoders.encoder import ENCODERS, Encoder, EncoderState, single_frames
+from samarl.encoders.rays import RayEncoder
 from samarl.encoders.set_pooling import set_pooling
 from samarl.observations.frames import EntityFeatures, FeatureSizes, Frames
 
@@ -48,32 +49,52 @@ class PooledSet(nn.Module):
         return set_pooling(own, *agents, self.embed_other.weight, second.weight, second.bias)
 
 
+class PooledSets(nn.Module):
+    """A pooled set for each group of entities: humans, robots and any others, such as walls."""
+
+    def __init__(self, sizes: FeatureSizes, width: int) -> None:
+        super().__init__()
+        self.groups = nn.ModuleDict(
+            {name: PooledSet(sizes.ego, size, width) for name, size in sizes.entities.items()}
+        )
+        self.features = len(self.groups) * width
+
+    def forward(self, frames: Frames) -> Tensor:
+        """Return the maxima of all groups [P, features] of `frames` [P, ...]."""
+        return torch.cat(
+            [pool(frames.ego, frames.entities[name]) for name, pool in self.groups.items()], -1
+        )
+
+
 @ENCODERS.register("set_pool", SetPoolConfig)
 class SetPoolEncoder(Encoder):
-    """Pool humans and robots separately; read the pooled features with the robot's own state."""
+    """Pool each group of entities; read the pooled features with the robot's own state.
+
+    The ranges of a lidar, if there is one, are encoded by circular convolutions.
+    """
 
     def __init__(self, config: SetPoolConfig, sizes: FeatureSizes) -> None:
         """See `Encoder`."""
         super().__init__(config, sizes)
         width, self.features = config.width, config.features
-        self.humans, self.robots = (
-            PooledSet(sizes.ego, sizes.entities[group], width) for group in ("humans", "robots")
-        )
+        self.sets = PooledSets(sizes, width)
+        scene = self.sets.features
+        self.rays: RayEncoder | None = None
+        if "lidar" in sizes.sensors:
+            self.rays = RayEncoder(sizes.sensors["lidar"][0], width)
+            scene += width
         self.query = nn.Sequential(nn.Linear(sizes.ego, width), nn.ReLU())
-        self.out = nn.Sequential(nn.Linear(3 * width, config.features), nn.ReLU())
+        self.out = nn.Sequential(nn.Linear(scene + width, config.features), nn.ReLU())
 
     def observe(
         self, frames: Frames, is_init: Tensor, state: EncoderState, samples: Tensor | None = None
     ) -> Tensor:
-        """See `Encoder.observe`; the scene is the pooled features, [P, 2 width]."""
+        """See `Encoder.observe`; the scene is the pooled features, [P, G width] of G groups."""
         frame = single_frames(frames, samples)
-        return torch.cat(
-            [
-                self.humans(frame.ego, frame.entities["humans"]),
-                self.robots(frame.ego, frame.entities["robots"]),
-            ],
-            -1,
-        )
+        scene: Tensor = self.sets(frame)
+        if self.rays is not None:
+            scene = torch.cat([scene, self.rays(frame.sensors["lidar"])], -1)
+        return scene
 
     def read(self, scene: Tensor, query: Tensor) -> Tensor:
         """See `Encoder.read`."""

@@ -159,7 +159,7 @@ def _social(episodes: Episodes) -> tuple[float, float, float]:
 
 @metric("collision_rate", heading="collision %", tables=Tables.report)
 def _collision(episodes: Episodes) -> float:
-    return _percent(episodes.hit_human | episodes.hit_robot)
+    return _percent(episodes.hit_human | episodes.hit_robot | episodes.hit_wall)
 
 
 @metric("human_collision_rate", heading="hit human %")

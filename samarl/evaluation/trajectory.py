@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from mrsan import Episodes, Observation, Scenario, State, World
 from mrsan.metrics import episodes_of
+from mrsan.rendering import walls_of
 from samarl.agents import Agent, Explanation
 
 Floats = NDArray[np.float32]
@@ -25,6 +26,7 @@ class Trajectory:
 
     scenario: Scenario
     case: int
+    walls: Floats  # [W, 4] x and y of the starts and ends of wall segments
     robot_position: Floats  # [T + 1, N, 2]
     robot_heading: Floats  # [T + 1, N]
     robot_goal: Floats  # [N, 2]
@@ -39,6 +41,7 @@ class Trajectory:
     waypoint: Floats | None  # [T, N, 2] that each robot drives to, in the world frame
     human_attention: Floats | None  # [T, N, M] attention weights
     robot_attention: Floats | None  # [T, N, N]
+    lidar: Floats | None  # [T + 1, N, L] ranges, m
     shielded: Bools | None  # [T, N] the safety shield replaced the action
     episodes: Episodes  # the record of this one episode
 
@@ -55,7 +58,7 @@ def record_episode(agent: Agent, scenario: Scenario, case: int) -> Trajectory:
         explanations.append(agent.explain() or Explanation())
         observation = world.step(action).observation
         snapshots.append(_snapshot(state, observation))
-    position, heading, humans, present, driving, *masks = (
+    position, heading, humans, present, driving, lidar, *masks = (
         np.stack(series) for series in zip(*snapshots, strict=True)
     )
     humans_visible, robots_visible, humans_reported, robots_reported = masks
@@ -67,6 +70,7 @@ def record_episode(agent: Agent, scenario: Scenario, case: int) -> Trajectory:
     return Trajectory(
         scenario=scenario,
         case=case,
+        walls=walls_of(state, 0).copy(),
         robot_position=position,
         robot_heading=heading,
         robot_goal=state.robot_goal[0].copy(),
@@ -81,6 +85,7 @@ def record_episode(agent: Agent, scenario: Scenario, case: int) -> Trajectory:
         waypoint=waypoint,
         human_attention=None if human_attention is None else human_attention[..., ever_present],
         robot_attention=None if robot_attention is None else _with_diagonal(robot_attention),
+        lidar=lidar if lidar.size else None,
         shielded=shielded,
         episodes=episodes_of(state, scenario, np.ones(1, np.bool_)),
     )
@@ -93,6 +98,7 @@ def _snapshot(state: State, observation: Observation) -> tuple[NDArray, ...]:
         state.human_position[0].copy(),
         state.human_present[0].copy(),
         ~state.arrived[0],
+        observation.sensors["lidar"][0] if "lidar" in observation.sensors else np.zeros(0),
         observation.humans_visible[0],
         observation.robots_visible[0],
         observation.humans_reported[0],

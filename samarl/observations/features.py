@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
@@ -36,7 +37,7 @@ from samarl.observations.tracker import AGE, TRACK_FEATURES, Tracks
 A = TypeVar("A", NDArray[np.float32], Tensor)
 
 LENGTH_SCALE = 5.0  # metres that are 1 to the network
-NETWORK_EGO_FEATURES = 11
+NETWORK_EGO_FEATURES = 11  # without a route
 NETWORK_OTHER_FEATURES = 10  # of a person or robot that is known
 STATE_OTHER_FEATURES = 12  # of a person or robot in the true state
 
@@ -53,6 +54,8 @@ EGO_VELOCITY = slice(5, 7)
 EGO_PLACE = slice(7, 9)  # the map's origin
 EGO_TIME = slice(9, 10)
 
+EGO_ROUTE = slice(11, 16)  # of the next corner, see `features_of_target`; only with a route
+
 # Slices of the features of a person or robot, see `_agent_features`:
 POSITION = slice(0, 2)  # in the body frame, in units of LENGTH_SCALE
 RADIUS = slice(4, 5)  # m
@@ -63,6 +66,12 @@ NEAR_SOON = 8  # the same of the closest approach ahead, times exp(-0.5 t), t s 
 # what the networks get. Groups and sensors without an entry are passed on as observed.
 Features = Callable[[Tensor, Scenario], Tensor]
 ADDITIONAL_FEATURES: dict[str, Features] = {}
+
+
+def state_sizes(sizes: FeatureSizes) -> FeatureSizes:
+    """Return the sizes of the true state of a policy whose frames have `sizes`."""
+    agents = dict.fromkeys(("humans", "robots"), STATE_OTHER_FEATURES)
+    return replace(sizes, entities=sizes.entities | agents)
 
 
 def register_features(name: str) -> Callable[[Features], Features]:
@@ -88,7 +97,7 @@ def frames_of(tracks: Tracks, scenario: Scenario, known_origin: bool = True) -> 
         known_origin: whether the robots observe where the origin of the map is. A policy for any
             place must not: it would learn what is there.
     """
-    ego = _ego_features(tracks.ego, scenario)
+    ego = _ego_features(tracks, scenario)
     if not known_origin:
         ego[..., EGO_PLACE] = 0.0
     return _frames(ego, tracks, AGE, scenario)
@@ -127,7 +136,7 @@ def true_state(world: World) -> Tracks:
 
 def state_features(state: Tracks, scenario: Scenario) -> Frames:
     """Return the features [B, 1, ...] of a `true_state`."""
-    return _frames(_ego_features(state.ego, scenario), state, OTHER_RADIUS + 1, scenario)
+    return _frames(_ego_features(state, scenario), state, OTHER_RADIUS + 1, scenario)
 
 
 def _frames(ego: Tensor, tracks: Tracks, extra: int, scenario: Scenario) -> Frames:
@@ -198,22 +207,21 @@ def _stacked(x: A, y: A) -> A:
     return np.stack([x, y], -1)
 
 
-def _ego_features(observed: NDArray[np.float32], scenario: Scenario) -> Tensor:
-    """Return the robots' own features [B, 1, NETWORK_EGO_FEATURES]."""
-    ego = torch.as_tensor(observed).flatten(0, 1)
+def _ego_features(tracks: Tracks, scenario: Scenario) -> Tensor:
+    """Return the robots' own features [B, 1, F_e]."""
+    ego = torch.as_tensor(tracks.ego).flatten(0, 1)
     goal, velocity, origin = ego[:, GOAL], ego[:, VELOCITY], ego[:, ORIGIN]
     view = ego.new_full((len(ego), 1), math.cos(math.radians(scenario.fov_degrees / 2)))
-    features = torch.cat(
-        [
-            features_of_target(goal),
-            velocity,
-            origin / LENGTH_SCALE,
-            ego[:, TIME : TIME + 1],
-            view,
-        ],
-        -1,
-    )
-    return features.unsqueeze(1)
+    parts = [
+        features_of_target(goal),
+        velocity,
+        origin / LENGTH_SCALE,
+        ego[:, TIME : TIME + 1],
+        view,
+    ]
+    if "route" in tracks.sensors:
+        parts.append(features_of_target(torch.as_tensor(tracks.sensors["route"]).flatten(0, 1)))
+    return torch.cat(parts, -1).unsqueeze(1)
 
 
 def features_of_target(target: Tensor) -> Tensor:
@@ -274,8 +282,30 @@ def _additional_sensors(
     """Return the features [B, 1, ...] of further sensors."""
     sensors = {}
     for name, values in observed.items():
+        if name == "route":  # part of the robots' own features
+            continue
         features = torch.as_tensor(values).flatten(0, 1)
         if name in ADDITIONAL_FEATURES:
             features = ADDITIONAL_FEATURES[name](features, scenario)
         sensors[name] = features.unsqueeze(1)
     return sensors
+
+
+@register_features("walls")
+def _wall_features(segments: Tensor, scenario: Scenario) -> Tensor:
+    """Return the features [B, K, 7] of wall segments [B, K, 4].
+
+    These are both ends and the nearest point, in units of `LENGTH_SCALE`, and exp(-2 gap).
+    """
+    start, along = segments[..., :2], segments[..., 2:] - segments[..., :2]
+    length = along.square().sum(-1, keepdim=True).clamp_min(1e-6)
+    share = (-(start * along).sum(-1, keepdim=True) / length).clamp(0.0, 1.0)
+    nearest = start + share * along
+    gap = (nearest.norm(dim=-1, keepdim=True) - scenario.robot_radius).clamp_min(0.0)
+    return torch.cat([segments / LENGTH_SCALE, nearest / LENGTH_SCALE, torch.exp(-2.0 * gap)], -1)
+
+
+@register_features("lidar")
+def _lidar_features(ranges: Tensor, scenario: Scenario) -> Tensor:
+    """Return the features [B, L] of ranges [B, L]: exp(-gap / 2), so that near walls stand out."""
+    return torch.exp(-0.5 * (ranges - scenario.robot_radius).clamp_min(0.0))

@@ -1,33 +1,47 @@
-"""The way round the crowd, for planners and policies that see little of it."""
+"""Where robots head for next: the next corner of their route, or a way round the crowd."""
 
 from __future__ import annotations
+
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mrsan import Observation
 from mrsan.features import GOAL, GOAL_X, GOAL_Y, ORIGIN, ORIGIN_X, ORIGIN_Y
+
+if TYPE_CHECKING:
+    from samarl.observations.tracker import Tracks
 
 LOOKAHEAD = 0.3  # of policies that go round the crowd, rad
 ENTRY_ANGLE = 0.15  # rad
 
 
-def route(
-    ego: NDArray[np.float32], fov_degrees: float, round_below: float, round_radius: float
-) -> NDArray[np.float32]:
-    """Where the route of a policy leads next in the body frames, [E, N, 2] in m.
+def next_point(tracks: Observation | Tracks) -> NDArray[np.float32]:
+    """Return the next corner of every robot's route, or its goal, in the body frame, [E, N, 2], m.
 
-    Straight to the goal, or with a view narrower than `round_below` counter-clockwise round the
-    crowd, on a circle of `round_radius` metres.
+    Without walls that is always the goal.
     """
-    if fov_degrees < round_below:
-        return way_round(ego, round_radius, LOOKAHEAD, ENTRY_ANGLE)
-    return ego[..., GOAL]
+    return tracks.sensors.get("route", tracks.ego[..., GOAL])
 
 
-def way_round(
+def route(
+    tracks: Observation | Tracks, fov_degrees: float, round_below: float, round_radius: float
+) -> NDArray[np.float32]:
+    """Return where the route of a policy leads next in the body frames, [E, N, 2] in m.
+
+    To the next corner or the goal; or, without walls and with a view narrower than `round_below`,
+    counter-clockwise round the crowd, on a circle of `round_radius` metres.
+    """
+    if fov_degrees < round_below and "route" not in tracks.sensors:
+        return perimeter_route(tracks.ego, round_radius, LOOKAHEAD, ENTRY_ANGLE)
+    return next_point(tracks)
+
+
+def perimeter_route(
     ego: NDArray[np.float32], radius: float, lookahead: float, entry_angle: float
 ) -> NDArray[np.float32]:
-    """The next point on the way round the crowd in the body frame, [E, N, 2] in m.
+    """Return the next point on the way round the crowd in the body frame, [E, N, 2] in m.
 
     It is counter-clockwise, but for a robot that has passed its goal, which turns back.
 

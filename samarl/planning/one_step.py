@@ -33,11 +33,13 @@ from mrsan.features import (
 from mrsan.fields import required
 from mrsan.kernels import function, kernel
 from mrsan.kernels.contact import closest_approach
+from mrsan.kernels.walls import WALL_ROWS, is_clear
 from mrsan.parameters import kernel_parameters
 from mrsan.reward import step_reward_parts, sum_of_parts
 from mrsan.se2 import rotate, unrotate, untransform
 from samarl.observations.tracker import AGE, Tracks
 from samarl.planning.velocity_control import step_robot
+from samarl.planning.walls import gather_walls, seen_walls
 
 # Shares of the largest acceleration. In 0.25 s at SAMARL's limits the outer ones stop a robot or
 # bring it to full speed; the inner ones change its speed by 0.5 m/s.
@@ -95,7 +97,7 @@ def predict_outcomes(
         active: [E, N] the R robots for which outcomes are predicted, in this order.
         target: [E, N, 2] the point towards which progress is rewarded, m in the body frame.
         commands: [C, A] in [-1, 1].
-        scenario: dynamics and reward. Walls are ignored.
+        scenario: dynamics and reward.
     """
     robots = np.flatnonzero(active)
     shape = len(commands), len(robots)
@@ -105,6 +107,7 @@ def predict_outcomes(
         len(robots),
         robots,
         *tracks.agents,
+        *seen_walls(tracks),
         target,
         commands,
         kernel_parameters(scenario),
@@ -126,6 +129,8 @@ def _predict_outcomes(
     humans_known,
     robots,
     robots_known,
+    segments,
+    segments_seen,
     target,
     commands,
     p,
@@ -139,11 +144,13 @@ def _predict_outcomes(
 ):
     total, n = robot_index.shape[0], ego.shape[1]
     for chunk in prange(chunks):
+        walls = np.empty((WALL_ROWS, segments.shape[2] + 1), np.float32)
         for r in range(chunk * total // chunks, (chunk + 1) * total // chunks):
             e, i = robot_index[r] // n, robot_index[r] % n
             own = ego[e, i]
             goal_x, goal_y = own[GOAL_X], own[GOAL_Y]
             target_x, target_y = target[e, i, 0], target[e, i, 1]
+            seen = gather_walls(segments[e, i], segments_seen[e, i], walls)
             target_distance = math.sqrt(target_x * target_x + target_y * target_y)
             for c in range(commands.shape[0]):
                 x, y, vx, vy, turn = step_robot(
@@ -158,7 +165,10 @@ def _predict_outcomes(
                 hit_robot, _ = _next_others(
                     own, robots[e, i], robots_known[e, i], x, y, vx, vy, turn, p, next_robots[c, r]
                 )
-                collided = hit_human or hit_robot
+                hit_wall = seen > 0 and not is_clear(
+                    walls, seen, _ZERO, _ZERO, x, y, p.robot_radius
+                )
+                collided = hit_human or hit_robot or hit_wall
                 dx, dy = goal_x - x, goal_y - y
                 goal_distance = math.sqrt(dx * dx + dy * dy)
                 ends = collided and p.collisions_end

@@ -12,9 +12,15 @@ from numpy.typing import NDArray
 from mrsan import Observation, Scenario
 from mrsan.fields import required
 from mrsan.kernels import kernel
+from mrsan.kernels.obstacle_orca import near_walls, wall_lines
 from mrsan.kernels.orca import orca_room, orca_velocity
+from mrsan.kernels.walls import WALL_ROWS
 from mrsan.parameters import kernel_parameters
+from samarl.observations.route import next_point
 from samarl.planning.velocity_control import gather_rows, preferred_velocity, track_velocity
+from samarl.planning.walls import gather_walls, seen_walls
+
+_ZERO = np.float32(0.0)
 
 
 @dataclass
@@ -40,6 +46,8 @@ def orca_actions(
     _orca(
         worlds,
         *observation.agents,
+        *seen_walls(observation),
+        np.ascontiguousarray(next_point(observation)),
         kernel_parameters(scenario),
         np.float32(parameters.neighbor_distance),
         parameters.max_neighbors,
@@ -58,6 +66,9 @@ def _orca(
     humans_visible,
     robots,
     robots_visible,
+    segments,
+    segments_visible,
+    targets,
     p,
     neighbor_distance,
     max_neighbors,
@@ -68,6 +79,7 @@ def _orca(
     total = ego.shape[0]
     for chunk in prange(chunks):
         rows, scratch = orca_room(1 + humans.shape[2] + robots.shape[2])
+        walls = np.empty((WALL_ROWS, segments.shape[2] + 1), np.float32)
         for e in range(chunk * total // chunks, (chunk + 1) * total // chunks):
             for i in range(ego.shape[1]):
                 count = gather_rows(
@@ -80,7 +92,14 @@ def _orca(
                     safety_space,
                     rows,
                 )
-                preferred_x, preferred_y = preferred_velocity(ego[e, i], p)
+                seen = gather_walls(segments[e, i], segments_visible[e, i], walls)
+                horizon = p.time_horizon_obstacles
+                reach = horizon * p.robot_speed + p.robot_radius
+                near_walls(walls, seen, _ZERO, _ZERO, reach, scratch)
+                wall_lines(
+                    walls, _ZERO, _ZERO, rows[0, 2], rows[0, 3], p.robot_radius, horizon, scratch
+                )
+                preferred_x, preferred_y = preferred_velocity(targets[e, i], p)
                 vx, vy = orca_velocity(
                     rows,
                     count,
@@ -93,6 +112,7 @@ def _orca(
                     time_horizon,
                     p.time_step,
                     scratch,
+                    scratch.wall_counts[1],
                 )
                 speed = math.sqrt(rows[0, 2] * rows[0, 2] + rows[0, 3] * rows[0, 3])
                 track_velocity(vx, vy, speed, action[e, i], p)

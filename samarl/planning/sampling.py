@@ -11,10 +11,11 @@ from numba import prange
 from numpy.typing import NDArray
 
 from mrsan import Observation, Scenario
-from mrsan.features import GOAL_X, GOAL_Y
 from mrsan.fields import required
 from mrsan.kernels import function, kernel
+from mrsan.kernels.walls import WALL_ROWS, way_distance
 from mrsan.parameters import kernel_parameters
+from samarl.observations.route import next_point
 from samarl.observations.tracker import Tracks
 from samarl.planning.track_predictor import gather_offsets
 from samarl.planning.velocity_control import (
@@ -23,11 +24,13 @@ from samarl.planning.velocity_control import (
     track_rotated_velocity,
     track_velocity,
 )
+from samarl.planning.walls import gather_walls, seen_walls
 
 _ZERO = np.float32(0.0)
 _ONE = np.float32(1.0)
 _TWO_PI = np.float32(2.0 * math.pi)
 _ROUNDING = np.float32(1e-3)
+WALL_MARGIN = np.float32(0.02)  # m, distance that plans keep from walls
 
 
 @dataclass
@@ -101,7 +104,14 @@ def first_action(
     action = np.empty((worlds, robots, scenario.action_size), np.float32)
     plan = plan_parameters(plans, scenario)
     _first_action(
-        worlds, *tracks.agents, predicted_offset, kernel_parameters(scenario), plan, action
+        worlds,
+        *tracks.agents,
+        *seen_walls(tracks),
+        np.ascontiguousarray(next_point(tracks)),
+        predicted_offset,
+        kernel_parameters(scenario),
+        plan,
+        action,
     )
     return action
 
@@ -114,6 +124,9 @@ def _first_action(
     humans_visible,
     robots,
     robots_visible,
+    segments,
+    segments_visible,
+    targets,
     predicted_offset,
     p,
     plans,
@@ -123,6 +136,7 @@ def _first_action(
     for chunk in prange(chunks):
         rows = np.empty((1 + humans.shape[2] + robots.shape[2], 5), np.float32)
         row_offset = np.zeros((rows.shape[0], predicted_offset.shape[3], 2), np.float32)
+        walls = np.empty((WALL_ROWS, segments.shape[2] + 1), np.float32)
         scratch_action = np.empty(action.shape[2], np.float32)
         for e in range(chunk * total // chunks, (chunk + 1) * total // chunks):
             for i in range(ego.shape[1]):
@@ -137,14 +151,26 @@ def _first_action(
                     rows,
                 )
                 gather_offsets(humans_visible[e, i], predicted_offset[e, i], row_offset)
-                goal_x, goal_y = ego[e, i, GOAL_X], ego[e, i, GOAL_Y]
+                seen = gather_walls(segments[e, i], segments_visible[e, i], walls)
                 _choose_action(
-                    rows, row_offset, count, goal_x, goal_y, plans, scratch_action, action[e, i], p
+                    rows,
+                    row_offset,
+                    count,
+                    walls,
+                    seen,
+                    targets[e, i, 0],
+                    targets[e, i, 1],
+                    plans,
+                    scratch_action,
+                    action[e, i],
+                    p,
                 )
 
 
 @function
-def _choose_action(rows, row_offset, count, goal_x, goal_y, plans, scratch_action, action, p):
+def _choose_action(
+    rows, row_offset, count, walls, seen, goal_x, goal_y, plans, scratch_action, action, p
+):
     """Write the first action of the cheapest plan of one robot."""
     speed = math.sqrt(rows[0, 2] * rows[0, 2] + rows[0, 3] * rows[0, 3])
     goal_angle = math.atan2(goal_y, goal_x)
@@ -155,6 +181,8 @@ def _choose_action(rows, row_offset, count, goal_x, goal_y, plans, scratch_actio
             rows,
             row_offset,
             count,
+            walls,
+            seen,
             goal_x,
             goal_y,
             vx,
@@ -188,6 +216,8 @@ def _cost(
     rows,
     row_offset,
     count,
+    walls,
+    seen,
     goal_x,
     goal_y,
     plan_vx,
@@ -216,7 +246,12 @@ def _cost(
             scale = p.robot_speed / max(math.sqrt(dx * dx + dy * dy), np.float32(1e-6))
             desired_x, desired_y = dx * scale, dy * scale
         track_rotated_velocity(vx, vy, heading, desired_x, desired_y, action, p)
+        old_x, old_y = x, y
         x, y, vx, vy, heading = step_robot(x, y, vx, vy, heading, action, p)
+        if seen > 0:
+            distance = way_distance(walls, seen, old_x, old_y, x - old_x, y - old_y)
+            if distance < p.robot_radius + WALL_MARGIN:
+                return cost + plans.collision_weight * discount
         time, offset_step = np.float32(k) * p.time_step, min(k, row_offset.shape[1] - 1)
         gap = np.float32(np.inf)
         for j in range(1, count):

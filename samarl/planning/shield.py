@@ -22,7 +22,9 @@ from mrsan.features import GOAL_X, GOAL_Y
 from mrsan.fields import check_numbers, number, setting
 from mrsan.kernels import function, kernel
 from mrsan.kernels.contact import closest_approach
+from mrsan.kernels.walls import WALL_ROWS, way_distance
 from mrsan.parameters import Parameters, kernel_parameters
+from samarl.observations.route import next_point
 from samarl.observations.tracker import Tracks
 from samarl.planning.detour import remaining_path_length
 from samarl.planning.track_predictor import CONSTANT_VELOCITY, gather_offsets, zero_offset
@@ -33,6 +35,7 @@ from samarl.planning.velocity_control import (
     track_rotated_velocity,
     track_velocity,
 )
+from samarl.planning.walls import gather_walls, seen_walls
 
 DIRECTIONS = 16  # of continuations: at full speed, at half speed, and turning in place first
 CONTINUATIONS = 1 + 3 * DIRECTIONS  # the first is standing still
@@ -108,6 +111,8 @@ def apply_shield(
     _apply_shield(
         len(checked),
         *tracks.agents,
+        *seen_walls(tracks),
+        np.ascontiguousarray(next_point(tracks)),
         predicted_offset,
         kernel_parameters(scenario) if parameters is None else parameters,
         settings,
@@ -133,6 +138,9 @@ def _apply_shield(
     humans_known,
     robots,
     robots_known,
+    segments,
+    segments_seen,
+    targets,
     predicted_offset,
     p,
     settings,
@@ -142,6 +150,7 @@ def _apply_shield(
     for chunk in prange(chunks):
         rows = np.empty((1 + humans.shape[2] + robots.shape[2], 5), np.float32)
         row_offset = np.zeros((rows.shape[0], predicted_offset.shape[3], 2), np.float32)
+        room = np.empty((WALL_ROWS, segments.shape[2] + 1), np.float32)
         first_action = np.empty(action.shape[2], np.float32)
         scratch_action = np.empty(action.shape[2], np.float32)
         for e in range(chunk * total // chunks, (chunk + 1) * total // chunks):
@@ -159,12 +168,15 @@ def _apply_shield(
                     settings.robot_margin,
                     rows,
                 )
+                walls = room[:, : gather_walls(segments[e, i], segments_seen[e, i], room)]
+                goal_x, goal_y = targets[e, i, 0], targets[e, i, 1]
                 first_robot = gather_offsets(humans_known[e, i], predicted_offset[e, i], row_offset)
                 _shrink_margins(rows, count, p)
                 if not _is_safe(
                     rows,
                     row_offset,
                     count,
+                    walls,
                     first_robot,
                     goal_x,
                     goal_y,
@@ -177,6 +189,7 @@ def _apply_shield(
                         rows,
                         row_offset,
                         count,
+                        walls,
                         first_robot,
                         goal_x,
                         goal_y,
@@ -199,7 +212,7 @@ def _shrink_margins(rows, count, p):
 
 @function
 def _is_safe(
-    rows, row_offset, count, first_robot, goal_x, goal_y, settings, action, scratch_action, p
+    rows, row_offset, count, walls, first_robot, goal_x, goal_y, settings, action, scratch_action, p
 ):
     """Return whether some continuation after `action` is collision-free for the whole horizon."""
     for index in range(CONTINUATIONS):
@@ -210,6 +223,7 @@ def _is_safe(
             rows,
             row_offset,
             count,
+            walls,
             first_robot,
             goal_x,
             goal_y,
@@ -231,6 +245,7 @@ def _choose_continuation(
     rows,
     row_offset,
     count,
+    walls,
     first_robot,
     goal_x,
     goal_y,
@@ -252,6 +267,7 @@ def _choose_continuation(
             rows,
             row_offset,
             count,
+            walls,
             first_robot,
             goal_x,
             goal_y,
@@ -294,6 +310,7 @@ def _simulate(
     rows,
     row_offset,
     count,
+    walls,
     first_robot,
     goal_x,
     goal_y,
@@ -325,6 +342,7 @@ def _simulate(
             rows,
             row_offset,
             count,
+            walls,
             first_robot,
             x,
             y,
@@ -350,7 +368,7 @@ def _simulate(
 
 @function
 def _smallest_gap(
-    rows, row_offset, count, first_robot, x, y, new_x, new_y, step, uncertain_steps, p
+    rows, row_offset, count, walls, first_robot, x, y, new_x, new_y, step, uncertain_steps, p
 ):
     """Return the smallest surface distance while driving straight from (x, y) during one step.
 
@@ -362,6 +380,8 @@ def _smallest_gap(
     stop_time = _HALF * p.time_step  # braking covers the distance of half a step at full velocity
     before, after = min(step, row_offset.shape[1] - 1), min(step + 1, row_offset.shape[1] - 1)
     smallest = np.float32(np.inf)
+    if walls.shape[1] > 0:
+        smallest = way_distance(walls, walls.shape[1], x, y, new_x - x, new_y - y)
     for j in range(1, count):
         px, py, vx, vy = rows[j, 0], rows[j, 1], rows[j, 2], rows[j, 3]
         distance = closest_approach(

@@ -9,8 +9,6 @@ from numba import prange
 from numpy.typing import NDArray
 
 from mrsan.features import (
-    GOAL_X,
-    GOAL_Y,
     OTHER_RADIUS,
     OTHER_VELOCITY_X,
     OTHER_VELOCITY_Y,
@@ -65,12 +63,9 @@ def track_velocity(vx, vy, speed, action, p, turn_in_place_angle=TURN_IN_PLACE_A
 
 
 @function
-def preferred_velocity(own, p):
-    """Return the velocity straight to the goal at full speed in the body frame, m/s.
-
-    `own` is the robot's ego features [11].
-    """
-    x, y = own[GOAL_X], own[GOAL_Y]
+def preferred_velocity(target, p):
+    """Return the velocity straight to a target [2] in the body frame at full speed, m/s."""
+    x, y = target[0], target[1]
     scale = p.robot_speed / max(math.sqrt(x * x + y * y), np.float32(1e-6))
     return x * scale, y * scale
 

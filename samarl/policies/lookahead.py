@@ -125,7 +125,7 @@ class LookaheadPolicy(Policy):
     ) -> Tensor:
         """Return the best command [R, A] of the R active robots, or any with chance `epsilon`."""
         commands = command_set(self.config, scenario.kinematics)
-        target = self.route(tracks.ego, scenario)
+        target = self.route(tracks, scenario)
         outcomes = predict_outcomes(tracks, active, target, commands, scenario)
         imagined = self.extract_features(outcomes.tracks, scenario).to(self.device)
         rows = torch.from_numpy(np.flatnonzero(active)).to(self.device).repeat(len(commands))

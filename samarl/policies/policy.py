@@ -262,10 +262,10 @@ class Policy(nn.Module, ABC):
         order = torch.cat(samples).argsort()
         return tree_map(lambda *tensors: torch.cat(tensors)[order], *parts)
 
-    def route(self, ego: NDArray[np.float32], scenario: Scenario) -> NDArray[np.float32]:
+    def route(self, tracks: Observation | Tracks, scenario: Scenario) -> NDArray[np.float32]:
         """Return where the route of each robot leads next, [E, N, 2]; see `next_on_route`."""
         c = self.config
-        return next_on_route(ego, scenario.fov_degrees, c.round_below, c.round_radius)
+        return next_on_route(tracks, scenario.fov_degrees, c.round_below, c.round_radius)
 
     def _precision(self) -> AbstractContextManager[Any]:
         if not self.low_precision:

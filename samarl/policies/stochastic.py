@@ -161,7 +161,7 @@ class StochasticPolicy(Policy):
             step, policy_state = self.step(
                 features,
                 per_row(observation.ego),
-                per_row(self.route(observation.ego, scenario)),
+                per_row(self.route(observation, scenario)),
                 per_row(np.repeat(is_init[:, None], shape[1], 1)),
                 policy_state,
                 noise,

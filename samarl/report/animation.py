@@ -19,10 +19,11 @@ from numpy.typing import NDArray
 from PIL import Image, ImageColor
 from tqdm import tqdm
 
-from mrsan import ConfigurationError, Outcome
+from mrsan import ConfigurationError
 from samarl.evaluation.trajectory import Trajectory
 from samarl.files import atomic_write
 from samarl.report.style import COLOURS, CONTACT, INK, MUTED, STYLE
+from samarl.report.trajectories import HITS, draw_walls
 
 _GIF_COLOURS = 64
 _DPI = {".gif": 80, ".mp4": 140}
@@ -175,8 +176,10 @@ def _draw_stage(axes: Axes, trajectory: Trajectory, title: str) -> None:
     )
     axes.set_ylabel("y (m)")
     axes.grid(True, axis="both")
+    draw_walls(axes, trajectory)
     points = np.concatenate(
         [
+            trajectory.walls.reshape(-1, 2),
             trajectory.robot_position.reshape(-1, 2),
             trajectory.human_position[trajectory.human_present],
             trajectory.robot_goal,
@@ -262,7 +265,7 @@ def _draw_robot(
     nose = np.array([np.cos(heading), np.sin(heading)])
     ends = np.stack([position + radius * nose, position + 1.6 * radius * nose])
     artists += axes.plot(*ends.T, color=INK, linewidth=1.6, zorder=5)
-    collided = trajectory.episodes.outcome[0, i] in (Outcome.hit_human, Outcome.hit_robot)
+    collided = trajectory.episodes.outcome[0, i] in HITS
     if collided and time >= len(trajectory.robot_position) - 1:
         artists += axes.plot(
             *position, "x", color=CONTACT, markersize=16, markeredgewidth=2.5, zorder=7

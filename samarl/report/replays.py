@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrsan import Outcome
+from mrsan.sensors.walls import ray_angles
 from samarl.evaluation.trajectory import Trajectory
 
 
@@ -20,6 +21,8 @@ def as_replay(trajectory: Trajectory) -> dict[str, Any]:
     scenario, episodes = trajectory.scenario, trajectory.episodes
     return {
         "step": scenario.time_step,
+        "walls": trajectory.walls.round(3).tolist(),
+        "lidar": _ranges(trajectory),
         "fov": scenario.fov_degrees,
         "range": scenario.sensing_range,
         "zone": scenario.reward.discomfort_distance,
@@ -41,6 +44,16 @@ def as_replay(trajectory: Trajectory) -> dict[str, Any]:
         "drivingSteps": trajectory.driving.sum(0).tolist(),
         "outcomes": [Outcome(value).name for value in episodes.outcome[0]],
     }
+
+
+def _ranges(trajectory: Trajectory) -> dict[str, Any] | None:
+    """Return the angles of the lidar's rays (rad) and its ranges [N, T + 1, L] in cm."""
+    if trajectory.lidar is None:
+        return None
+    scenario = trajectory.scenario
+    angles = ray_angles(scenario.lidar_rays, scenario.lidar_fov_degrees)
+    ranges = _whole(100 * trajectory.lidar.transpose(1, 0, 2))
+    return {"angles": angles.round(4).tolist(), "ranges": ranges.tolist()}
 
 
 def _points(position: NDArray[np.float32]) -> list[list[list[int]]]:

@@ -52,8 +52,13 @@ def save_trajectories(trajectories: Sequence[tuple[Trajectory, str]], path: Path
     save_figure(figure, path)
 
 
+HITS = {Outcome.hit_human, Outcome.hit_robot, Outcome.hit_wall}
+WALL = "#222222"  # colour of walls
+
+
 def draw_trajectories(axes: Axes, trajectory: Trajectory, title: str) -> None:
     """Draw robots with times along their paths, goals, humans and contacts."""
+    draw_walls(axes, trajectory)
     steps_per_mark = max(1, round(_MARK_SECONDS / trajectory.scenario.time_step))
     for j in range(trajectory.human_position.shape[1]):
         _draw_human(axes, trajectory, j, steps_per_mark)
@@ -67,6 +72,14 @@ def draw_trajectories(axes: Axes, trajectory: Trajectory, title: str) -> None:
     axes.set_ylabel("y (m)")
     axes.grid(True, axis="both")
     axes.autoscale_view()
+
+
+def draw_walls(axes: Axes, trajectory: Trajectory) -> None:
+    """Draw the wall segments of the place."""
+    segments = trajectory.walls.reshape(-1, 2, 2)
+    walls = LineCollection(list(segments), colors=WALL, linewidths=2.5, zorder=3)
+    walls.set_capstyle("round")
+    axes.add_collection(walls)
 
 
 def _draw_human(axes: Axes, trajectory: Trajectory, j: int, steps_per_mark: int) -> None:
@@ -130,7 +143,7 @@ def _draw_robot(axes: Axes, trajectory: Trajectory, i: int, steps_per_mark: int)
         nose = path[t] + radius * np.array([np.cos(heading[t]), np.sin(heading[t])])
         tip = path[t] + 1.6 * radius * np.array([np.cos(heading[t]), np.sin(heading[t])])
         axes.plot(*np.stack([nose, tip]).T, color=colour, linewidth=1.6, zorder=5)
-    if trajectory.episodes.outcome[0, i] in (Outcome.hit_human, Outcome.hit_robot):
+    if trajectory.episodes.outcome[0, i] in HITS:
         axes.plot(
             *path[-1], marker="x", markersize=16, markeredgewidth=2.5, color=CONTACT, zorder=7
         )
@@ -164,7 +177,7 @@ def _legend(trajectories: Sequence[Trajectory]) -> list[Line2D]:
     outcomes = [
         outcome for trajectory in trajectories for outcome in trajectory.episodes.outcome[0]
     ]
-    if {Outcome.hit_human, Outcome.hit_robot} & {Outcome(value) for value in outcomes}:
+    if HITS & {Outcome(value) for value in outcomes}:
         handles.append(
             Line2D(
                 [],

@@ -12,11 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrsan import EGO_FEATURES, OTHER_FEATURES, Entities, Observation
-from mrsan.features import GOAL
 from mrsan.observation import parts_of_named
 from mrsan.parameters import kernel_parameters
 from mrsan.se2 import unrotate
-from samarl.observations.route import route
+from samarl.observations.route import next_point, route
 from samarl.observations.tracker import Tracker, TrackMemory, Tracks
 from samarl.planning.one_step import Commands, command_set, predict_outcomes
 from samarl.planning.shield import apply_shield
@@ -207,10 +206,10 @@ class Driver:
     def _decide(self, tracks: Tracks) -> NDArray[np.float32]:
         """Return the policy's action, [1, 1, A]."""
         policy = self.description.policy
-        target = tracks.ego[..., GOAL]
+        target = next_point(tracks)
         if self._network.needs_route:
             below, radius = policy["round_below"], policy["round_radius"]
-            target = route(tracks.ego, self.scenario.fov_degrees, below, radius)
+            target = route(tracks, self.scenario.fov_degrees, below, radius)
         if not self._network.looks_ahead:
             return self._network.action(tracks, target)
         active = np.ones((1, 1), np.bool_)

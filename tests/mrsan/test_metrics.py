@@ -18,6 +18,7 @@ def episode(**fields) -> Episodes:
         "outcome": [[Outcome.arrived]],
         "path_length": [[10.0]],
         "straight_line": [[10.0]],
+        "shortest_path": [[10.0]],
         "time": [[10.0]],
         "closest_human": [[np.inf]],
         "close_share": [[0.0]],
@@ -32,6 +33,7 @@ def episode(**fields) -> Episodes:
         "arrived": [[True]],
         "contacts": [[0.0]],
         "comfort_share": [[0.0]],
+        "deadlock": [False],
     }
     return Episodes(**{key: np.array(value) for key, value in (values | fields).items()})
 

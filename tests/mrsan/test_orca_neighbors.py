@@ -10,10 +10,12 @@ from mrsan.kernels import orca
 
 @njit
 def nearest(agents, i, distance, most):
-    rows, (distances, places, found, _, _) = orca.orca_room(len(agents))
+    rows, scratch = orca.orca_room(len(agents))
     rows[: len(agents)] = agents
-    n = orca._find_nearest(rows, len(agents), i, distance, most, distances, places, found)
-    return found[:n].copy()
+    n = orca._find_nearest(
+        rows, len(agents), i, distance, most, scratch.distances, scratch.places, scratch.nearest
+    )
+    return scratch.nearest[:n].copy()
 
 
 @given(

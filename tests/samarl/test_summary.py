@@ -77,6 +77,7 @@ def four_episodes() -> Episodes:
         outcome=np.array(outcome, np.int8),
         path_length=np.array([[10.0, 20], [1, 1], [2, 2], [12, 30]]),
         straight_line=np.full((4, 2), 10.0),
+        shortest_path=np.full((4, 2), 10.0),
         time=np.array([[9.0, 10], [2, 2], [3, 3], [14, 50]]),
         closest_human=np.array([[0.9, 0.225], [-0.1, 2], [1, 1], [0.45, np.inf]]),
         close_share=np.array([[0.0, 0.5], [0.5, 0], [0, 0], [0, 0]]),
@@ -91,6 +92,7 @@ def four_episodes() -> Episodes:
         arrived=np.array([[True, True], [False, False], [False, False], [True, False]]),
         contacts=np.array([[0.0, 0], [1, 0], [0.5, 0.5], [0, 0]]),
         comfort_share=np.array([[0.0, 0.3], [0.5, 0], [0, 0], [0, 0.1]]),
+        deadlock=np.zeros(4, bool),
     )
 
 

@@ -2,8 +2,9 @@
 
 `function` marks code that only other kernels call. It does not count references to arrays, which
 would take a tenth of the time, so it may not create or return arrays, nor copy one with
-`a[:] = b`; `allocating` may. `kernel` marks an entry point that loops over worlds with `prange`:
-compiled on first use, cached on disk, parallel from two worlds on.
+`a[:] = b`; `allocating` may. Both are copied into their callers; `separate` marks long functions
+that are not. `kernel` marks an entry point that loops over worlds with `prange`: compiled on first
+use, cached on disk, parallel from two worlds on.
 
 Two pitfalls of Numba shape these files. An array updated in place (`state.clock[e] += 1`) in the
 body of a `prange` loop is mistaken for a reduction and the update is lost: put it into a
@@ -28,6 +29,7 @@ from mrsan.threads import kernel_threads, parallel_kernels
 _inlined = partial(numba.njit, error_model="numpy", forceinline=True)
 allocating = _inlined()
 function = _inlined(_nrt=False)
+separate = numba.njit(error_model="numpy", _nrt=False)
 
 _PACKAGE = Path(__file__).resolve().parent.parent
 _CORE_SOURCES = [

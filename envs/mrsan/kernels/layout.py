@@ -12,6 +12,15 @@ CROSSING = 1  # two streams of people at right angles
 OPPOSITE = 2  # two streams along one band
 SQUARE = 3  # anywhere on the floor
 MIXED = 4  # one of these, drawn per episode
+# With walls, see `mrsan.kernels.places`:
+DOORWAY = 5  # two rooms with an opening in the wall between them
+CORRIDOR = 6  # two rooms joined by a corridor
+INTERSECTION = 7  # four arms
+CORNER = 8  # two arms with a blind corner
+ROOMS = 9  # a grid of rooms with doors
+PILLARS = 10  # a floor with boxes and round pillars
+PLACES = 11  # one of these six, drawn per episode
+MAP = 12  # the floor of a map file
 
 _ZERO = np.float32(0.0)
 _HALF = np.float32(0.5)
@@ -35,6 +44,9 @@ def layout_of(key, p):
     """Return the layout of an episode."""
     if p.layout == MIXED:
         return int(rng.uniform(key, rng.LAYOUT, 0, 0, 0) * np.float32(MIXED))
+    if p.layout == PLACES:
+        families = np.float32(PLACES - DOORWAY)
+        return DOORWAY + int(rng.uniform(key, rng.LAYOUT, 0, 0, 0) * families)
     return p.layout
 
 

@@ -8,13 +8,16 @@ compute the lines of all neighbours at once.
 """
 
 import math
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from mrsan.kernels import allocating, function
 
 MOST = 80  # agents at most
-PX, PY, DX, DY = 0, MOST, 2 * MOST, 3 * MOST  # of line k: lines[PX + k] and so on
+MOST_WALLS = 32  # wall segments at most
+_ROOM = MOST + MOST_WALLS
+PX, PY, DX, DY = 0, _ROOM, 2 * _ROOM, 3 * _ROOM  # of line k: lines[PX + k] and so on
 _LANES = 16  # lines are computed in vectors of this length
 
 _EPSILON = np.float32(1e-5)
@@ -28,17 +31,35 @@ _REACHES = 8  # search radii tried before all within `neighbor_distance` are ran
 _SPARE = np.float32(1.4)  # the estimate aims at this multiple of the neighbours needed
 
 
+class Scratch(NamedTuple):
+    """Working arrays of crowd models."""
+
+    distances: Any  # [2, A] squared distances of all agents, of the near ones
+    places: Any  # [2, A] rows of the near agents, their ranks
+    nearest: Any  # [A, 5] the neighbours, nearest first
+    lines: Any  # lines of walls, then of the nearest neighbour first
+    projected: Any  # lines projected on another
+    wall_counts: Any  # [2] number of near walls, of lines of walls
+    wall_points: Any  # [MOST_WALLS, 2] nearest points of the near walls, nearest first, m
+    wall_numbers: Any  # [MOST_WALLS] numbers of the near walls
+    wall_distances: Any  # [MOST_WALLS] their squared distances, m^2
+
+
 @allocating
 def orca_room(most):
     """Return an array for up to `most` agents, and scratch arrays for `orca_velocity`."""
     room = (most + _LANES - 1) // _LANES * _LANES
     agents = np.zeros((5, room), np.float32).T
-    return agents, (
-        np.empty((2, room), np.float32),  # squared distances of all agents, of the near ones
-        np.empty((2, room), np.uint32),  # rows of the near agents, their ranks
-        np.zeros((5, room), np.float32).T,  # the neighbours, nearest first
-        np.empty(4 * MOST, np.float32),  # lines, of the nearest neighbour first
-        np.empty(4 * MOST, np.float32),  # lines projected on another
+    return agents, Scratch(
+        np.empty((2, room), np.float32),
+        np.empty((2, room), np.uint32),
+        np.zeros((5, room), np.float32).T,
+        np.empty(4 * _ROOM, np.float32),
+        np.empty(4 * _ROOM, np.float32),
+        np.zeros(2, np.int32),
+        np.empty((MOST_WALLS, 2), np.float32),
+        np.empty(MOST_WALLS, np.int32),
+        np.empty(MOST_WALLS, np.float32),
     )
 
 
@@ -55,6 +76,7 @@ def orca_velocity(
     time_horizon,
     time_step,
     scratch,
+    walls=0,
 ):
     """Return the next velocity of agent `i` among the first `count` rows of `agents`.
 
@@ -70,15 +92,18 @@ def orca_velocity(
         time_horizon: time for which the velocity must be free of collisions (s).
         time_step: length of a step (s).
         scratch: from `orca_room`.
+        walls: number of lines that `wall_lines` has written to the lines of `scratch`.
     """
-    distances, places, nearest, lines, projected = scratch
+    distances, places, nearest = scratch.distances, scratch.places, scratch.nearest
+    lines, projected = scratch.lines, scratch.projected
     n = _find_nearest(
         agents, count, i, neighbor_distance, max_neighbors, distances, places, nearest
     )
-    _half_planes(agents, i, nearest, n, time_horizon, time_step, lines)
+    _half_planes(agents, i, nearest, n, time_horizon, time_step, lines, walls)
+    n += walls
     x, y, failed = _linear_program_2(lines, n, max_speed, preferred_x, preferred_y, False)
     if failed < n:
-        x, y = _linear_program_3(lines, projected, n, failed, max_speed, x, y)
+        x, y = _linear_program_3(lines, projected, n, walls, failed, max_speed, x, y)
     return x, y
 
 
@@ -138,11 +163,12 @@ def _likely_reach(squared, count, max_neighbors):
 
 
 @function
-def _half_planes(agents, i, nearest, n, time_horizon, time_step, lines):
+def _half_planes(agents, i, nearest, n, time_horizon, time_step, lines, first):
     """Write the half-planes of velocities by which agent `i` does its share of each avoidance.
 
-    Lines beyond the first `n` are undefined. Both cases are computed and one is selected instead of
-    branching, so that the compiler can use vector instructions.
+    They begin at line `first`; lines beyond the first `n` of them are undefined. Both cases are
+    computed and one is selected instead of branching, so that the compiler can use vector
+    instructions.
     """
     own_x, own_y, own_vx, own_vy = agents[i, 0], agents[i, 1], agents[i, 2], agents[i, 3]
     own_radius = agents[i, 4]
@@ -173,10 +199,10 @@ def _half_planes(agents, i, nearest, n, time_horizon, time_step, lines):
         depth, dot = radius * inverse - w, vx * x + vy * y
         ux = depth * x if to_disc else dot * x - vx
         uy = depth * y if to_disc else dot * y - vy
-        lines[PX + k] = own_vx + _HALF * ux
-        lines[PY + k] = own_vy + _HALF * uy
-        lines[DX + k] = y if to_disc else x
-        lines[DY + k] = -x if to_disc else y
+        lines[PX + first + k] = own_vx + _HALF * ux
+        lines[PY + first + k] = own_vy + _HALF * uy
+        lines[DX + first + k] = y if to_disc else x
+        lines[DY + first + k] = -x if to_disc else y
 
 
 @function
@@ -235,16 +261,22 @@ def _linear_program_2(lines, n, radius, goal_x, goal_y, goal_is_direction):
 
 
 @function
-def _linear_program_3(lines, projected, n, first, radius, x, y):
-    """Return the velocity whose largest violation is smallest, if none satisfies all lines."""
+def _linear_program_3(lines, projected, n, walls, first, radius, x, y):
+    """Return the velocity whose largest violation is smallest, if none satisfies all lines.
+
+    The first `walls` lines stay as they are; only those of other agents are relaxed.
+    """
     distance = _ZERO
+    for j in range(walls):
+        projected[PX + j], projected[PY + j] = lines[PX + j], lines[PY + j]
+        projected[DX + j], projected[DY + j] = lines[DX + j], lines[DY + j]
     for k in range(first, n):
         px, py = lines[PX + k], lines[PY + k]
         dx, dy = lines[DX + k], lines[DY + k]
         if dx * (py - y) - dy * (px - x) <= distance:
             continue
-        m = 0
-        for j in range(k):
+        m = walls
+        for j in range(walls, k):
             qx, qy = lines[PX + j], lines[PY + j]
             ex, ey = lines[DX + j], lines[DY + j]
             determinant = dx * ey - dy * ex

@@ -34,6 +34,7 @@ def orca_crowd(agents, count, i, preferred_x, preferred_y, max_speed, p, setting
         settings.time_horizon,
         p.time_step,
         scratch,
+        scratch.wall_counts[1],
     )
 
 
@@ -51,6 +52,7 @@ def social_force_crowd(agents, count, i, preferred_x, preferred_y, max_speed, p,
         settings.force_strength,
         settings.force_range,
         p.time_step,
+        scratch,
     )
 
 
@@ -85,7 +87,7 @@ def walk_to_goals(
         scratch: room for `crowd_velocity` to work in.
         crowd_velocity: the crowd model, see `mrsan.crowds.register_crowd`.
     """
-    count = _list_agents(state, e, p, present, agents)
+    count = list_agents(state, e, p, present, agents)
     position, goal, radius = state.human_position, state.human_goal, state.human_radius
     key, step = state.key[e], state.clock[e]
     layout = layout_of(key, p)
@@ -96,16 +98,7 @@ def walk_to_goals(
         x, y, speed = position[e, j, 0], position[e, j, 1], state.human_speed[e, j]
         dx, dy = goal[e, j, 0] - x, goal[e, j, 1] - y
         renew = dx * dx + dy * dy < radius[e, j] * radius[e, j]
-        if is_interval and not renew:
-            renew = rng.uniform(key, rng.GOAL_CHANGE, j, step, 0) < rng.uniform_between(
-                p.goal_change_probability,
-                p.goal_change_probability_max,
-                key,
-                rng.HUMAN_TRAITS,
-                j,
-                0,
-                2,
-            )
+        renew = renew or (is_interval and changes_goal(key, j, step, p))
         old_x, old_y = goal[e, j, 0], goal[e, j, 1]
         if walks_along(key, j, p) and state.human_present[e, j - 1]:
             goal[e, j, 0], goal[e, j, 1] = old_x + goal_change_x, old_y + goal_change_y
@@ -124,7 +117,21 @@ def walk_to_goals(
 
 
 @function
-def _list_agents(state, e, p, present, agents):
+def changes_goal(key, j, step, p):
+    """Return whether human `j` changes its goal at an interval."""
+    return rng.uniform(key, rng.GOAL_CHANGE, j, step, 0) < rng.uniform_between(
+        p.goal_change_probability,
+        p.goal_change_probability_max,
+        key,
+        rng.HUMAN_TRAITS,
+        j,
+        0,
+        2,
+    )
+
+
+@function
+def list_agents(state, e, p, present, agents):
     """Write the rows of all agents whom people avoid, people first; return how many."""
     position, velocity = state.human_position, state.human_velocity
     robot_position, robot_velocity = state.robot_position, state.robot_velocity

@@ -31,6 +31,15 @@ _LEAST_RADIUS = np.float32(0.05)  # lower limit of noisy radii, as of a person i
 _FULL_CIRCLE = np.float32(-1.0)  # the cosine of half a field of view of 360 degrees
 
 
+@function
+def nothing_hides(state, e, x, y, dx, dy):
+    """Return whether no wall hides what is at (x + dx, y + dy) from (x, y): true without walls."""
+    return True
+
+
+is_in_sight = nothing_hides  # `observe.variant` replaces it, see `mrsan.kernels.walled`
+
+
 @kernel
 def observe(chunks, worlds, state, p, ego, humans, humans_visible, robots, robots_visible):
     """Write every element of the observation of every robot in some worlds.
@@ -95,6 +104,7 @@ def observe(chunks, worlds, state, p, ego, humans, humans_visible, robots, robot
                     visible = visible and distance <= limit
                     if cos_half_fov > _FULL_CIRCLE:
                         visible = visible and ahead >= distance * cos_half_fov
+                    visible = visible and is_in_sight(state, e, x, y, dx, dy)
                     if visible and occlusion:
                         bodies = human_position[e], human_radius[e], human_present[e]
                         visible = not (

@@ -1,4 +1,4 @@
-"""Social forces (Helbing and Molnar, 1995): attraction to the goal, repulsion between agents."""
+"""Social forces (Helbing and Molnar, 1995): towards the goal, away from agents and walls."""
 
 import math
 
@@ -23,6 +23,7 @@ def social_force_velocity(
     strength,
     reach,
     time_step,
+    scratch,
 ):
     """Return the next velocity of agent `i` among `count` rows `[px, py, vx, vy, radius]`.
 
@@ -37,6 +38,7 @@ def social_force_velocity(
         strength: repulsion at contact (m/s^2).
         reach: distance over which repulsion falls by 1/e (m).
         time_step: length of a step (s).
+        scratch: from `mrsan.kernels.orca.orca_room`, with the nearest points of walls.
     """
     ax = (preferred_x - agents[i, 2]) / relaxation_time
     ay = (preferred_y - agents[i, 3]) / relaxation_time
@@ -47,6 +49,12 @@ def social_force_velocity(
         distance = max(math.sqrt(dx * dx + dy * dy), _TINY)
         gap = distance - agents[i, 4] - agents[j, 4]
         push = strength * math.exp(min(-gap / reach, _STEEPEST))
+        ax += push * dx / distance
+        ay += push * dy / distance
+    for k in range(scratch.wall_counts[0]):
+        dx, dy = agents[i, 0] - scratch.wall_points[k, 0], agents[i, 1] - scratch.wall_points[k, 1]
+        distance = max(math.sqrt(dx * dx + dy * dy), _TINY)
+        push = strength * math.exp(min((agents[i, 4] - distance) / reach, _STEEPEST))
         ax += push * dx / distance
         ay += push * dy / distance
     vx = agents[i, 2] + ax * time_step

@@ -43,34 +43,32 @@ _MOST_RECORDED_ATTEMPTS = 20_000  # each examines all people of the recording
 # Reasons why an episode could not begin, see `begin_episodes`.
 NO_ROOM_FOR_ROBOTS = 1
 NO_ROOM_FOR_PEOPLE = 2
-_NOT_PLACED = -1
-
-
-@kernel
-def begin_episodes(chunks, worlds, state, p, recording, problem):
-    """Begin an episode in each world of a mask: write its state at step 0.
-
-    Args:
-        chunks: number of pieces the loop over worlds is cut into.
-        worlds: [E] bool.
-        state: the worlds.
-        p: the scenario's parameters.
-        recording: the tracks of recorded people.
-        problem: [E] int8, written: 0, or `NO_ROOM_FOR_*` in a world that could not begin.
-    """
-    total = worlds.shape[0]
-    for chunk in prange(chunks):
-        occupied = np.empty((_CELLS, _CELLS), np.bool_)
-        candidates = np.empty((2, _BATCH), np.float32).T
-        for e in range(chunk * total // chunks, (chunk + 1) * total // chunks):
-            if worlds[e]:
-                problem[e] = _begin(state, e, p, recording, occupied, candidates)
-                if problem[e] != 0:
-                    break
+NOT_PLACED = -1
 
 
 @function
-def _begin(state, e, p, recording, occupied, candidates):
+def draw_open_route(state, e, i, key, attempt, layout, recording, p):
+    """Draw start and goal of robot `i`; return whether this attempt is permitted."""
+    start, goal = state.robot_position[e, i], state.robot_goal[e, i]
+    if p.people_recorded:
+        begin = state.record_step[e]
+        return draw_recorded_route(start, goal, key, i, attempt, begin, recording, p)
+    return draw_robot_route(start, goal, key, i, attempt, layout, p)
+
+
+@function
+def straight_length(state, e, i):
+    """Return the distance from the start of robot `i` to its goal, m."""
+    return _distance(state.robot_position[e, i], state.robot_goal[e, i])
+
+
+@function
+def no_walls(state, e, attempt, p, place_parameters, fixed_map):
+    """Draw no walls."""
+
+
+@function
+def _begin(state, e, p, recording, occupied, candidates, draw_route, route_length, place_human):
     """Begin the episode of world `e`; return 0, or `NO_ROOM_FOR_*`."""
     key = rng.episode_key(state.case[e], state.episode[e])
     state.key[e] = key
@@ -81,7 +79,7 @@ def _begin(state, e, p, recording, occupied, candidates):
     if p.people_recorded:
         begin_recording(state, e, key, recording, p)
     for i in range(state.robot_heading.shape[1]):
-        if not _place_robot(state, e, i, key, layout, recording, p):
+        if not _place_robot(state, e, i, key, layout, recording, p, draw_route, route_length):
             return NO_ROOM_FOR_ROBOTS
     if p.people_recorded:
         state.human_present[e, :], state.human_track[e, :] = False, NOT_ASSIGNED
@@ -96,8 +94,8 @@ def _begin(state, e, p, recording, occupied, candidates):
         state.human_present[e, j] = j < count
         state.human_entry[e, j] = 0 if j < count else NEVER
         if j < count:
-            marked = _place_human(state, e, j, key, layout, p, occupied, candidates, marked)
-            if marked == _NOT_PLACED:
+            marked = place_human(state, e, j, key, layout, p, occupied, candidates, marked)
+            if marked == NOT_PLACED:
                 return NO_ROOM_FOR_PEOPLE
             state.human_entry[e, j] = entry_of(key, j - 1 if walks_along(key, j, p) else j, p)
             state.human_present[e, j] = state.human_entry[e, j] == 0
@@ -105,17 +103,13 @@ def _begin(state, e, p, recording, occupied, candidates):
 
 
 @function
-def _place_robot(state, e, i, key, layout, recording, p):
+def _place_robot(state, e, i, key, layout, recording, p, draw_route, route_length):
     """Draw start and goal of robot `i` until they are clear of the others; return success."""
     position, goal = state.robot_position[e], state.robot_goal[e]
     gap = p.robot_radius + p.robot_radius + p.spawn_clearance
     placed = False
     for attempt in range(_MOST_RECORDED_ATTEMPTS if p.people_recorded else _MOST_ATTEMPTS):
-        if p.people_recorded:
-            begin = state.record_step[e]
-            placed = draw_recorded_route(position[i], goal[i], key, i, attempt, begin, recording, p)
-        else:
-            placed = draw_robot_route(position[i], goal[i], key, i, attempt, layout, p)
+        placed = draw_route(state, e, i, key, attempt, layout, recording, p)
         for k in range(i):  # starts and goals of the robots keep apart, all four pairs
             placed = placed and (
                 min(
@@ -131,6 +125,7 @@ def _place_robot(state, e, i, key, layout, recording, p):
     for k in range(2):
         state.robot_velocity[e, i, k] = _ZERO
         state.robot_acceleration[e, i, k] = _ZERO
+    state.route_length[e, i] = state.route_left[e, i] = route_length(state, e, i)
     state.arrived[e, i] = False
     state.collision[e, i] = 0
     state.last_contact[e, i, :] = -1
@@ -140,14 +135,8 @@ def _place_robot(state, e, i, key, layout, recording, p):
 
 
 @function
-def _place_human(state, e, j, key, layout, p, occupied, candidates, marked):
-    """Draw the start of human `j` of world `e` until it has room.
-
-    Returns:
-        The number of agents marked on the map, or `_NOT_PLACED`.
-    """
-    robots = state.robot_heading.shape[1]
-    position, goal = state.human_position[e], state.human_goal[e]
+def draw_traits(state, e, j, key, p):
+    """Draw radius and speed of human `j`, who stands; return whether it walks beside another."""
     radius = rng.uniform_between(
         p.human_radius_min, p.human_radius_max, key, rng.HUMAN_TRAITS, j, 0, 0
     )
@@ -155,24 +144,39 @@ def _place_human(state, e, j, key, layout, p, occupied, candidates, marked):
         p.human_speed_min, p.human_speed_max, key, rng.HUMAN_TRAITS, j, 0, 1
     )
     paired = walks_along(key, j, p)
-    speed = state.human_speed[e, j - 1] if paired else walking_speed(speed, key, j, p)
     state.human_radius[e, j] = radius
-    state.human_speed[e, j] = speed
+    state.human_speed[e, j] = (
+        state.human_speed[e, j - 1] if paired else walking_speed(speed, key, j, p)
+    )
     state.human_velocity[e, j, 0] = state.human_velocity[e, j, 1] = _ZERO
+    return paired
+
+
+@function
+def _place_on_floor(state, e, j, key, layout, p, occupied, candidates, marked):
+    """Draw the start of human `j` of world `e` until it has room.
+
+    Returns:
+        The number of agents marked on the map, or `NOT_PLACED`.
+    """
+    robots = state.robot_heading.shape[1]
+    position, goal = state.human_position[e], state.human_goal[e]
+    paired = draw_traits(state, e, j, key, p)
+    speed = state.human_speed[e, j]
     attempt = 0
     if paired:
         place_beside(position, goal, state.human_radius[e], j, key, attempt)
-        while not _has_room(state, e, j, j - 1, p):
+        while not has_room(state, e, j, j - 1, p):
             attempt += 1
             if attempt >= _MOST_ATTEMPTS:
-                return _NOT_PLACED
+                return NOT_PLACED
             place_beside(position, goal, state.human_radius[e], j, key, attempt)
         return marked
     draw_human_start(position[j], key, j, robots + j, attempt, speed, layout, p)
-    while _is_occupied(position[j], attempt, occupied) or not _has_room(state, e, j, j, p):
+    while _is_occupied(position[j], attempt, occupied) or not has_room(state, e, j, j, p):
         attempt += 1
         if attempt >= _MOST_ATTEMPTS:
-            return _NOT_PLACED
+            return NOT_PLACED
         if attempt == _ATTEMPTS_WITHOUT_MAP:
             _mark_cells(state, e, marked, robots + j, p, occupied)
             marked = robots + j
@@ -184,7 +188,7 @@ def _place_human(state, e, j, key, layout, p, occupied, candidates, marked):
 
 
 @function
-def _has_room(state, e, j, others, p):
+def has_room(state, e, j, others, p):
     """Return whether human `j` is clear of all robots and of the first `others` humans."""
     position, radius = state.human_position[e], state.human_radius[e]
     for k in range(state.robot_heading.shape[1]):
@@ -261,3 +265,50 @@ def _mark_cells(state, e, first, last, p, occupied):
 def _distance(a, b):
     dx, dy = a[0] - b[0], a[1] - b[1]
     return math.sqrt(dx * dx + dy * dy)
+
+
+# `begin_episodes.variant` replaces these in places with walls, see `mrsan.kernels.walled_spawn`.
+most_places = 1
+draw_walls = no_walls
+draw_route = draw_open_route
+route_length = straight_length
+place_human = _place_on_floor
+
+
+@kernel
+def begin_episodes(chunks, worlds, state, p, place_parameters, fixed_map, recording, problem):
+    """Begin an episode in each world of a mask: write its state at step 0.
+
+    Args:
+        chunks: number of pieces the loop over worlds is cut into.
+        worlds: [E] bool.
+        state: the worlds.
+        p: the scenario's parameters.
+        place_parameters: the numbers of `mrsan.place.Place`.
+        fixed_map: the walls of a map file, see `mrsan.maps.FixedMap`.
+        recording: the tracks of recorded people.
+        problem: [E] int8, written: 0, or `NO_ROOM_FOR_*` in a world that could not begin.
+    """
+    total = worlds.shape[0]
+    for chunk in prange(chunks):
+        occupied = np.empty((_CELLS, _CELLS), np.bool_)
+        candidates = np.empty((2, _BATCH), np.float32).T
+        for e in range(chunk * total // chunks, (chunk + 1) * total // chunks):
+            if worlds[e]:
+                for attempt in range(most_places):
+                    draw_walls(state, e, attempt, p, place_parameters, fixed_map)
+                    problem[e] = _begin(
+                        state,
+                        e,
+                        p,
+                        recording,
+                        occupied,
+                        candidates,
+                        draw_route,
+                        route_length,
+                        place_human,
+                    )
+                    if problem[e] == 0:
+                        break
+                if problem[e] != 0:
+                    break

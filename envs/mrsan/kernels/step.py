@@ -15,6 +15,7 @@ from mrsan.kernels.tally import (
     CLOSEST_HUMAN,
     COMFORT_STEPS,
     CONTACTS,
+    DEADLOCKS,
     DRIVEN_STEPS,
     HEADING_CHANGE,
     JERK_SUM,
@@ -24,10 +25,27 @@ from mrsan.kernels.tally import (
     SOCIAL_STEPS,
     SOONEST_COLLISION,
     STANDING_STEPS,
+    STILL_STEPS,
 )
 from mrsan.reward import step_reward_parts, sum_of_parts
 
-# The functions of a crowd model, see `mrsan.crowds`; `advance.variant` replaces them.
+
+@function
+def no_wall(state, e, x, y, dx, dy, p):
+    """Return whether a robot touches a wall: never, without walls."""
+    return False
+
+
+@function
+def straight_progress(state, e, i, progress, p):
+    """Return the progress of a robot, m: that towards its goal, without walls."""
+    return progress
+
+
+# The functions of a crowd model, see `mrsan.crowds`, and those that know the place, see
+# `mrsan.kernels.walled`; `advance.variant` replaces them.
+touches_wall = no_wall
+route_progress = straight_progress
 update_presence = enter_and_leave
 choose_velocities = walk_to_goals
 crowd_velocity = orca_crowd
@@ -42,6 +60,7 @@ STANDING_SPEED = np.float32(0.05)  # a slower robot stands, m/s
 
 HIT_HUMAN = 1
 HIT_ROBOT = 2
+HIT_WALL = 5  # 3 and 4 are other outcomes, see `mrsan.metrics.Outcome`
 
 _ZERO = np.float32(0.0)
 _HALF = np.float32(0.5)
@@ -91,10 +110,12 @@ def advance(chunks, state, action, p, crowd_settings, recording, reward, parts):
                 scratch,
                 crowd_velocity,
             )
-            _move_robots(state, e, action, p, displacement)
+            _move_robots(state, e, action, p, displacement, contact, touches_wall)
             _move_humans(state, e, p, present, human_velocities)
             _find_contacts(state, e, p, present, displacement, human_gap, contact)
-            _finish_step(state, e, p, displacement, human_gap, contact, reward, parts)
+            _finish_step(
+                state, e, p, displacement, human_gap, contact, reward, parts, route_progress
+            )
 
 
 @function
@@ -109,8 +130,11 @@ def _list_present(present, slots):
 
 
 @function
-def _move_robots(state, e, action, p, displacement):
-    """Move the robots (SAMARL, Eq. 1-3), write their displacements and update their tallies."""
+def _move_robots(state, e, action, p, displacement, contact, touches_wall):
+    """Move the robots (SAMARL, Eq. 1-3), write their displacements and update their tallies.
+
+    `contact` is 0, or `HIT_WALL` for a robot that touches a wall on its way.
+    """
     position, velocity = state.robot_position, state.robot_velocity
     headings, arrived, acceleration = state.robot_heading, state.arrived, state.robot_acceleration
     dt, wall, tally = p.time_step, p.arena_radius - p.robot_radius, state.tally
@@ -129,6 +153,12 @@ def _move_robots(state, e, action, p, displacement):
         if distance > wall:
             new_x, new_y = new_x * wall / distance, new_y * wall / distance
             new_vx = new_vy = _ZERO
+        contact[i] = 0
+        if touches_wall(state, e, x, y, new_x - x, new_y - y, p):
+            contact[i] = HIT_WALL
+            if arrived[e, i] or not p.collisions_end:  # it stops there
+                new_x, new_y = x, y
+                new_vx = new_vy = _ZERO
         dx, dy = new_x - x, new_y - y
         if not arrived[e, i]:
             ax, ay = (new_vx - vx) / dt, (new_vy - vy) / dt
@@ -167,7 +197,8 @@ def _find_contacts(state, e, p, present, displacement, human_gap, contact):
         present: the numbers of the humans who are present.
         displacement: [N, 2] of the robots in this step, m.
         human_gap: [N], written: surface distance to the nearest human after the step, m.
-        contact: [N], written: 0, or what the robot touches (HIT_*); a human takes precedence.
+        contact: [N], updated: 0 or `HIT_WALL` before, then what the robot touches (HIT_*); a human
+            takes precedence, then a robot.
     """
     position, arrived, collision = state.robot_position, state.arrived, state.collision
     last_contact, clock = state.last_contact, state.clock[e]
@@ -177,9 +208,14 @@ def _find_contacts(state, e, p, present, displacement, human_gap, contact):
     people = human_radius.shape[1]
     dt, robot_radius, robots = p.time_step, p.robot_radius, displacement.shape[0]
     for i in range(robots):
-        human_gap[i], contact[i] = _FAR, 0
+        human_gap[i] = _FAR
         if arrived[e, i]:  # a parked robot takes part in no contacts
+            contact[i] = 0
             continue
+        if contact[i] == HIT_WALL:
+            if last_contact[e, i, people + i] != clock:
+                tally[e, i, CONTACTS] += _ONE
+            last_contact[e, i, people + i] = clock + 1
         x, y, vx, vy = position[e, i, 0], position[e, i, 1], velocity[e, i, 0], velocity[e, i, 1]
         own_x, own_y = displacement[i, 0], displacement[i, 1]
         nearest = _FAR
@@ -211,7 +247,7 @@ def _find_contacts(state, e, p, present, displacement, human_gap, contact):
         if _touches_robots(
             i, position[e], displacement, arrived[e], robot_radius, clock, with_robots, tally[e, i]
         ):
-            if contact[i] == 0:
+            if contact[i] != HIT_HUMAN:
                 contact[i] = HIT_ROBOT
         if collision[e, i] == 0:
             collision[e, i] = contact[i]
@@ -250,13 +286,27 @@ def _tally_space(nearest, tally):
 
 
 @function
-def _finish_step(state, e, p, displacement, human_gap, contact, reward, parts):
+def _tally_standstill(velocity, arrived, tally, p):
+    """Count the steps in which every driving robot stands, and the deadlocks."""
+    standing = True
+    for i in range(arrived.shape[0]):
+        speed_squared = velocity[i, 0] * velocity[i, 0] + velocity[i, 1] * velocity[i, 1]
+        if not arrived[i] and not speed_squared < STANDING_SPEED * STANDING_SPEED:
+            standing = False
+    for i in range(arrived.shape[0]):
+        tally[i, STILL_STEPS] = tally[i, STILL_STEPS] + _ONE if standing else _ZERO
+        tally[i, DEADLOCKS] += tally[i, STILL_STEPS] == p.deadlock_steps
+
+
+@function
+def _finish_step(state, e, p, displacement, human_gap, contact, reward, parts, route_progress):
     """Update arrivals and the end of the episode, and write the reward of the step."""
     position, goal, arrived = state.robot_position, state.robot_goal, state.arrived
     state.clock[e] += 1
     collided = False
     newly_arrived = 0
     all_arrived = True
+    _tally_standstill(state.robot_velocity[e], arrived[e], state.tally[e], p)
     for i in range(displacement.shape[0]):
         ends = contact[i] != 0 and p.collisions_end
         dx, dy = goal[e, i, 0] - position[e, i, 0], goal[e, i, 1] - position[e, i, 1]
@@ -271,6 +321,7 @@ def _finish_step(state, e, p, displacement, human_gap, contact, reward, parts):
         distance = math.sqrt(dx * dx + dy * dy)
         dx, dy = dx + displacement[i, 0], dy + displacement[i, 1]
         progress = math.sqrt(dx * dx + dy * dy) - distance
+        progress = route_progress(state, e, i, progress, p)
         reached = driving and not (hit and p.collisions_end) and distance < p.robot_radius
         terms = step_reward_parts(
             hit, reached, team_arrived, driving, human_gap[i], progress, distance, p

@@ -19,7 +19,15 @@ if TYPE_CHECKING:
 
 S = TypeVar("S", bound="type[EntitySensor] | type[ValueSensor]")
 
-_RESERVED = ("ego", "humans", "robots", "route", "is_init")  # other inputs of policies
+_RESERVED = (
+    "ego",
+    "humans",
+    "robots",
+    "walls",
+    "route",
+    "lidar",
+    "is_init",
+)  # other inputs of policies
 _RESERVED_ENDINGS = ("_visible", "_known", "_reported")
 
 

@@ -10,10 +10,12 @@ from mrsan.choices import TeamPerception
 from mrsan.features import EGO_FEATURES, OTHER_FEATURES
 from mrsan.kernels.sensing import observe
 from mrsan.kernels.team import share_tracks
+from mrsan.kernels.walled import observe_past_walls
 from mrsan.observation import Entities, Observation
 from mrsan.parameters import SensorParameters, kernel_parameters
 from mrsan.scenario import Scenario
 from mrsan.sensors.sensor import EntitySensor, make_sensors
+from mrsan.sensors.walls import wall_sensors
 from mrsan.state import Bools, State
 
 
@@ -30,7 +32,9 @@ class SensorSuite:
         self.scenario = _without_limits(scenario) if all_seeing else scenario
         self._parameters = kernel_parameters(self.scenario)
         self._view = SensorParameters.of(self._parameters)
-        self._sensors = make_sensors(self.scenario)
+        walls_hide = self.scenario.has_walls and self.scenario.walls_hide
+        self._observe = observe_past_walls() if walls_hide else observe
+        self._sensors = wall_sensors(self.scenario, all_seeing) | make_sensors(self.scenario)
 
     def empty(self, worlds: int) -> Observation:
         """Allocate the observation of E worlds."""
@@ -59,7 +63,7 @@ class SensorSuite:
     def observe(self, state: State, worlds: Bools, observation: Observation) -> None:
         """Write the observations of some worlds [E]."""
         chunks = len(worlds)  # of the loop over worlds
-        observe(chunks, worlds, state, self._view, *observation.agents)
+        self._observe(chunks, worlds, state, self._view, *observation.agents)
         if self.scenario.team_tracks:
             share_tracks(
                 chunks,
@@ -85,6 +89,7 @@ def _without_limits(scenario: Scenario) -> Scenario:
         fov_degrees=360.0,
         sensing_range=1000.0,
         occlusion=False,
+        walls_hide=False,
         position_noise=0.0,
         velocity_noise=0.0,
         radius_noise=0.0,

@@ -11,7 +11,7 @@ from mrsan import Observation
 from mrsan.fields import required
 from samarl.agents.agent import Agent
 from samarl.agents.planners.straight import drive_towards
-from samarl.observations.route import way_round
+from samarl.observations.route import perimeter_route
 
 
 @dataclass
@@ -28,5 +28,5 @@ class Perimeter(Agent):
 
     def act(self, observation: Observation) -> NDArray[np.float32]:
         """Drive towards the next point of the route around the crowd."""
-        targets = way_round(observation.ego, self.radius, self.lookahead, self.entry_angle)
+        targets = perimeter_route(observation.ego, self.radius, self.lookahead, self.entry_angle)
         return drive_towards(observation, targets, self.scenario)

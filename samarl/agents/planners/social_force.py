@@ -12,10 +12,17 @@ from numpy.typing import NDArray
 from mrsan import Observation
 from mrsan.fields import required
 from mrsan.kernels import kernel
+from mrsan.kernels.obstacle_orca import near_walls
+from mrsan.kernels.orca import orca_room
 from mrsan.kernels.social_force import social_force_velocity
+from mrsan.kernels.walls import WALL_ROWS
 from mrsan.parameters import kernel_parameters
 from samarl.agents.agent import Agent
+from samarl.observations.route import next_point
 from samarl.planning.velocity_control import gather_rows, preferred_velocity, track_velocity
+from samarl.planning.walls import gather_walls, seen_walls
+
+_WALL_RANGE = np.float32(3.0)  # m, beyond which walls push no more
 
 
 @dataclass
@@ -34,7 +41,13 @@ class SocialForce(Agent):
         action = np.empty((worlds, robots, self.scenario.action_size), np.float32)
         forces = (np.float32(x) for x in (self.relaxation_time, self.strength, self.reach))
         _social_force(
-            worlds, *observation.agents, kernel_parameters(self.scenario), *forces, action
+            worlds,
+            *observation.agents,
+            *seen_walls(observation),
+            np.ascontiguousarray(next_point(observation)),
+            kernel_parameters(self.scenario),
+            *forces,
+            action,
         )
         return action
 
@@ -47,6 +60,9 @@ def _social_force(
     humans_visible,
     robots,
     robots_visible,
+    segments,
+    segments_visible,
+    targets,
     p,
     relaxation_time,
     strength,
@@ -55,7 +71,8 @@ def _social_force(
 ):
     total, no_margin = ego.shape[0], np.float32(0.0)
     for chunk in prange(chunks):
-        rows = np.empty((1 + humans.shape[2] + robots.shape[2], 5), np.float32)
+        rows, scratch = orca_room(1 + humans.shape[2] + robots.shape[2])
+        walls = np.empty((WALL_ROWS, segments.shape[2] + 1), np.float32)
         for e in range(chunk * total // chunks, (chunk + 1) * total // chunks):
             for i in range(ego.shape[1]):
                 count = gather_rows(
@@ -68,7 +85,9 @@ def _social_force(
                     no_margin,
                     rows,
                 )
-                preferred_x, preferred_y = preferred_velocity(ego[e, i], p)
+                seen = gather_walls(segments[e, i], segments_visible[e, i], walls)
+                near_walls(walls, seen, no_margin, no_margin, _WALL_RANGE, scratch)
+                preferred_x, preferred_y = preferred_velocity(targets[e, i], p)
                 vx, vy = social_force_velocity(
                     rows,
                     count,
@@ -80,6 +99,7 @@ def _social_force(
                     strength,
                     reach,
                     p.time_step,
+                    scratch,
                 )
                 speed = math.sqrt(rows[0, 2] * rows[0, 2] + rows[0, 3] * rows[0, 3])
                 track_velocity(vx, vy, speed, action[e, i], p)

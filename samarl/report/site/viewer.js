@@ -102,7 +102,8 @@ function bounds() {
   for (const episode of state.shown) {
     const { robots, humans, goals } = episode;
     const present = humans.flatMap((path, j) => path.filter((_, t) => isPresent(episode, j, t)));
-    for (const point of [...robots.flat(), ...present, ...goals]) {
+    const ends = episode.walls.flatMap(([x0, y0, x1, y1]) => [[x0, y0], [x1, y1]]);
+    for (const point of [...robots.flat(), ...present, ...goals, ...ends]) {
       for (const axis of [0, 1]) {
         low[axis] = Math.min(low[axis], point[axis]);
         high[axis] = Math.max(high[axis], point[axis]);
@@ -182,6 +183,18 @@ function drawSide({ canvas, episode }) {
   for (let metre = Math.ceil((middle[1] - half) / 2) * 2; metre < middle[1] + half; metre += 2) {
     line([[middle[0] - half, metre], [middle[0] + half, metre]], colours.grid, 1);
   }
+
+  if (episode.lidar && element("rays").checked) {
+    const heading = between(episode.headings[me], t);
+    pen.globalAlpha = 0.35;
+    episode.lidar.ranges[me][k].forEach((range, ray) => {
+      const angle = heading + episode.lidar.angles[ray];
+      const [dx, dy] = [Math.cos(angle), Math.sin(angle)].map((part) => (part * range) / 100);
+      line([robots[me], [robots[me][0] + dx, robots[me][1] + dy]], colourOf(me), 1);
+    });
+    pen.globalAlpha = 1;
+  }
+  episode.walls.forEach(([x0, y0, x1, y1]) => line([[x0, y0], [x1, y1]], colours.ink, 3));
 
   robots.forEach((robot, i) => { // fields of view
     const view = (episode.fov * Math.PI) / 180, heading = between(episode.headings[i], t);
@@ -502,6 +515,7 @@ async function show() {
   state.time = Math.min(state.time, state.steps);
   state.bounds = bounds();
   element("stage").classList.toggle("alone", state.shown.length === 1);
+  element("raysLabel").hidden = !state.shown.some((episode) => episode.lidar);
   element("time").max = state.steps;
   const count = state.shown[0].robots.length;
   if (element("robots").children.length !== count) {
@@ -559,6 +573,7 @@ element("forward").onclick = () => step(1);
 element("strip").onclick = (event) =>
   seek(Math.round((event.offsetX / event.target.clientWidth) * state.steps));
 element("time").oninput = (event) => seek(Number(event.target.value));
+element("rays").onchange = draw;
 element("choice").onsubmit = (event) => event.preventDefault();
 element("choice").onchange = () => { updateOptions(); show(); };
 document.addEventListener("keydown", key);

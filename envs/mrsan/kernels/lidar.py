@@ -1,0 +1,199 @@
+"""What robots perceive of walls: nearest segments, and the ranges of a lidar."""
+
+import math
+
+import numpy as np
+from numba import prange
+
+from mrsan.kernels import function, kernel, rng
+from mrsan.kernels.walls import (
+    END_X,
+    END_Y,
+    START_X,
+    START_Y,
+    WALLS,
+    faces,
+    nearest_point,
+)
+from mrsan.kernels.zones import next_point
+from mrsan.se2 import unrotate
+
+_ZERO = np.float32(0.0)
+_ONE = np.float32(1.0)
+_FAR = np.float32(np.inf)
+_AGENTS = 1024  # rays at most, for distinct random numbers
+
+
+@kernel
+def observe_walls(chunks, worlds, state, limit, segments, mask):
+    """Write the walls nearest to each robot, in its body frame, nearest first.
+
+    Args:
+        chunks: number of pieces the loop over worlds is cut into.
+        worlds: [E] bool, the worlds to observe.
+        state: the worlds.
+        limit: distance beyond which walls are not seen, m.
+        segments: [E, N, K, 4], written: start and end of each; zero where the mask is False.
+        mask: [E, N, K] bool, written.
+    """
+    total, n, most = mask.shape[0], mask.shape[1], mask.shape[2]
+    for chunk in prange(chunks):
+        numbers = np.empty(most + 1, np.int32)
+        distances = np.empty(most + 1, np.float32)
+        for e in range(chunk * total // chunks, (chunk + 1) * total // chunks):
+            if worlds[e]:
+                for i in range(n):
+                    _nearest_segments(
+                        state, e, i, limit, segments[e, i], mask[e, i], numbers, distances
+                    )
+
+
+@function
+def _wall_count(state, e):
+    return int(state.place[e, WALLS]) if state.place.shape[1] > 0 else 0
+
+
+@function
+def _nearest_segments(state, e, i, limit, segments, mask, numbers, distances):
+    walls, count, most = state.walls[e], _wall_count(state, e), mask.shape[0]
+    x, y = state.robot_position[e, i, 0], state.robot_position[e, i, 1]
+    cos, sin = math.cos(state.robot_heading[e, i]), math.sin(state.robot_heading[e, i])
+    found = 0
+    for k in range(count):
+        px, py = nearest_point(walls, k, x, y)
+        squared = (px - x) * (px - x) + (py - y) * (py - y)
+        if squared > limit * limit or not faces(walls, k, x, y):
+            continue
+        row = min(found, most)
+        while row > 0 and squared < distances[row - 1]:
+            numbers[row], distances[row] = numbers[row - 1], distances[row - 1]
+            row -= 1
+        numbers[row], distances[row] = k, squared
+        found = min(found + 1, most)
+    for slot in range(most):
+        mask[slot] = slot < found
+        if slot < found:
+            k = numbers[slot]
+            segments[slot, 0], segments[slot, 1] = unrotate(
+                cos, sin, walls[START_X, k] - x, walls[START_Y, k] - y
+            )
+            segments[slot, 2], segments[slot, 3] = unrotate(
+                cos, sin, walls[END_X, k] - x, walls[END_Y, k] - y
+            )
+        else:
+            segments[slot, 0] = segments[slot, 1] = segments[slot, 2] = segments[slot, 3] = _ZERO
+
+
+@kernel
+def observe_route(chunks, worlds, state, known, route):
+    """Write where the route of each robot leads next in its body frame, [E, N, 2], m.
+
+    That is the next corner, or the goal if it can be reached straight on or if the map is not
+    known.
+    """
+    total, n = route.shape[0], route.shape[1]
+    for chunk in prange(chunks):
+        for e in range(chunk * total // chunks, (chunk + 1) * total // chunks):
+            if worlds[e]:
+                for i in range(n):
+                    _write_route(state, e, i, known, route[e, i])
+
+
+@function
+def _write_route(state, e, i, known, route):
+    x, y = state.robot_position[e, i, 0], state.robot_position[e, i, 1]
+    cos, sin = math.cos(state.robot_heading[e, i]), math.sin(state.robot_heading[e, i])
+    to_x, to_y = state.robot_goal[e, i, 0], state.robot_goal[e, i, 1]
+    if known and state.place.shape[1] > 0:
+        to_x, to_y = next_point(state, e, state.human_radius.shape[1] + i, to_x, to_y)
+    route[0], route[1] = unrotate(cos, sin, to_x - x, to_y - y)
+
+
+@kernel
+def scan(chunks, worlds, state, q, cosines, sines, ranges):
+    """Write the ranges of each robot's lidar.
+
+    Args:
+        chunks: number of pieces the loop over worlds is cut into.
+        worlds: [E] bool, the worlds to observe.
+        state: the worlds.
+        q: the lidar, see `mrsan.sensors.walls.LidarParameters`.
+        cosines: [L] of the angles of the rays in the body frame.
+        sines: [L] likewise.
+        ranges: [E, N, L], written, m; the greatest range where nothing is hit.
+    """
+    total, n, rays = ranges.shape
+    for chunk in prange(chunks):
+        directions = np.empty((2, rays), np.float32)
+        for e in range(chunk * total // chunks, (chunk + 1) * total // chunks):
+            if worlds[e]:
+                for i in range(n):
+                    cos = math.cos(state.robot_heading[e, i])
+                    sin = math.sin(state.robot_heading[e, i])
+                    for ray in range(rays):
+                        directions[0, ray] = cos * cosines[ray] - sin * sines[ray]
+                        directions[1, ray] = sin * cosines[ray] + cos * sines[ray]
+                    _scan_walls(state, e, i, q, directions[0], directions[1], ranges[e, i])
+                    if q.sees_agents:
+                        _scan_agents(state, e, i, q, directions[0], directions[1], ranges[e, i])
+                    _disturb(state, e, i, q, ranges[e, i])
+
+
+@function
+def _scan_walls(state, e, i, q, ray_x, ray_y, ranges):
+    walls = state.walls[e]
+    x, y = state.robot_position[e, i, 0], state.robot_position[e, i, 1]
+    for ray in range(ranges.shape[0]):
+        ranges[ray] = q.range
+    for k in range(_wall_count(state, e)):
+        if not faces(walls, k, x, y):
+            continue
+        ax, ay = walls[START_X, k] - x, walls[START_Y, k] - y
+        ux, uy = walls[END_X, k] - walls[START_X, k], walls[END_Y, k] - walls[START_Y, k]
+        across = ax * uy - ay * ux
+        for ray in range(ranges.shape[0]):
+            dx, dy = ray_x[ray], ray_y[ray]
+            determinant = dx * uy - dy * ux  # positive: the ray meets the front of the line
+            distance = across / determinant
+            share = (ax * dy - ay * dx) / determinant  # of the segment, where they meet
+            hit = (determinant != _ZERO) & (share >= _ZERO) & (share <= _ONE) & (distance >= _ZERO)
+            nearer = hit & (distance < ranges[ray])
+            ranges[ray] = distance if nearer else ranges[ray]
+
+
+@function
+def _scan_agents(state, e, i, q, ray_x, ray_y, ranges):
+    """Shorten the rays that people and other robots stop."""
+    x, y = state.robot_position[e, i, 0], state.robot_position[e, i, 1]
+    people = state.human_radius.shape[1]
+    for j in range(people + state.robot_heading.shape[1]):
+        if j == people + i or (j < people and not state.human_present[e, j]):
+            continue
+        if j < people:
+            px, py = state.human_position[e, j, 0] - x, state.human_position[e, j, 1] - y
+            radius = state.human_radius[e, j]
+        else:
+            px = state.robot_position[e, j - people, 0] - x
+            py = state.robot_position[e, j - people, 1] - y
+            radius = q.robot_radius
+        for ray in range(ranges.shape[0]):
+            along = px * ray_x[ray] + py * ray_y[ray]
+            across = px * ray_y[ray] - py * ray_x[ray]
+            inside = radius * radius - across * across
+            distance = max(along - math.sqrt(max(inside, _ZERO)), _ZERO)
+            nearer = (inside > _ZERO) & (along > _ZERO) & (distance < ranges[ray])
+            ranges[ray] = distance if nearer else ranges[ray]
+
+
+@function
+def _disturb(state, e, i, q, ranges):
+    """Add noise to the ranges, and lose some: those have the greatest range."""
+    key, step = state.key[e], state.clock[e]
+    for ray in range(ranges.shape[0]):
+        agent = i * _AGENTS + ray
+        if (q.noise > _ZERO or q.noise_share > _ZERO) and ranges[ray] < q.range:
+            sigma = q.noise + q.noise_share * ranges[ray]
+            noisy = ranges[ray] + sigma * rng.normal(key, rng.LIDAR, agent, step, 0)
+            ranges[ray] = min(max(noisy, _ZERO), q.range)
+        if q.dropout > _ZERO and rng.uniform(key, rng.LIDAR, agent, step, 2) < q.dropout:
+            ranges[ray] = q.range

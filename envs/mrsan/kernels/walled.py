@@ -1,0 +1,135 @@
+"""What differs in places with walls: the functions that kernels call instead of the open ones.
+
+People walk along routes, past walls and never through one; robots touch walls, and their progress
+is measured along their routes.
+"""
+
+import math
+from functools import cache
+
+import numpy as np
+
+from mrsan.kernels import function, kernel
+from mrsan.kernels.habits import stands, walks_along
+from mrsan.kernels.obstacle_orca import near_walls, wall_lines
+from mrsan.kernels.people import changes_goal, list_agents
+from mrsan.kernels.routes import UPDATE_EVERY
+from mrsan.kernels.sensing import observe
+from mrsan.kernels.walls import WALLS, is_clear, nearest_point, sees, wall_distance
+from mrsan.kernels.zones import (
+    draw_goal_in_zones,
+    join_goal,
+    next_point,
+    remaining_route,
+    update_route,
+)
+
+_ZERO = np.float32(0.0)
+_TINY = np.float32(1e-6)
+_SLACK = np.float32(1e-3)  # m, by which people may come closer to a wall than their radius
+_ROUNDING = np.float32(1e-5)  # m
+
+
+@function
+def is_in_sight(state, e, x, y, dx, dy):
+    """Return whether no wall hides what is at (x + dx, y + dy) from (x, y)."""
+    return sees(state.walls[e], int(state.place[e, WALLS]), x, y, dx, dy)
+
+
+@function
+def robot_touches_wall(state, e, x, y, dx, dy, p):
+    """Return whether a robot that moves from (x, y) by (dx, dy) touches a wall."""
+    count = int(state.place[e, WALLS])
+    return not is_clear(state.walls[e], count, x, y, dx, dy, p.robot_radius)
+
+
+@function
+def progress_along_route(state, e, i, progress, p):
+    """Update the route of robot `i`; return by how much its rest has become shorter, m."""
+    x, y = state.robot_position[e, i, 0], state.robot_position[e, i, 1]
+    goal_x, goal_y = state.robot_goal[e, i, 0], state.robot_goal[e, i, 1]
+    agent = state.human_radius.shape[1] + i
+    update_route(state, e, agent, x, y, goal_x, goal_y)
+    before = state.route_left[e, i]
+    state.route_left[e, i] = remaining_route(state, e, agent, x, y, goal_x, goal_y)
+    return before - state.route_left[e, i]
+
+
+@function
+def walk_along_routes(
+    state, e, p, settings, recording, present, agents, velocities, scratch, crowd_velocity
+):
+    """Choose the velocities of people among walls; arguments as in `people.walk_to_goals`."""
+    count = list_agents(state, e, p, present, agents)
+    position, goal = state.human_position, state.human_goal
+    key, step = state.key[e], state.clock[e]
+    is_interval = step > 0 and step % p.goal_change_steps == 0
+    goal_changed = False  # of the person before
+    for row in range(present.shape[0]):
+        j = present[row]
+        x, y, speed = position[e, j, 0], position[e, j, 1], state.human_speed[e, j]
+        old_x, old_y = goal[e, j, 0], goal[e, j, 1]
+        dx, dy = old_x - x, old_y - y
+        renew = dx * dx + dy * dy < state.human_radius[e, j] * state.human_radius[e, j]
+        if walks_along(key, j, p) and state.human_present[e, j - 1]:
+            if goal_changed:
+                join_goal(state, e, j)
+        elif renew or (is_interval and changes_goal(key, j, step, p)):
+            if not draw_goal_in_zones(state, e, j, key, step, p):
+                goal[e, j, 0], goal[e, j, 1] = old_x, old_y
+        goal_changed = goal[e, j, 0] != old_x or goal[e, j, 1] != old_y
+        if (step + j) % UPDATE_EVERY == 0:
+            update_route(state, e, j, x, y, goal[e, j, 0], goal[e, j, 1])
+        to_x, to_y = next_point(state, e, j, goal[e, j, 0], goal[e, j, 1])
+        dx, dy = to_x - x, to_y - y
+        scale = speed / max(math.sqrt(dx * dx + dy * dy), _TINY)
+        if stands(key, j, step, p):
+            scale = _ZERO
+        _list_near_walls(state, e, j, p, scratch)
+        velocities[row, 0], velocities[row, 1] = crowd_velocity(
+            agents, count, row, dx * scale, dy * scale, speed, p, settings, scratch
+        )
+        avoid_walls(state, e, j, p, velocities[row])
+
+
+@function
+def _list_near_walls(state, e, j, p, scratch):
+    """Write the walls near human `j`, and their ORCA lines, into `scratch`."""
+    x, y = state.human_position[e, j, 0], state.human_position[e, j, 1]
+    vx, vy = state.human_velocity[e, j, 0], state.human_velocity[e, j, 1]
+    radius, horizon = state.human_radius[e, j], p.time_horizon_obstacles
+    reach = horizon * state.human_speed[e, j] + radius
+    near_walls(state.walls[e], int(state.place[e, WALLS]), x, y, reach, scratch)
+    wall_lines(state.walls[e], x, y, vx, vy, radius, horizon, scratch)
+
+
+@function
+def avoid_walls(state, e, j, p, velocity):
+    """Change a velocity of human `j` that would lead into a wall: along the wall, or to a stop."""
+    walls, count = state.walls[e], int(state.place[e, WALLS])
+    x, y, dt = state.human_position[e, j, 0], state.human_position[e, j, 1], p.time_step
+    radius = state.human_radius[e, j] - _SLACK
+    radius = min(radius, wall_distance(walls, count, x, y) - _ROUNDING)
+    if is_clear(walls, count, x, y, velocity[0] * dt, velocity[1] * dt, radius):
+        return
+    least, away_x, away_y = np.float32(np.inf), _ZERO, _ZERO
+    for k in range(count):
+        px, py = nearest_point(walls, k, x, y)
+        squared = (x - px) * (x - px) + (y - py) * (y - py)
+        if squared < least:
+            least, away_x, away_y = squared, x - px, y - py
+    length = math.sqrt(least)
+    if length > _ZERO:
+        away_x, away_y = away_x / length, away_y / length
+        into = min(velocity[0] * away_x + velocity[1] * away_y, _ZERO)
+        velocity[0] -= into * away_x
+        velocity[1] -= into * away_y
+        if is_clear(walls, count, x, y, velocity[0] * dt, velocity[1] * dt, radius):
+            return
+    velocity[0] = velocity[1] = _ZERO
+
+
+@cache
+def observe_past_walls() -> kernel:
+    """Return the kernel that observes the agents that no wall hides."""
+    return observe.variant("walled", is_in_sight=is_in_sight)

@@ -1,0 +1,176 @@
+"""Walls: directed segments whose solid side is on their left, and the geometry they need.
+
+The walls of a world are the columns of an array [12, W] that `close_polygon` writes: a segment, its
+unit direction, those of the segments before and after it in its polygon, and whether its ends are
+convex corners. Counter-clockwise polygons are solid, clockwise ones bound the floor, and two
+vertices make a thin wall with a front and a back, as in the RVO2 library.
+
+Loops over segments have no branches, so that the compiler can use vector instructions.
+"""
+
+import math
+
+import numpy as np
+
+from mrsan.kernels import function, separate
+
+WALL_ROWS = 12
+START_X, START_Y, END_X, END_Y = range(4)
+ALONG_X, ALONG_Y = 4, 5  # direction of the segment
+BEFORE_X, BEFORE_Y, AFTER_X, AFTER_Y = range(6, 10)  # directions of its neighbours
+START_CONVEX, END_CONVEX = 10, 11  # 1 or 0
+
+# Columns of `State.place`, which describes the place of an episode.
+PLACE_COLUMNS = 8
+WALLS = 0  # number of wall segments
+CORNERS = 1  # number of corners of the route graph
+ZONES = 2  # number of zones in which starts and goals are drawn
+WINDING = 3  # winding number of the free floor
+FAMILY = 4  # the layout that was drawn
+CROSSING_SHARE = 5  # probability that a person's goal lies in another zone
+REDRAWS = 6  # starts and goals that were drawn again because they had no route
+CLEARANCE = 7  # distance that routes keep from walls, m
+
+_ZERO = np.float32(0.0)
+_ONE = np.float32(1.0)
+_TINY = np.float32(1e-12)
+
+
+@separate
+def close_polygon(walls, first, last):
+    """Complete a polygon whose vertices are the starts of segments `first` to `last` (excluded)."""
+    for k in range(first, last):
+        following = k + 1 if k + 1 < last else first
+        walls[END_X, k], walls[END_Y, k] = walls[START_X, following], walls[START_Y, following]
+        dx, dy = walls[END_X, k] - walls[START_X, k], walls[END_Y, k] - walls[START_Y, k]
+        length = math.sqrt(dx * dx + dy * dy)
+        walls[ALONG_X, k], walls[ALONG_Y, k] = dx / length, dy / length
+    for k in range(first, last):
+        before = k - 1 if k > first else last - 1
+        walls[BEFORE_X, k], walls[BEFORE_Y, k] = walls[ALONG_X, before], walls[ALONG_Y, before]
+        convex = last - first == 2 or _turns_left(walls, before, k)
+        walls[START_CONVEX, k] = walls[END_CONVEX, before] = _ONE if convex else _ZERO
+        walls[AFTER_X, before], walls[AFTER_Y, before] = walls[ALONG_X, k], walls[ALONG_Y, k]
+
+
+@function
+def _turns_left(walls, before, k):
+    return (
+        walls[ALONG_X, before] * walls[ALONG_Y, k] - walls[ALONG_Y, before] * walls[ALONG_X, k]
+        >= _ZERO
+    )
+
+
+@separate
+def sees(walls, count, x, y, dx, dy):
+    """Return whether no wall crosses or touches the way from (x, y) to (x + dx, y + dy)."""
+    crossed = 0
+    for k in range(count):
+        ax, ay = walls[START_X, k] - x, walls[START_Y, k] - y
+        bx, by = walls[END_X, k] - x, walls[END_Y, k] - y
+        side_a, side_b = dx * ay - dy * ax, dx * by - dy * bx
+        ux, uy = bx - ax, by - ay
+        own, other = uy * ax - ux * ay, uy * (ax - dx) - ux * (ay - dy)
+        crossed += (side_a * side_b <= _ZERO) & (own * other <= _ZERO)
+    return crossed == 0
+
+
+@separate
+def is_clear(walls, count, x, y, dx, dy, radius):
+    """Return whether a disc that moves from (x, y) by (dx, dy) keeps clear of all walls."""
+    touched = 0
+    squared = radius * radius
+    by_length = _ONE / max(dx * dx + dy * dy, _TINY)
+    for k in range(count):
+        ax, ay = walls[START_X, k] - x, walls[START_Y, k] - y
+        bx, by = walls[END_X, k] - x, walls[END_Y, k] - y
+        ux, uy = bx - ax, by - ay
+        side_a, side_b = dx * ay - dy * ax, dx * by - dy * bx
+        own, other = uy * ax - ux * ay, uy * (ax - dx) - ux * (ay - dy)
+        crossed = (side_a * side_b < _ZERO) & (own * other < _ZERO)
+        # The ends of the wall from the way, and the ends of the way from the wall.
+        t = min(max((ax * dx + ay * dy) * by_length, _ZERO), _ONE)
+        px, py = ax - t * dx, ay - t * dy
+        near = px * px + py * py < squared
+        t = min(max((bx * dx + by * dy) * by_length, _ZERO), _ONE)
+        px, py = bx - t * dx, by - t * dy
+        near |= px * px + py * py < squared
+        by_wall = _ONE / max(ux * ux + uy * uy, _TINY)
+        t = min(max(-(ax * ux + ay * uy) * by_wall, _ZERO), _ONE)
+        px, py = ax + t * ux, ay + t * uy
+        near |= px * px + py * py < squared
+        t = min(max(((dx - ax) * ux + (dy - ay) * uy) * by_wall, _ZERO), _ONE)
+        px, py = ax + t * ux - dx, ay + t * uy - dy
+        near |= px * px + py * py < squared
+        touched += near | crossed
+    return touched == 0
+
+
+@function
+def way_distance(walls, count, x, y, dx, dy):
+    """Return the smallest distance to a wall on the way from (x, y) by (dx, dy); inf without, m."""
+    nearest = np.float32(np.inf)
+    by_length = _ONE / max(dx * dx + dy * dy, _TINY)
+    for k in range(count):
+        ax, ay = walls[START_X, k] - x, walls[START_Y, k] - y
+        bx, by = walls[END_X, k] - x, walls[END_Y, k] - y
+        side_a, side_b = dx * ay - dy * ax, dx * by - dy * bx
+        ux, uy = bx - ax, by - ay
+        own, other = uy * ax - ux * ay, uy * (ax - dx) - ux * (ay - dy)
+        if side_a * side_b < _ZERO and own * other < _ZERO:
+            return _ZERO
+        for px, py in ((ax, ay), (bx, by)):
+            t = min(max((px * dx + py * dy) * by_length, _ZERO), _ONE)
+            nearest = min(nearest, _squared(px - t * dx, py - t * dy))
+        by_wall = _ONE / max(ux * ux + uy * uy, _TINY)
+        for qx, qy in ((_ZERO, _ZERO), (dx, dy)):
+            t = min(max(((qx - ax) * ux + (qy - ay) * uy) * by_wall, _ZERO), _ONE)
+            nearest = min(nearest, _squared(ax + t * ux - qx, ay + t * uy - qy))
+    return math.sqrt(nearest)
+
+
+@function
+def _squared(x, y):
+    return x * x + y * y
+
+
+@function
+def nearest_point(walls, k, x, y):
+    """Return the point of segment `k` that is nearest to (x, y)."""
+    ax, ay = walls[START_X, k], walls[START_Y, k]
+    ux, uy = walls[END_X, k] - ax, walls[END_Y, k] - ay
+    length_squared = max(ux * ux + uy * uy, _TINY)
+    t = min(max(((x - ax) * ux + (y - ay) * uy) / length_squared, _ZERO), _ONE)
+    return ax + t * ux, ay + t * uy
+
+
+@function
+def faces(walls, k, x, y):
+    """Return whether (x, y) is on the free side of segment `k`."""
+    return (
+        walls[ALONG_X, k] * (y - walls[START_Y, k]) - walls[ALONG_Y, k] * (x - walls[START_X, k])
+        < _ZERO
+    )
+
+
+@function
+def wall_distance(walls, count, x, y):
+    """Return the distance from (x, y) to the nearest wall; inf without walls, m."""
+    nearest = np.float32(np.inf)
+    for k in range(count):
+        px, py = nearest_point(walls, k, x, y)
+        nearest = min(nearest, (px - x) * (px - x) + (py - y) * (py - y))
+    return math.sqrt(nearest)
+
+
+@separate
+def winding_number(walls, count, x, y):
+    """Return how often the polygons go round (x, y) counter-clockwise, less clockwise."""
+    winding = 0
+    for k in range(count):
+        ax, ay = walls[START_X, k] - x, walls[START_Y, k] - y
+        bx, by = walls[END_X, k] - x, walls[END_Y, k] - y
+        side = ax * by - ay * bx
+        winding += (ay <= _ZERO) & (by > _ZERO) & (side > _ZERO)
+        winding -= (ay > _ZERO) & (by <= _ZERO) & (side < _ZERO)
+    return winding

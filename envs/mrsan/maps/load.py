@@ -1,0 +1,156 @@
+"""Map files: our YAML format, GeoJSON, and occupancy grids of ROS."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from mrsan.maps.polygons import MapError, Polygon, check_inside, closed_polygon, thin_walls
+from mrsan.maps.ros import load_ros_map
+
+MAX_SEGMENTS = 256
+_KEYS = ("bounds", "obstacles", "walls", "scale")
+
+
+def load_map(path: str | Path) -> list[Polygon]:
+    """Return the polygons of a map file, the bounds first.
+
+    A YAML file has the keys `bounds` (the outline of the floor), `obstacles` (polygons), `walls`
+    (polylines) and `scale` (metres per unit); each is optional. GeoJSON has polygons (obstacles),
+    lines (walls), and at most one polygon with the property `kind: bounds`, whose holes are
+    obstacles; its coordinates are metres. A YAML file with the key `image` is a map of ROS; its
+    occupied and unknown cells are obstacles.
+
+    Raises:
+        MapError: names the file, the polygon and what is wrong.
+    """
+    path = Path(path)
+    try:
+        content = _content(path)
+        if isinstance(content, dict) and "image" in content:
+            polygons = load_ros_map(content, path.parent, MAX_SEGMENTS)
+        elif path.suffix in (".json", ".geojson"):
+            polygons = _of_parts(_geojson_parts(content))
+        else:
+            polygons = _of_parts(_yaml_parts(content))
+        _check_number(polygons)
+    except MapError as error:
+        raise MapError(f"{path}: {error}") from None
+    return polygons
+
+
+def _content(path: Path) -> Any:
+    try:
+        text = path.read_text()
+        return json.loads(text) if path.suffix in (".json", ".geojson") else yaml.safe_load(text)
+    except OSError as error:
+        raise MapError(f"cannot be read ({error.strerror})") from None
+    except (UnicodeDecodeError, json.JSONDecodeError, yaml.YAMLError) as error:
+        line = getattr(getattr(error, "problem_mark", None), "line", None)
+        where = f" in line {line + 1}" if line is not None else ""
+        reason = getattr(error, "problem", None) or getattr(error, "msg", None) or "not text"
+        raise MapError(f"is not valid{where}: {reason}") from None
+
+
+Parts = dict[str, dict[str, Any]]  # kind -> name of the polygon -> its points
+
+
+def _of_parts(parts: Parts) -> list[Polygon]:
+    """Return the checked polygons of a map."""
+    outlines = [closed_polygon(points, name, True) for name, points in parts["bounds"].items()]
+    inner = {
+        name: [closed_polygon(points, name, False)] for name, points in parts["obstacles"].items()
+    }
+    inner |= {name: thin_walls(points, name) for name, points in parts["walls"].items()}
+    for bounds in outlines:
+        check_inside(inner, bounds)
+    return [*outlines, *(piece for pieces in inner.values() for piece in pieces)]
+
+
+def _yaml_parts(content: Any) -> Parts:
+    if not isinstance(content, dict):
+        raise MapError(f"must have the keys {', '.join(_KEYS)}")
+    for key in content:
+        if key not in _KEYS:
+            raise MapError(f"has the key {key!r}; it must be one of {', '.join(_KEYS)}")
+    scale = content.get("scale", 1.0)
+    if isinstance(scale, bool) or not isinstance(scale, int | float) or not 0 < scale < 1e6:
+        raise MapError(f"scale is {scale!r}; it must be a positive number")
+
+    def scaled(points: Any) -> Any:
+        try:
+            return np.asarray(points, np.float64) * scale
+        except (TypeError, ValueError):
+            return points  # the message about it comes with the check
+
+    parts: Parts = {"bounds": {}, "obstacles": {}, "walls": {}}
+    if content.get("bounds") is not None:
+        parts["bounds"]["bounds"] = scaled(content["bounds"])
+    for kind in ("obstacles", "walls"):
+        listed = content.get(kind) or []
+        if not isinstance(listed, list):
+            raise MapError(f"{kind} is {listed!r:.60}; it must be a list of lists of points")
+        parts[kind] = {f"{kind}[{k}]": scaled(points) for k, points in enumerate(listed)}
+    return parts
+
+
+def _geojson_parts(content: Any) -> Parts:
+    parts: Parts = {"bounds": {}, "obstacles": {}, "walls": {}}
+    if isinstance(content, dict) and content.get("type") == "FeatureCollection":
+        features = content.get("features", [])
+    else:
+        features = [content]
+    for number, feature in enumerate(features):
+        name = f"features[{number}]"
+        if not isinstance(feature, dict):
+            raise MapError(f"{name} is {feature!r:.60}; it must be a feature")
+        geometry = feature.get("geometry") if feature.get("type") == "Feature" else feature
+        properties = feature.get("properties") or {}
+        is_bounds = isinstance(properties, dict) and properties.get("kind") == "bounds"
+        _add_geometry(parts, geometry, name, is_bounds)
+    if len(parts["bounds"]) > 1:
+        raise MapError(f"has {len(parts['bounds'])} bounds; it must have at most one")
+    return parts
+
+
+def _add_geometry(parts: Parts, geometry: Any, name: str, is_bounds: bool) -> None:
+    """Add the polygons or lines of one feature."""
+    if not isinstance(geometry, dict):
+        raise MapError(f"{name} has no geometry")
+    kind, coordinates = geometry.get("type"), geometry.get("coordinates")
+    if not isinstance(coordinates, list):
+        raise MapError(f"{name} has no coordinates")
+    if kind in ("LineString", "MultiLineString"):
+        lines = [coordinates] if kind == "LineString" else coordinates
+        parts["walls"] |= {f"{name}.{k}": line for k, line in enumerate(lines)}
+    elif kind in ("Polygon", "MultiPolygon"):
+        for k, rings in enumerate([coordinates] if kind == "Polygon" else coordinates):
+            if not isinstance(rings, list) or not rings:
+                raise MapError(f"{name}.{k} has no ring")
+            if is_bounds:
+                parts["bounds"][f"{name}.{k}"] = rings[0]
+                holes = {f"{name}.{k}.{hole}": ring for hole, ring in enumerate(rings) if hole}
+                parts["obstacles"] |= holes
+            elif len(rings) > 1:
+                raise MapError(
+                    f"{name}.{k} has a hole; an obstacle must have none (only the outline with the "
+                    "property `kind: bounds` may)"
+                )
+            else:
+                parts["obstacles"][f"{name}.{k}"] = rings[0]
+    else:
+        raise MapError(
+            f"{name} is a {kind}; it must be a Polygon, a LineString or a Multi- of them"
+        )
+
+
+def _check_number(polygons: list[Polygon]) -> None:
+    if not polygons:
+        raise MapError("has no polygon; it must have bounds, obstacles or walls")
+    segments = sum(len(polygon) for polygon in polygons)  # a thin wall has a front and a back
+    if segments > MAX_SEGMENTS:
+        raise MapError(f"has {segments} wall segments; it must have at most {MAX_SEGMENTS}")

@@ -1,0 +1,138 @@
+"""Maps from files: every format, and every way in which a file can be wrong."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import shapely
+import yaml
+from PIL import Image
+
+from mrsan import ConfigurationError, Layout, Scenario, World
+from mrsan.maps import MapError, load_map
+
+SQUARE = [[0, 0], [1, 0], [1, 1], [0, 1]]
+BOUNDS = [[-5, -5], [5, -5], [5, 5], [-5, 5]]
+
+
+def written(tmp_path: Path, content: Any, name: str = "map.yaml") -> Path:
+    path = tmp_path / name
+    path.write_text(content if isinstance(content, str) else json.dumps(content))
+    return path
+
+
+def is_ccw(polygon: np.ndarray) -> bool:
+    return shapely.LinearRing(polygon).is_ccw
+
+
+@pytest.mark.parametrize("turn", [1, -1])
+def test_orientation_does_not_matter_in_yaml(tmp_path: Path, turn: int) -> None:
+    content = {
+        "bounds": BOUNDS[::turn],
+        "obstacles": [SQUARE[::turn]],
+        "walls": [[[2, 0], [2, 3], [4, 3]]],
+        "scale": 0.5,
+    }
+    bounds, square, first, second = load_map(written(tmp_path, content))
+    assert not is_ccw(bounds)
+    assert is_ccw(square)
+    assert shapely.Polygon(bounds).area == pytest.approx(25.0)
+    assert shapely.Polygon(square).equals(shapely.Polygon(np.array(SQUARE) * 0.5))
+    np.testing.assert_allclose(first, [[1, 0], [1, 1.5]])
+    np.testing.assert_allclose(second, [[1, 1.5], [2, 1.5]])
+
+
+def test_geojson(tmp_path: Path) -> None:
+    outline = {"type": "Polygon", "coordinates": [[*BOUNDS, BOUNDS[0]], [*SQUARE, SQUARE[0]]]}
+    line = {"type": "LineString", "coordinates": [[2, 0], [2, 3]]}
+    features = [
+        {"type": "Feature", "properties": {"kind": "bounds"}, "geometry": outline},
+        {"type": "Feature", "properties": None, "geometry": line},
+    ]
+    content = {"type": "FeatureCollection", "features": features}
+    bounds, square, wall = load_map(written(tmp_path, content, "map.geojson"))
+    assert not is_ccw(bounds)
+    assert is_ccw(square)
+    assert len(square) == 4
+    np.testing.assert_allclose(wall, [[2, 0], [2, 3]])
+
+
+@pytest.mark.parametrize(
+    ("content", "named"),
+    [
+        ("{", "line"),
+        ("just words", "bounds"),
+        ({"wall": []}, "'wall'"),
+        ({"obstacles": 3}, "obstacles"),
+        ({"obstacles": [[[0, 0], [1, 1]]]}, "obstacles[0]"),
+        ({"obstacles": [SQUARE, [[0, 0], [1, "x"], [1, 1]]]}, "obstacles[1]"),
+        ({"obstacles": [[[0, 0], [1, 0], [2, 0]]]}, "obstacles[0]"),
+        ({"obstacles": [[[0, 0], [1, 1], [1, 0], [0, 1]]]}, "intersects itself"),
+        ({"walls": [[[0, 0]]]}, "walls[0]"),
+        ({"bounds": BOUNDS, "walls": [[[0, 0], [6, 0]]]}, "[6.0, 0.0]"),
+        ({"scale": -1, "obstacles": [SQUARE]}, "scale is -1"),
+        ({}, "no polygon"),
+        ({"walls": [[[k, 0], [k, 1]] for k in range(129)]}, "258"),
+        ({"image": "none.png", "origin": [0, 0, 0]}, "resolution is None"),
+        ({"image": "none.png", "resolution": 0.1}, "origin is None"),
+        ({"image": "none.png", "resolution": 0.1, "origin": [0, 0, 0]}, "none.png"),
+    ],
+)
+def test_mistakes_are_named(tmp_path: Path, content: Any, named: str) -> None:
+    path = written(tmp_path, content)
+    with pytest.raises(MapError) as error:
+        load_map(path)
+    assert str(error.value).startswith(str(path))
+    assert named in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_a_missing_file_is_named_by_the_scenario(tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match=r"scenario\.map"):
+        World(Scenario(layout=Layout.map, map=str(tmp_path / "none.yaml")))
+
+
+@pytest.mark.parametrize("negate", [0, 1])
+@pytest.mark.parametrize("yaw", [0.0, 0.5])
+def test_a_map_of_ros(tmp_path: Path, negate: int, yaw: float) -> None:
+    """A room of 8 x 6 m with a pillar of 1 m: the grid has cells of 0.1 m, unknown outside."""
+    grid = np.full((80, 100), 205, np.uint8)
+    grid[10:70, 10:90] = 254
+    grid[30:40, 50:60] = 0
+    Image.fromarray(255 - grid if negate else grid).save(tmp_path / "map.png")
+    content = {"image": "map.png", "resolution": 0.1, "origin": [-5, -4, yaw], "negate": negate}
+    content |= {"occupied_thresh": 0.65, "free_thresh": 0.19 if negate else 0.196}
+    path = tmp_path / "map.yaml"
+    path.write_text(yaml.safe_dump(content))
+    bounds, pillar = load_map(path)
+    assert not is_ccw(bounds)
+    assert is_ccw(pillar)
+
+    def placed(left: float, bottom: float, right: float, top: float) -> shapely.Polygon:
+        box = shapely.box(left + 5, bottom + 4, right + 5, top + 4)
+        turned = shapely.affinity.rotate(box, yaw, origin=(0, 0), use_radians=True)
+        return shapely.affinity.translate(turned, -5, -4)
+
+    for polygon, expected in ((bounds, placed(-4, -3, 4, 3)), (pillar, placed(0, 0, 1, 1))):
+        ring = shapely.LinearRing(polygon)
+        assert shapely.hausdorff_distance(ring, expected.exterior) < 0.08  # less than a cell
+
+
+def test_agents_stay_on_the_floor_of_a_map(tmp_path: Path) -> None:
+    content = {"bounds": BOUNDS, "obstacles": [SQUARE], "walls": [[[-5, -2], [3, -2]]]}
+    path = written(tmp_path, content)
+    scenario = Scenario(layout=Layout.map, map=str(path), humans=5, collisions_end=False)
+    world = World(scenario, 20)
+    world.reset(np.arange(20))
+    lines = shapely.union_all([shapely.LinearRing(BOUNDS), shapely.LinearRing(SQUARE)])
+    lines = lines.union(shapely.LineString([[-5, -2], [3, -2]]))
+    state = world.state
+    assert (shapely.distance(shapely.points(state.robot_goal), lines) > 0.39).all()
+    for _ in range(60):
+        world.step(np.zeros((20, 3, 3), np.float32))
+    assert (shapely.distance(shapely.points(state.human_position), lines) > 0.29).all()
+    assert (
+        state.route_length > np.linalg.norm(state.robot_goal - state.robot_start, axis=-1) + 1
+    ).any()
