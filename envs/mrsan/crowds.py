@@ -28,7 +28,12 @@ from mrsan.kernels.people import (
     walk_to_goals,
 )
 from mrsan.kernels.step import advance
-from mrsan.kernels.walled import progress_along_route, robot_touches_wall, walk_along_routes
+from mrsan.kernels.walled import (
+    orca_crowd_past_walls,
+    progress_along_route,
+    robot_touches_wall,
+    walk_along_routes,
+)
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -45,6 +50,7 @@ class CrowdModel:
     choose_velocities: Any  # of all people of a world
     update_presence: Any = enter_and_leave
     crowd_velocity: Any = None  # of one person, which `walk_to_goals` calls
+    crowd_velocity_past_walls: Any = None  # the same in places with walls, if it differs
     settings: type | None = None  # dataclass of `Scenario.crowd_settings`; None: it has none
     kernel_settings: Callable[[Any], tuple[Any, ...]] = _no_settings
 
@@ -184,7 +190,11 @@ class SocialForceSettings(NamedTuple):
 
 CROWDS |= {
     Crowd.orca.value: CrowdModel(
-        "orca", walk_to_goals, crowd_velocity=orca_crowd, kernel_settings=_of_scenario(OrcaSettings)
+        "orca",
+        walk_to_goals,
+        crowd_velocity=orca_crowd,
+        crowd_velocity_past_walls=orca_crowd_past_walls,
+        kernel_settings=_of_scenario(OrcaSettings),
     ),
     Crowd.social_force.value: CrowdModel(
         "social_force",
@@ -251,12 +261,13 @@ def step_kernel(model: CrowdModel, walled: bool = False) -> kernel:
             update_presence=model.update_presence,
             crowd_velocity=model.crowd_velocity,
         )
+    past_walls = model.crowd_velocity_past_walls or model.crowd_velocity
     walks = model.choose_velocities is walk_to_goals
     return advance.variant(
         f"{model.variant}_walled",
         choose_velocities=walk_along_routes if walks else model.choose_velocities,
         update_presence=model.update_presence,
-        crowd_velocity=model.crowd_velocity,
+        crowd_velocity=past_walls,
         touches_wall=robot_touches_wall,
         route_progress=progress_along_route,
     )

@@ -30,6 +30,7 @@ class Tables(Flag):
     report = auto()  # of the report
     driving = auto()  # of the report, on how the robots drive
     counted = auto()  # printed and report, if collisions do not end the episode
+    walled = auto()  # printed and report, of places with walls
     everywhere = printed | report | driving
 
 
@@ -182,6 +183,40 @@ def _person_on_robot(episodes: Episodes) -> float:
 @metric("robot_collision_rate", heading="hit robot %", tables=Tables.everywhere)
 def _robot_collision(episodes: Episodes) -> float:
     return _percent(episodes.hit_robot)
+
+
+@metric("wall_collision_rate", heading="hit wall %", tables=Tables.walled)
+def _wall_collision(episodes: Episodes) -> float:
+    return _percent(episodes.hit_wall)
+
+
+@metric("deadlock_rate", heading="deadlock %", tables=Tables.walled)
+def _deadlock(episodes: Episodes) -> float:
+    """Episodes in which every robot that had not arrived stood still for 10 s, %."""
+    return _percent(episodes.deadlock)
+
+
+@metric("makespan", heading="makespan s", tables=Tables.walled)
+def _makespan(episodes: Episodes) -> Value:
+    """Time until the last robot arrived, mean over the successful episodes, s."""
+    return _mean(episodes.duration[episodes.success])
+
+
+@metric("flow_rate", heading="robots / min", tables=Tables.walled)
+def _flow_rate(episodes: Episodes) -> Value:
+    """Robots that arrive per minute until the last one does, mean over successful episodes.
+
+    In a doorway or a corridor every robot passes the opening once, so this is the flow through it.
+    """
+    robots = episodes.outcome.shape[1]
+    return _mean(60.0 * robots / episodes.duration[episodes.success])
+
+
+@metric("path_ratio", heading="path ratio", form="{:.2f}", decimals=3, tables=Tables.walled)
+def _path_ratio(episodes: Episodes) -> Value:
+    """Path driven over the shortest route, mean over the robots that arrived."""
+    arrived = episodes.outcome == Outcome.arrived
+    return _mean(episodes.path_length[arrived] / episodes.shortest_path[arrived])
 
 
 @metric("timeout_rate", heading="timeout %")

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from mrsan import Scenario
+from mrsan import Layout, Scenario
 from samarl.evaluation.metrics import METRICS, Metric, Tables
 from samarl.evaluation.papers import PAPER_CO_PLANNING, PAPER_NAME, PAPER_SUCCESS
 from samarl.evaluation.summary import Column, Row, column_of
@@ -99,7 +99,10 @@ def rows_as_cells(
         table: the table whose metrics are shown.
     """
     driving = table is Tables.driving
-    tables = table if driving or not counts_collisions(rows) else table | Tables.counted
+    tables = table
+    if not driving:
+        tables |= Tables.counted if counts_collisions(rows) else Tables(0)
+        tables |= Tables.walled if has_walls(rows) else Tables(0)
     metrics = [metric for metric in METRICS.values() if metric.heading and tables & metric.tables]
     header = ("method", "FOV", "humans", "robots", *(metric.heading for metric in metrics))
     lines = [_cells(row, metrics) for row in rows]
@@ -122,6 +125,11 @@ def rows_as_cells(
         for line, row in zip(lines, rows, strict=True):
             line.append(" ".join(row_settings(row)))
     return header, lines
+
+
+def has_walls(rows: Sequence[Row]) -> bool:
+    """Return whether the rows are of places with walls."""
+    return any(Layout[column_of(row).layout].value > Layout.mixed.value for row in rows)
 
 
 def _cells(row: Row, metrics: Sequence[Metric]) -> list[str]:

@@ -70,9 +70,10 @@ class Frames(NamedTuple):
         )
 
     def select(self, sizes: FeatureSizes) -> Frames:
-        """Return the groups and sensors that `sizes` names, without the others."""
+        """Return the groups and sensors that `sizes` names, and as many features of the robots."""
         entities = {name: self.entities[name] for name in sizes.entities}
-        return Frames(self.ego, entities, {name: self.sensors[name] for name in sizes.sensors})
+        sensors = {name: self.sensors[name] for name in sizes.sensors}
+        return Frames(self.ego[..., : sizes.ego], entities, sensors)
 
     def map(self, function: Callable[[Tensor], Tensor]) -> Frames:
         """Apply a function to every tensor."""

@@ -25,6 +25,13 @@ def next_point(tracks: Observation | Tracks) -> NDArray[np.float32]:
     return tracks.sensors.get("route", tracks.ego[..., GOAL])
 
 
+def heading_for_route(tracks: Observation | Tracks) -> NDArray[np.float32]:
+    """Return the robots' own states [E, N, 11] with the next point of the route as the goal."""
+    ego = tracks.ego.copy()
+    ego[..., GOAL] = next_point(tracks)
+    return ego
+
+
 def route(
     tracks: Observation | Tracks, fov_degrees: float, round_below: float, round_radius: float
 ) -> NDArray[np.float32]:

@@ -165,9 +165,7 @@ def _predict_outcomes(
                 hit_robot, _ = _next_others(
                     own, robots[e, i], robots_known[e, i], x, y, vx, vy, turn, p, next_robots[c, r]
                 )
-                hit_wall = seen > 0 and not is_clear(
-                    walls, seen, _ZERO, _ZERO, x, y, p.robot_radius
-                )
+                hit_wall = not is_clear(walls, seen, _ZERO, _ZERO, x, y, p.robot_radius)
                 collided = hit_human or hit_robot or hit_wall
                 dx, dy = goal_x - x, goal_y - y
                 goal_distance = math.sqrt(dx * dx + dy * dy)

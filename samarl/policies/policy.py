@@ -26,8 +26,9 @@ from mrsan import ConfigurationError, Observation, Scenario
 from mrsan.fields import required, setting
 from samarl.encoders import ENCODERS, Encoder
 from samarl.encoders.encoder import samples_of
-from samarl.observations.features import AGENT_SIZES, empty_frames, frames_of
+from samarl.observations.features import AGENT_SIZES, NETWORK_EGO_FEATURES, empty_frames, frames_of
 from samarl.observations.frames import FeatureSizes, Frames
+from samarl.observations.route import heading_for_route
 from samarl.observations.route import route as next_on_route
 from samarl.observations.tracker import Tracker, Tracks
 from samarl.policies.explanation import Explanation
@@ -239,7 +240,12 @@ class Policy(nn.Module, ABC):
         return tracks, self.extract_features(tracks, scenario).to(self.device)
 
     def extract_features(self, tracks: Tracks, scenario: Scenario) -> Frames:
-        """Return the features [B, 1, ...] of the groups and sensors that this policy observes."""
+        """Return the features [B, 1, ...] of the groups and sensors that this policy observes.
+
+        A policy that was trained without walls takes the next corner of its route for its goal.
+        """
+        if "route" in tracks.sensors and self.sizes.ego == NETWORK_EGO_FEATURES:
+            tracks = tracks._replace(ego=heading_for_route(tracks))
         return frames_of(tracks, scenario, self.config.known_origin).select(self.sizes)
 
     def empty_frames(self, scenario: Scenario, rows: int) -> Frames:

@@ -41,6 +41,7 @@ def validate(
         scenario = replace(stage.scenario, humans_min=None)
         name = f"{scenario.fov_degrees:g}_{scenario.humans}h_{scenario.robots}r"
         name += "_team" if scenario.team_tracks else ""
+        name += f"_{scenario.layout.name}" if scenario.has_walls else ""
         if f"validation/success_{name}" in row:
             continue
         agent = DeployedPolicy(policy, scenario)

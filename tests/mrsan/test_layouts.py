@@ -6,7 +6,7 @@ import pytest
 from mrsan import ConfigurationError, Layout, Scenario, World
 
 WORLDS = 300
-PLACES = [layout for layout in Layout if layout is not Layout.mixed]
+OPEN = [Layout.circle, Layout.crossing, Layout.opposite, Layout.square]
 LATER = [Layout.crossing, Layout.opposite, Layout.square]
 
 
@@ -73,7 +73,7 @@ def test_robots_start_and_go_anywhere_on_the_floor(layout: Layout) -> None:
     assert way.max() <= 9.0
 
 
-@pytest.mark.parametrize("layout", PLACES)
+@pytest.mark.parametrize("layout", OPEN)
 def test_nobody_starts_too_near_to_another(layout: Layout) -> None:
     fields = {"robots": 6, "humans": 30, "human_radius_max": 0.5}
     s = begun(50, layout=layout, pair_probability=0.3, late_probability=0.3, **fields).state
@@ -126,7 +126,7 @@ def test_people_of_the_square_go_anywhere() -> None:
 def test_mixed_is_each_of_the_layouts_as_often() -> None:
     mixed = begun(1000, humans=5, layout=Layout.mixed).state
     found = np.zeros(1000, int)
-    for layout in PLACES:
+    for layout in OPEN:
         one = begun(1000, humans=5, layout=layout).state
         same = (mixed.human_position == one.human_position).all((1, 2))
         same &= (mixed.robot_goal == one.robot_goal).all((1, 2))
@@ -214,7 +214,7 @@ def test_who_leaves_at_its_goal_does_not_come_back() -> None:
     assert (s.human_entry[gone] == -1).all()
 
 
-@pytest.mark.parametrize("layout", Layout)
+@pytest.mark.parametrize("layout", [*OPEN, Layout.mixed])
 def test_an_episode_does_not_depend_on_the_batch(layout: Layout) -> None:
     habits = {
         "stand_probability": 0.2,

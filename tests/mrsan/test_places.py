@@ -10,6 +10,7 @@ import shapely
 
 from mrsan import ConfigurationError, Layout, Outcome, Place, Scenario, World
 from mrsan.kernels.routes import GOAL
+from mrsan.kernels.tally import DEADLOCKS
 from mrsan.kernels.walls import CLEARANCE, CORNERS, REDRAWS, WALLS
 from mrsan.place import FAMILIES
 from mrsan.state import State
@@ -316,3 +317,13 @@ def test_contradictions_are_named(fields: dict, named: str) -> None:
 def test_too_many_people_for_a_corner_are_refused() -> None:
     with pytest.raises(ConfigurationError, match=r"scenario\.humans is 60"):
         worlds_of(Layout.corner, 1, humans=60)
+
+
+def test_a_deadlock_is_a_standstill_of_ten_seconds() -> None:
+    """Robots that stand for 9.75 s are not in a deadlock, those that stand for 10 s are."""
+    world = worlds_of(Layout.doorway, 1, humans=0)
+    for _ in range(39):
+        world.step(np.zeros((1, 3, 3), np.float32))
+    assert not world.state.tally[0, :, DEADLOCKS].any()
+    world.step(np.zeros((1, 3, 3), np.float32))
+    assert (world.state.tally[0, :, DEADLOCKS] == 1).all()

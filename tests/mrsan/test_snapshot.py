@@ -122,7 +122,7 @@ def test_what_does_not_fit_is_refused_and_nothing_is_written() -> None:
             past._replace(tally=past.tally[:, :1]),
             None,
             ValueError,
-            r"snapshot.tally has shape \(24, 1, 13\); it must have \(24, 2, 13\)",
+            r"snapshot.tally has shape \(24, 1, 15\); it must have \(24, 2, 15\)",
         ),
         (
             past._replace(clock=past.clock.astype(float)),

@@ -34,7 +34,6 @@ def orca_crowd(agents, count, i, preferred_x, preferred_y, max_speed, p, setting
         settings.time_horizon,
         p.time_step,
         scratch,
-        scratch.wall_counts[1],
     )
 
 

@@ -294,8 +294,9 @@ def _tally_standstill(velocity, arrived, tally, p):
         if not arrived[i] and not speed_squared < STANDING_SPEED * STANDING_SPEED:
             standing = False
     for i in range(arrived.shape[0]):
-        tally[i, STILL_STEPS] = tally[i, STILL_STEPS] + _ONE if standing else _ZERO
-        tally[i, DEADLOCKS] += tally[i, STILL_STEPS] == p.deadlock_steps
+        if not arrived[i]:
+            tally[i, STILL_STEPS] = tally[i, STILL_STEPS] + _ONE if standing else _ZERO
+            tally[i, DEADLOCKS] += tally[i, STILL_STEPS] == p.deadlock_steps
 
 
 @function

@@ -12,6 +12,7 @@ import numpy as np
 from mrsan.kernels import function, kernel
 from mrsan.kernels.habits import stands, walks_along
 from mrsan.kernels.obstacle_orca import near_walls, wall_lines
+from mrsan.kernels.orca import orca_velocity
 from mrsan.kernels.people import changes_goal, list_agents
 from mrsan.kernels.routes import UPDATE_EVERY
 from mrsan.kernels.sensing import observe
@@ -53,6 +54,27 @@ def progress_along_route(state, e, i, progress, p):
     before = state.route_left[e, i]
     state.route_left[e, i] = remaining_route(state, e, agent, x, y, goal_x, goal_y)
     return before - state.route_left[e, i]
+
+
+@function
+def orca_crowd_past_walls(
+    agents, count, i, preferred_x, preferred_y, max_speed, p, settings, scratch
+):
+    """Optimal reciprocal collision avoidance, also of walls; see `people.orca_crowd`."""
+    return orca_velocity(
+        agents,
+        count,
+        i,
+        preferred_x,
+        preferred_y,
+        max_speed,
+        settings.neighbor_distance,
+        settings.max_neighbors,
+        settings.time_horizon,
+        p.time_step,
+        scratch,
+        scratch.wall_counts[1],
+    )
 
 
 @function

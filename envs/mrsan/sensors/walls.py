@@ -64,10 +64,12 @@ class Lidar(ValueSensor):
         super().__init__(scenario, None)
         s = scenario
         self.shape = (s.lidar_rays,)
-        disturbances = (s.lidar_noise, s.lidar_noise_share, s.lidar_dropout)
+        disturbed = 0.0 if ideal else 1.0
         self._parameters = LidarParameters(
-            np.float32(s.lidar_range),
-            *(np.float32(0.0 if ideal else value) for value in disturbances),
+            range=np.float32(s.lidar_range),
+            noise=np.float32(disturbed * s.lidar_noise),
+            noise_share=np.float32(disturbed * s.lidar_noise_share),
+            dropout=np.float32(disturbed * s.lidar_dropout),
             sees_agents=s.lidar_sees is LidarSees.all,
             robot_radius=np.float32(s.robot_radius),
         )
