@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Circle
 
 from mrsan import Scenario, World
-from mrsan.kernels.walls import WALLS
+from mrsan.kernels.walls import CORNERS, WALLS
 from mrsan.place import FAMILIES
 from mrsan.rendering import ROBOT_COLOURS, walls_of
 
@@ -71,14 +71,16 @@ def _route(world: World, robot: int) -> np.ndarray:
     agent = world.scenario.humans + robot
     goal, cost = state.robot_goal[0, robot], state.route_cost[0, agent]
     points, corner = [state.robot_position[0, robot]], int(state.route_corner[0, agent])
-    corners = state.corners[0].T
+    corners = state.corners[0, :2].T
     while corner >= 0:
         points.append(corners[corner])
         here, corner = corner, -1
-        for v in np.flatnonzero(state.corner_linked[0, here]):
-            through = np.linalg.norm(corners[v] - corners[here]) + cost[v]
-            if cost[v] < cost[here] and abs(through - cost[here]) < 1e-4:
+        ways = np.linalg.norm(corners - corners[here], axis=1)
+        for v in np.argsort(ways[: int(state.place[0, CORNERS])]):
+            linked = state.corner_distance[0, here, v] < ways[v] + 1e-4
+            if linked and cost[v] < cost[here] and abs(ways[v] + cost[v] - cost[here]) < 1e-4:
                 corner = int(v)
+                break
     return np.array([*points, goal])
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from mrsan.fields import ConfigurationError
 from mrsan.kernels.layout import MAP
-from mrsan.kernels.routes import build_corners
+from mrsan.kernels.routes import CORNER_ROWS, build_corners
 from mrsan.kernels.walls import (
     CLEARANCE,
     CROSSING_SHARE,
@@ -23,7 +23,7 @@ from mrsan.kernels.walls import (
     ZONES,
     close_polygon,
 )
-from mrsan.state import Bools, Floats
+from mrsan.state import Floats
 
 if TYPE_CHECKING:
     from mrsan.maps import Polygon
@@ -36,16 +36,16 @@ class FixedMap(NamedTuple):
     place: Floats  # [8]; empty without a map file
     walls: Floats  # [12, W]
     zone: Floats  # [4] left, bottom, right, top
-    corners: Floats  # [2, V]
-    corner_linked: Bools  # [V, V]
+    corners: Floats  # [6, V]
+    corner_distance: Floats  # [V, V]
 
 
 _NONE = FixedMap(
     np.zeros(0, np.float32),
     np.zeros((WALL_ROWS, 0), np.float32),
     np.zeros(4, np.float32),
-    np.zeros((2, 0), np.float32),
-    np.zeros((0, 0), np.bool_),
+    np.zeros((CORNER_ROWS, 0), np.float32),
+    np.zeros((0, 0), np.float32),
 )
 
 
@@ -85,19 +85,19 @@ def _load(path: str, changed: int, clearance: float) -> FixedMap:
         np.zeros(PLACE_COLUMNS, np.float32),
         np.zeros((WALL_ROWS, len(vertices)), np.float32),
         np.concatenate([vertices.min(0), vertices.max(0)]),
-        np.zeros((2, 2 * len(vertices)), np.float32),
-        np.zeros((2 * len(vertices), 2 * len(vertices)), np.bool_),
+        np.zeros((CORNER_ROWS, 2 * len(vertices)), np.float32),
+        np.zeros((2 * len(vertices), 2 * len(vertices)), np.float32),
     )
     loaded.walls[:2] = vertices.T
     loaded.place[WALLS], loaded.place[ZONES] = len(vertices), 1
     loaded.place[WINDING] = -1 if any(_is_clockwise(polygon) for polygon in polygons) else 0
     loaded.place[FAMILY], loaded.place[CROSSING_SHARE] = MAP, 1.0
     loaded.place[CLEARANCE] = clearance
-    _complete(loaded, ends)
+    _complete(loaded, ends, np.empty(2 * len(vertices), np.float32))
     corners = int(loaded.place[1])
     return loaded._replace(
         corners=np.ascontiguousarray(loaded.corners[:, :corners]),
-        corner_linked=np.ascontiguousarray(loaded.corner_linked[:corners, :corners]),
+        corner_distance=np.ascontiguousarray(loaded.corner_distance[:corners, :corners]),
     )
 
 
@@ -107,9 +107,9 @@ def _is_clockwise(polygon: Polygon) -> bool:
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _complete(loaded, ends):  # type: ignore[no-untyped-def]
+def _complete(loaded, ends, row):  # type: ignore[no-untyped-def]
     first = 0
     for last in ends:
         close_polygon(loaded.walls, first, last)
         first = last
-    build_corners(loaded.walls, loaded.place, loaded.corners, loaded.corner_linked)
+    build_corners(loaded.walls, loaded.place, loaded.corners, loaded.corner_distance, row)

@@ -48,10 +48,11 @@ class State(NamedTuple):
     place: Floats  # [E, 8] description of the place, columns in `mrsan.kernels.walls`
     walls: Floats  # [E, 12, W] segments, rows in `mrsan.kernels.walls`
     zones: Floats  # [E, 9, 4] left, bottom, right and top of where starts and goals are drawn
-    corners: Floats  # [E, 2, V] nodes of the route graph
-    corner_linked: Bools  # [E, V, V] an agent can move straight between them
+    corners: Floats  # [E, 6, V] nodes of the route graph, rows in `mrsan.kernels.routes`
+    corner_distance: Floats  # [E, V, V] length of the shortest route between two corners; inf: none
     route_cost: Floats  # [E, M + N, V] length of the route from a corner to an agent's goal
     route_corner: NDArray[np.int32]  # [E, M + N] corner an agent heads for; -1: its goal
+    route_next: NDArray[np.int32]  # [E, M + N] corner after that one; -1: its goal
     # The last reports of robots in the world frame, indexed by the clock modulo L:
     message_buffer: Floats  # [E, L, N, M + N, 5] OTHER_FEATURES; radius 0: not seen
 

@@ -17,6 +17,7 @@ from mrsan.features import OTHER_FEATURES
 from mrsan.fields import ConfigurationError
 from mrsan.fixed_map import fixed_map
 from mrsan.kernels.places import MOST_ZONES
+from mrsan.kernels.routes import CORNER_ROWS
 from mrsan.kernels.spawn import NO_ROOM_FOR_ROBOTS, begin_episodes
 from mrsan.kernels.tally import TALLY
 from mrsan.kernels.walled_spawn import walled_begin
@@ -322,9 +323,10 @@ def _empty_state(e: int, scenario: Scenario, history: int) -> State:
         place=np.zeros((e, PLACE_COLUMNS * walled), f),
         walls=np.zeros((e, WALL_ROWS, walls), f),
         zones=np.zeros((e, MOST_ZONES * walled, 4), f),
-        corners=np.zeros((e, 2, corners), f),
-        corner_linked=np.zeros((e, corners, corners), np.bool_),
+        corners=np.zeros((e, CORNER_ROWS, corners), f),
+        corner_distance=np.zeros((e, corners, corners), f),
         route_cost=np.zeros((e, (m + n) * walled, corners), f),
         route_corner=np.zeros((e, (m + n) * walled), np.int32),
+        route_next=np.zeros((e, (m + n) * walled), np.int32),
         message_buffer=np.zeros((e, messages, n, m + n, len(OTHER_FEATURES)), f),
     )

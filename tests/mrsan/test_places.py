@@ -46,14 +46,16 @@ def floor_of(state: State, e: int) -> shapely.Polygon:
 def route_of(state: State, e: int, agent: int, start, goal) -> list[np.ndarray]:
     """The shortest route along the costs, in plain Python."""
     route, corner = [start], int(state.route_corner[e, agent])
-    corners, cost = state.corners[e].T, state.route_cost[e, agent]
+    corners, cost = state.corners[e, :2].T, state.route_cost[e, agent]
     while corner != GOAL:
         route.append(corners[corner])
         here, corner = corner, GOAL
-        for v in np.flatnonzero(state.corner_linked[e, here]):
-            through = np.linalg.norm(corners[v] - corners[here]) + cost[v]
-            if cost[v] < cost[here] and abs(through - cost[here]) < 2e-5:
+        ways = np.linalg.norm(corners - corners[here], axis=1)
+        for v in np.argsort(ways[: int(state.place[e, CORNERS])]):
+            linked = state.corner_distance[e, here, v] < ways[v] + 2e-5
+            if linked and cost[v] < cost[here] and abs(ways[v] + cost[v] - cost[here]) < 2e-5:
                 corner = int(v)
+                break
     return [*route, goal]
 
 
@@ -88,7 +90,7 @@ def test_routes_are_the_shortest_in_the_graph(layout: Layout) -> None:
     state = worlds_of(layout, 5).state
     for e in range(5):
         lines, clearance = lines_of(state, e), float(state.place[e, CLEARANCE]) - 1e-3
-        corners = state.corners[e, :, : int(state.place[e, CORNERS])].T.astype(float)
+        corners = state.corners[e, :2, : int(state.place[e, CORNERS])].T.astype(float)
         for agent, start, goal in agents_of(state, e):
             nodes = np.array([start, goal, *corners], float)
             pairs = shapely.linestrings(

@@ -9,11 +9,12 @@ from mrsan.kernels import function, kernel, rng
 from mrsan.kernels.walls import (
     END_X,
     END_Y,
+    MOST_SEGMENTS,
     START_X,
     START_Y,
     WALLS,
     faces,
-    nearest_point,
+    front_distances,
 )
 from mrsan.kernels.zones import next_point
 from mrsan.se2 import unrotate
@@ -40,11 +41,12 @@ def observe_walls(chunks, worlds, state, limit, segments, mask):
     for chunk in prange(chunks):
         numbers = np.empty(most + 1, np.int32)
         distances = np.empty(most + 1, np.float32)
+        of_all = np.empty(MOST_SEGMENTS, np.float32)
         for e in range(chunk * total // chunks, (chunk + 1) * total // chunks):
             if worlds[e]:
                 for i in range(n):
                     _nearest_segments(
-                        state, e, i, limit, segments[e, i], mask[e, i], numbers, distances
+                        state, e, i, limit, segments[e, i], mask[e, i], numbers, distances, of_all
                     )
 
 
@@ -54,15 +56,15 @@ def _wall_count(state, e):
 
 
 @function
-def _nearest_segments(state, e, i, limit, segments, mask, numbers, distances):
+def _nearest_segments(state, e, i, limit, segments, mask, numbers, distances, of_all):
     walls, count, most = state.walls[e], _wall_count(state, e), mask.shape[0]
     x, y = state.robot_position[e, i, 0], state.robot_position[e, i, 1]
     cos, sin = math.cos(state.robot_heading[e, i]), math.sin(state.robot_heading[e, i])
+    front_distances(walls, count, x, y, of_all)
     found = 0
     for k in range(count):
-        px, py = nearest_point(walls, k, x, y)
-        squared = (px - x) * (px - x) + (py - y) * (py - y)
-        if squared > limit * limit or not faces(walls, k, x, y):
+        squared = of_all[k]
+        if squared > limit * limit or (found == most and squared >= distances[most - 1]):
             continue
         row = min(found, most)
         while row > 0 and squared < distances[row - 1]:

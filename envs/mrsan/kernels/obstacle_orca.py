@@ -19,7 +19,7 @@ from mrsan.kernels.walls import (
     START_CONVEX,
     START_X,
     START_Y,
-    faces,
+    front_distances,
     nearest_point,
 )
 
@@ -33,12 +33,16 @@ _FAR = np.float32(np.inf)
 @function
 def near_walls(walls, count, x, y, reach, scratch):
     """List the walls within `reach` that face (x, y), nearest first, in `scratch`."""
-    numbers, distances = scratch.wall_numbers, scratch.wall_distances
+    numbers, distances, all_distances = (
+        scratch.wall_numbers,
+        scratch.wall_distances,
+        scratch.all_wall_distances,
+    )
+    front_distances(walls, count, x, y, all_distances)
     n = 0
     for k in range(count):
-        px, py = nearest_point(walls, k, x, y)
-        squared = (px - x) * (px - x) + (py - y) * (py - y)
-        if squared >= reach * reach or not faces(walls, k, x, y):
+        squared = all_distances[k]
+        if squared >= reach * reach:
             continue
         if n == MOST_WALLS:
             if squared >= distances[n - 1]:

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mrsan.kernels import allocating, function
+from mrsan.kernels.walls import MOST_SEGMENTS
 
 MOST = 80  # agents at most
 MOST_WALLS = 32  # wall segments at most
@@ -43,6 +44,7 @@ class Scratch(NamedTuple):
     wall_points: Any  # [MOST_WALLS, 2] nearest points of the near walls, nearest first, m
     wall_numbers: Any  # [MOST_WALLS] numbers of the near walls
     wall_distances: Any  # [MOST_WALLS] their squared distances, m^2
+    all_wall_distances: Any  # [MOST_SEGMENTS] of all walls, m^2
 
 
 @allocating
@@ -60,6 +62,7 @@ def orca_room(most):
         np.empty((MOST_WALLS, 2), np.float32),
         np.empty(MOST_WALLS, np.int32),
         np.empty(MOST_WALLS, np.float32),
+        np.empty(MOST_SEGMENTS, np.float32),
     )
 
 

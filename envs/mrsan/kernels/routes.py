@@ -1,9 +1,11 @@
 """Shortest routes round walls: a graph of corners, and the next corner on the way to a goal.
 
 The nodes of the graph are the convex corners of the walls, moved away from them by the clearance
-(`Scenario.route_clearance`). Two of them are linked if a disc of that radius can move between them.
+(`Scenario.route_clearance`): the vertices of the walls' outlines at that distance. Two of them are
+linked if a disc of that radius can move between them and a shortest route may turn at both.
 For each agent `State.route_cost` holds the length of the shortest route from every corner to its
-goal, and `State.route_corner` the corner to which it is heading, or a `GOAL` or `NO_ROUTE`.
+goal, `State.route_corner` the corner to which it is heading, or `GOAL` or `NO_ROUTE`, and
+`State.route_next` the corner after that one.
 """
 
 import math
@@ -33,6 +35,12 @@ from mrsan.kernels.walls import (
     sees,
     winding_number,
 )
+from mrsan.se2 import rotate
+
+# Rows of `State.corners`: the position of a corner, and the directions of the outline of the walls
+# before and after it (not of unit length).
+CORNER_ROWS = 6
+X, Y, IN_X, IN_Y, OUT_X, OUT_Y = range(CORNER_ROWS)
 
 GOAL = -1  # the agent heads straight for its goal
 NO_ROUTE = -2
@@ -49,6 +57,7 @@ _SLACK = np.float32(1e-3)  # m, by which routes may undercut the clearance
 _SHARP = np.float32(-0.1)  # cosine of a turn; sharper corners have two nodes
 _GENTLE = np.float32(0.9)  # cosine of a turn; walls with gentler ones count as round
 _STRAIGHT = np.float32(0.999)  # cosine of a turn; straighter corners have no node
+_ROUNDING = np.float32(1e-4)
 _REACHED = np.float32(0.3)  # m, distance at which a corner counts as reached
 
 
@@ -65,18 +74,31 @@ def is_free(walls, place, x, y):
 def _can_move(walls, place, x, y, to_x, to_y):
     """Return whether a disc of the clearance can move straight from one place to another."""
     count, radius = int(place[WALLS]), place[CLEARANCE] - _SLACK
-    return is_clear(walls, count, x, y, to_x - x, to_y - y, radius)
+    dx, dy = to_x - x, to_y - y
+    return sees(walls, count, x, y, dx, dy) and is_clear(walls, count, x, y, dx, dy, radius)
+
+
+@function
+def _turns_at(corners, v, dx, dy):
+    """Return whether a shortest route may have a corner at an end of a way along (dx, dy).
+
+    It may if the outline of the walls stays on one side of the way.
+    """
+    before = dy * corners[IN_X, v] - dx * corners[IN_Y, v]
+    after = dx * corners[OUT_Y, v] - dy * corners[OUT_X, v]
+    return before * after >= -_ROUNDING * (dx * dx + dy * dy)
 
 
 @separate
-def build_corners(walls, place, corners, linked):
-    """Write the nodes of the graph and their links; the number of nodes goes into `place`.
+def build_corners(walls, place, corners, distance, row):
+    """Write the nodes of the graph and their distances; their number goes into `place`.
 
     Args:
         walls: [12, W].
         place: [8], the description of the place.
-        corners: [2, V], written.
-        linked: [V, V] bool, written.
+        corners: [6, V], written: positions, and the directions of the outline before and after.
+        distance: [V, V], written: lengths of the shortest routes; inf where there is none, m.
+        row: [V], room to work in.
     """
     count, n = int(place[WALLS]), 0
     away = place[CLEARANCE]
@@ -96,31 +118,50 @@ def build_corners(walls, place, corners, linked):
         if cosine > _GENTLE and _GENTLE < _next_cosine(walls, k) <= _STRAIGHT:  # a round wall
             if k % 2 == 0:
                 scale = _beyond_round_wall(walls, k, cosine, away) / math.sqrt(_TWO + _TWO * cosine)
-                n = _add_corner(
-                    walls, place, corners, n, x, y, x + scale * (by + ay), y - scale * (bx + ax)
-                )
+                half_cos = math.sqrt(_HALF * (_ONE + cosine))
+                half_sin = math.sqrt(_HALF * (_ONE - cosine))
+                in_x, in_y = rotate(half_cos, -half_sin, bx, by)
+                out_x, out_y = rotate(half_cos, half_sin, ax, ay)
+                px, py = x + scale * (by + ay), y - scale * (bx + ax)
+                n = _add_corner(walls, place, corners, n, x, y, px, py, in_x, in_y, out_x, out_y)
             continue
         # The free side of a direction (dx, dy) is (dy, -dx).
         if cosine >= _SHARP:
             scale = away / (_ONE + cosine)
-            n = _add_corner(
-                walls, place, corners, n, x, y, x + scale * (by + ay), y - scale * (bx + ax)
-            )
+            px, py = x + scale * (by + ay), y - scale * (bx + ax)
+            n = _add_corner(walls, place, corners, n, x, y, px, py, bx, by, ax, ay)
         else:  # beyond the corner, on both sides
-            n = _add_corner(
-                walls, place, corners, n, x, y, x + away * (by + bx), y + away * (by - bx)
-            )
-            n = _add_corner(
-                walls, place, corners, n, x, y, x + away * (ay - ax), y - away * (ax + ay)
-            )
+            px, py = x + away * (by + bx), y + away * (by - bx)
+            qx, qy = x + away * (ay - ax), y - away * (ax + ay)
+            dx, dy = qx - px, qy - py
+            n = _add_corner(walls, place, corners, n, x, y, px, py, bx, by, dx, dy)
+            n = _add_corner(walls, place, corners, n, x, y, qx, qy, dx, dy, ax, ay)
     place[CORNERS] = np.float32(n)
     for i in range(n):
-        linked[i, i] = False
+        x, y = corners[X, i], corners[Y, i]
+        distance[i, i] = _ZERO
         for j in range(i):
-            free = _can_move(
-                walls, place, corners[0, i], corners[1, i], corners[0, j], corners[1, j]
-            )
-            linked[i, j] = linked[j, i] = free
+            to_x, to_y = corners[X, j], corners[Y, j]
+            dx, dy = to_x - x, to_y - y
+            length = _FAR
+            if _turns_at(corners, i, dx, dy) and _turns_at(corners, j, dx, dy):
+                if _can_move(walls, place, x, y, to_x, to_y):
+                    length = _distance(dx, dy)
+            distance[i, j] = distance[j, i] = length
+    _shorten(distance, n, row)
+
+
+@function
+def _shorten(distance, n, row):
+    """Replace lengths of links by those of shortest routes (the Floyd-Warshall algorithm)."""
+    for k in range(n):
+        for j in range(n):
+            row[j] = distance[k, j]
+        for i in range(n):
+            through = distance[i, k]
+            if through < _FAR:
+                for j in range(n):
+                    distance[i, j] = min(distance[i, j], through + row[j])
 
 
 @function
@@ -144,14 +185,16 @@ def _beyond_round_wall(walls, k, cosine, away):
 
 
 @function
-def _add_corner(walls, place, corners, n, corner_x, corner_y, x, y):
+def _add_corner(walls, place, corners, n, corner_x, corner_y, x, y, in_x, in_y, out_x, out_y):
     """Add a node if routes may turn there and there is room for it; return their number."""
     if (
         n < corners.shape[1]
         and is_free(walls, place, x, y)
         and _turns_round(walls, place, corner_x, corner_y, x, y)
     ):
-        corners[0, n], corners[1, n] = x, y
+        corners[X, n], corners[Y, n] = x, y
+        corners[IN_X, n], corners[IN_Y, n] = in_x, in_y
+        corners[OUT_X, n], corners[OUT_Y, n] = out_x, out_y
         return n + 1
     return n
 
@@ -182,61 +225,50 @@ def _turns_round(walls, place, corner_x, corner_y, x, y):
 
 
 @function
-def write_route_costs(walls, place, corners, linked, goal_x, goal_y, cost):
-    """Write the length of the shortest route from every corner to a goal (Dijkstra's algorithm).
+def write_route_costs(walls, place, corners, distance, goal_x, goal_y, cost):
+    """Write the length of the shortest route from every corner to a goal.
 
     Args:
         walls: [12, W].
         place: [8].
-        corners: [2, V].
-        linked: [V, V].
+        corners: [6, V].
+        distance: [V, V].
         goal_x: the goal, m.
         goal_y: likewise.
         cost: [V], written; inf where there is no route, m.
     """
     n = int(place[CORNERS])
     for v in range(n):
-        x, y = corners[0, v], corners[1, v]
         cost[v] = _FAR
-        if _can_move(walls, place, x, y, goal_x, goal_y):
-            cost[v] = _distance(x - goal_x, y - goal_y)
-    for _ in range(n):  # the costs of settled corners are negative meanwhile: -1 - cost
-        nearest, least = -1, _FAR
-        for v in range(n):
-            if _ZERO <= cost[v] < least:
-                nearest, least = v, cost[v]
-        if nearest < 0:
-            break
-        cost[nearest] = -_ONE - least
-        x, y = corners[0, nearest], corners[1, nearest]
-        for v in range(n):
-            if linked[nearest, v] and cost[v] >= _ZERO:
-                through = least + _distance(corners[0, v] - x, corners[1, v] - y)
-                cost[v] = min(cost[v], through)
-    for v in range(n):
-        if cost[v] < _ZERO:
-            cost[v] = -_ONE - cost[v]
+    for u in range(n):
+        x, y = corners[X, u], corners[Y, u]
+        dx, dy = goal_x - x, goal_y - y
+        if _turns_at(corners, u, dx, dy) and _can_move(walls, place, x, y, goal_x, goal_y):
+            last = _distance(dx, dy)
+            for v in range(n):
+                cost[v] = min(cost[v], distance[u, v] + last)
 
 
 @function
-def find_corner(walls, place, corners, cost, x, y, goal_x, goal_y):
-    """Return the first corner of the shortest route from (x, y), `GOAL` or `NO_ROUTE`."""
-    if _can_move(walls, place, x, y, goal_x, goal_y):
-        return GOAL
+def _find_corner(walls, place, corners, cost, x, y):
+    """Return the first corner of the shortest route from (x, y) to a goal out of reach."""
     best, least = NO_ROUTE, _FAR
     for v in range(int(place[CORNERS])):
-        dx, dy = corners[0, v] - x, corners[1, v] - y
+        dx, dy = corners[X, v] - x, corners[Y, v] - y
         length = _distance(dx, dy) + cost[v]
-        if length < least and _can_move(walls, place, x, y, corners[0, v], corners[1, v]):
-            best, least = v, length
-    if best != NO_ROUTE:
-        return best
-    # Too close to a wall for the clearance: whatever is in sight.
+        if length < least and _turns_at(corners, v, dx, dy):
+            if _can_move(walls, place, x, y, corners[X, v], corners[Y, v]):
+                best, least = v, length
+    return best
+
+
+@function
+def _find_corner_in_sight(walls, place, corners, cost, x, y):
+    """Return the best corner in sight from (x, y), too close to a wall for the clearance."""
     count = int(place[WALLS])
-    if sees(walls, count, x, y, goal_x - x, goal_y - y):
-        return GOAL
+    best, least = NO_ROUTE, _FAR
     for v in range(int(place[CORNERS])):
-        dx, dy = corners[0, v] - x, corners[1, v] - y
+        dx, dy = corners[X, v] - x, corners[Y, v] - y
         length = _distance(dx, dy) + cost[v]
         if length < least and sees(walls, count, x, y, dx, dy):
             best, least = v, length
@@ -244,52 +276,65 @@ def find_corner(walls, place, corners, cost, x, y, goal_x, goal_y):
 
 
 @separate
-def plan_route(walls, place, corners, linked, x, y, goal_x, goal_y, cost):
-    """Write the costs of the corners for a goal; return the first corner from (x, y)."""
-    write_route_costs(walls, place, corners, linked, goal_x, goal_y, cost)
-    return find_corner(walls, place, corners, cost, x, y, goal_x, goal_y)
+def find_route(walls, place, corners, distance, x, y, goal_x, goal_y, cost):
+    """Write the costs of the corners for a goal; return the first two corners from (x, y).
+
+    Either may be `GOAL`; the first may be `NO_ROUTE`.
+    """
+    write_route_costs(walls, place, corners, distance, goal_x, goal_y, cost)
+    if _can_move(walls, place, x, y, goal_x, goal_y):
+        return GOAL, GOAL
+    corner = _find_corner(walls, place, corners, cost, x, y)
+    if corner == NO_ROUTE and not is_clear(
+        walls, int(place[WALLS]), x, y, _ZERO, _ZERO, place[CLEARANCE] - _SLACK
+    ):
+        if sees(walls, int(place[WALLS]), x, y, goal_x - x, goal_y - y):
+            return GOAL, GOAL
+        corner = _find_corner_in_sight(walls, place, corners, cost, x, y)
+    return corner, _following(place, corners, distance, cost, corner)
 
 
 @separate
-def follow_route(walls, place, corners, linked, cost, corner, x, y, goal_x, goal_y):
-    """Return the corner to head for from (x, y), where the agent headed for `corner` before."""
+def follow_route(walls, place, corners, distance, cost, corner, following, x, y, goal_x, goal_y):
+    """Return the two corners to head for from (x, y), after `corner` and `following` before."""
     count = int(place[WALLS])
-    if _can_move(walls, place, x, y, goal_x, goal_y):
-        return GOAL
     if corner < 0:
-        if corner == GOAL and sees(walls, count, x, y, goal_x - x, goal_y - y):
-            return GOAL
-        return find_corner(walls, place, corners, cost, x, y, goal_x, goal_y)
-    corner_x, corner_y = corners[0, corner], corners[1, corner]
-    following = _following(place, corners, linked, cost, corner)
-    if following >= 0:
-        next_x, next_y = corners[0, following], corners[1, following]
-        reached = _distance(corner_x - x, corner_y - y) < _REACHED
-        if (reached and sees(walls, count, x, y, next_x - x, next_y - y)) or _can_move(
-            walls, place, x, y, next_x, next_y
+        if sees(walls, count, x, y, goal_x - x, goal_y - y):
+            return GOAL, GOAL
+    else:
+        near_x, near_y = corners[X, corner] - x, corners[Y, corner] - y
+        to_x, to_y = goal_x, goal_y
+        if following >= 0:
+            to_x, to_y = corners[X, following], corners[Y, following]
+        reached = near_x * near_x + near_y * near_y < _REACHED * _REACHED
+        if sees(walls, count, x, y, to_x - x, to_y - y) and (
+            reached or _can_move(walls, place, x, y, to_x, to_y)
         ):
-            return following
-    elif _distance(corner_x - x, corner_y - y) < _REACHED and sees(
-        walls, count, x, y, goal_x - x, goal_y - y
-    ):
-        return GOAL
-    if sees(walls, count, x, y, corner_x - x, corner_y - y):
-        return corner
-    return find_corner(walls, place, corners, cost, x, y, goal_x, goal_y)
+            if following < 0:
+                return GOAL, GOAL
+            return following, _following(place, corners, distance, cost, following)
+        if sees(walls, count, x, y, near_x, near_y):
+            return corner, following
+    # It has been pushed off its route.
+    corner = _find_corner(walls, place, corners, cost, x, y)
+    if corner == NO_ROUTE:
+        corner = _find_corner_in_sight(walls, place, corners, cost, x, y)
+    return corner, _following(place, corners, distance, cost, corner)
 
 
 @function
-def _following(place, corners, linked, cost, corner):
+def _following(place, corners, distance, cost, corner):
     """Return the corner after `corner` on its shortest route, or `GOAL`."""
-    best, least = GOAL, _FAR
+    if corner < 0:
+        return GOAL
+    best, nearest = GOAL, _FAR
     for v in range(int(place[CORNERS])):
-        if linked[corner, v] and cost[v] < cost[corner]:
-            length = _distance(
-                corners[0, v] - corners[0, corner], corners[1, v] - corners[1, corner]
-            )
-            if length + cost[v] < least:
-                best, least = v, length + cost[v]
-    return best if least <= cost[corner] + _SLACK else GOAL
+        way = _distance(corners[X, v] - corners[X, corner], corners[Y, v] - corners[Y, corner])
+        is_linked = distance[corner, v] <= way + _ROUNDING
+        is_on_route = cost[v] < cost[corner] and way + cost[v] <= cost[corner] + _ROUNDING
+        if v != corner and is_linked and is_on_route and way < nearest:
+            best, nearest = v, way
+    return best
 
 
 @function
@@ -299,7 +344,7 @@ def route_length(corners, cost, corner, x, y, goal_x, goal_y):
         return _FAR
     if corner == GOAL:
         return _distance(goal_x - x, goal_y - y)
-    return _distance(corners[0, corner] - x, corners[1, corner] - y) + cost[corner]
+    return _distance(corners[X, corner] - x, corners[Y, corner] - y) + cost[corner]
 
 
 @function

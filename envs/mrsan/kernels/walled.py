@@ -111,7 +111,8 @@ def walk_along_routes(
         velocities[row, 0], velocities[row, 1] = crowd_velocity(
             agents, count, row, dx * scale, dy * scale, speed, p, settings, scratch
         )
-        avoid_walls(state, e, j, p, velocities[row])
+        if _is_near_wall(state, e, j, p, scratch):
+            avoid_walls(state, e, j, p, velocities[row])
 
 
 @function
@@ -123,6 +124,15 @@ def _list_near_walls(state, e, j, p, scratch):
     reach = horizon * state.human_speed[e, j] + radius
     near_walls(state.walls[e], int(state.place[e, WALLS]), x, y, reach, scratch)
     wall_lines(state.walls[e], x, y, vx, vy, radius, horizon, scratch)
+
+
+@function
+def _is_near_wall(state, e, j, p, scratch):
+    """Return whether human `j` could reach one of the near walls in this step."""
+    if scratch.wall_counts[0] == 0:
+        return False
+    reach = state.human_radius[e, j] + state.human_speed[e, j] * p.time_step
+    return scratch.wall_distances[0] < reach * reach
 
 
 @function

@@ -8,7 +8,7 @@ from mrsan.kernels import function, kernel, rng
 from mrsan.kernels.habits import place_beside
 from mrsan.kernels.layout import layout_of
 from mrsan.kernels.places import draw_place
-from mrsan.kernels.routes import build_corners, is_free
+from mrsan.kernels.routes import CORNER_ROWS, build_corners, is_free
 from mrsan.kernels.spawn import NOT_PLACED, begin_episodes, draw_traits, has_room
 from mrsan.kernels.walls import CLEARANCE, PLACE_COLUMNS, REDRAWS, WALL_ROWS
 from mrsan.kernels.zones import (
@@ -40,16 +40,15 @@ def draw_place_of_case(state, e, attempt, p, place_parameters, fixed_map):
         for k in range(4):
             state.zones[e, 0, k] = fixed_map.zone[k]
         for k in range(state.corners.shape[2]):
-            state.corners[e, 0, k], state.corners[e, 1, k] = (
-                fixed_map.corners[0, k],
-                fixed_map.corners[1, k],
-            )
+            for row in range(CORNER_ROWS):
+                state.corners[e, row, k] = fixed_map.corners[row, k]
             for v in range(state.corners.shape[2]):
-                state.corner_linked[e, k, v] = fixed_map.corner_linked[k, v]
+                state.corner_distance[e, k, v] = fixed_map.corner_distance[k, v]
     else:
         place[CLEARANCE] = p.route_clearance
         draw_place(walls, place, state.zones[e], key, layout_of(key, p), attempt, place_parameters)
-        build_corners(walls, place, state.corners[e], state.corner_linked[e])
+        room = state.route_cost[e, 0]  # written later
+        build_corners(walls, place, state.corners[e], state.corner_distance[e], room)
     place[REDRAWS] = redraws
 
 

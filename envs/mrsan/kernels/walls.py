@@ -15,6 +15,7 @@ import numpy as np
 from mrsan.kernels import function, separate
 
 WALL_ROWS = 12
+MOST_SEGMENTS = 256  # of a world
 START_X, START_Y, END_X, END_Y = range(4)
 ALONG_X, ALONG_Y = 4, 5  # direction of the segment
 BEFORE_X, BEFORE_Y, AFTER_X, AFTER_Y = range(6, 10)  # directions of its neighbours
@@ -34,6 +35,7 @@ CLEARANCE = 7  # distance that routes keep from walls, m
 _ZERO = np.float32(0.0)
 _ONE = np.float32(1.0)
 _TINY = np.float32(1e-12)
+_FAR = np.float32(np.inf)
 
 
 @separate
@@ -95,12 +97,13 @@ def is_clear(walls, count, x, y, dx, dy, radius):
         t = min(max((bx * dx + by * dy) * by_length, _ZERO), _ONE)
         px, py = bx - t * dx, by - t * dy
         near |= px * px + py * py < squared
-        by_wall = _ONE / max(ux * ux + uy * uy, _TINY)
-        t = min(max(-(ax * ux + ay * uy) * by_wall, _ZERO), _ONE)
-        px, py = ax + t * ux, ay + t * uy
+        along_x, along_y = walls[ALONG_X, k], walls[ALONG_Y, k]
+        length = ux * along_x + uy * along_y
+        t = min(max(-(ax * along_x + ay * along_y), _ZERO), length)
+        px, py = ax + t * along_x, ay + t * along_y
         near |= px * px + py * py < squared
-        t = min(max(((dx - ax) * ux + (dy - ay) * uy) * by_wall, _ZERO), _ONE)
-        px, py = ax + t * ux - dx, ay + t * uy - dy
+        t = min(max((dx - ax) * along_x + (dy - ay) * along_y, _ZERO), length)
+        px, py = ax + t * along_x - dx, ay + t * along_y - dy
         near |= px * px + py * py < squared
         touched += near | crossed
     return touched == 0
@@ -142,6 +145,19 @@ def nearest_point(walls, k, x, y):
     length_squared = max(ux * ux + uy * uy, _TINY)
     t = min(max(((x - ax) * ux + (y - ay) * uy) / length_squared, _ZERO), _ONE)
     return ax + t * ux, ay + t * uy
+
+
+@separate
+def front_distances(walls, count, x, y, squared):
+    """Write the squared distances of all walls to (x, y) into [W]; inf behind a wall, m^2."""
+    for k in range(count):
+        from_x, from_y = x - walls[START_X, k], y - walls[START_Y, k]
+        along_x, along_y = walls[ALONG_X, k], walls[ALONG_Y, k]
+        ux, uy = walls[END_X, k] - walls[START_X, k], walls[END_Y, k] - walls[START_Y, k]
+        t = min(max(from_x * along_x + from_y * along_y, _ZERO), ux * along_x + uy * along_y)
+        px, py = from_x - t * along_x, from_y - t * along_y
+        is_behind = along_x * from_y - along_y * from_x >= _ZERO
+        squared[k] = _FAR if is_behind else px * px + py * py
 
 
 @function

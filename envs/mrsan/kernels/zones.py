@@ -11,9 +11,9 @@ import numpy as np
 from mrsan.kernels import function, rng
 from mrsan.kernels.routes import (
     NO_ROUTE,
+    find_route,
     follow_route,
     is_free,
-    plan_route,
     route_length,
 )
 from mrsan.kernels.walls import CROSSING_SHARE, REDRAWS, ZONES
@@ -125,19 +125,18 @@ def _nearest_zone(zones, count, x, y):
 @function
 def assign_route(state, e, agent, x, y, goal_x, goal_y):
     """Find the route of an agent (people first, then robots); return whether there is one."""
-    corner = plan_route(
+    state.route_corner[e, agent], state.route_next[e, agent] = find_route(
         state.walls[e],
         state.place[e],
         state.corners[e],
-        state.corner_linked[e],
+        state.corner_distance[e],
         x,
         y,
         goal_x,
         goal_y,
         state.route_cost[e, agent],
     )
-    state.route_corner[e, agent] = corner
-    return corner != NO_ROUTE
+    return state.route_corner[e, agent] != NO_ROUTE
 
 
 @function
@@ -158,14 +157,15 @@ def join_goal(state, e, j):
 
 @function
 def update_route(state, e, agent, x, y, goal_x, goal_y):
-    """Update the corner for which an agent at (x, y) heads."""
-    state.route_corner[e, agent] = follow_route(
+    """Update the corners for which an agent at (x, y) heads."""
+    state.route_corner[e, agent], state.route_next[e, agent] = follow_route(
         state.walls[e],
         state.place[e],
         state.corners[e],
-        state.corner_linked[e],
+        state.corner_distance[e],
         state.route_cost[e, agent],
         state.route_corner[e, agent],
+        state.route_next[e, agent],
         x,
         y,
         goal_x,

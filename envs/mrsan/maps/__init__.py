@@ -1,6 +1,7 @@
 """Maps of static obstacles from files."""
 
-from mrsan.maps.load import MAX_SEGMENTS, load_map
+from mrsan.kernels.walls import MOST_SEGMENTS
+from mrsan.maps.load import load_map
 from mrsan.maps.polygons import MapError, Polygon
 
-__all__ = ["MAX_SEGMENTS", "MapError", "Polygon", "load_map"]
+__all__ = ["MOST_SEGMENTS", "MapError", "Polygon", "load_map"]

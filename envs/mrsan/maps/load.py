@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import yaml
 
+from mrsan.kernels.walls import MOST_SEGMENTS
 from mrsan.maps.polygons import MapError, Polygon, check_inside, closed_polygon, thin_walls
 from mrsan.maps.ros import load_ros_map
 
-MAX_SEGMENTS = 256
 _KEYS = ("bounds", "obstacles", "walls", "scale")
 
 
@@ -32,7 +32,7 @@ def load_map(path: str | Path) -> list[Polygon]:
     try:
         content = _content(path)
         if isinstance(content, dict) and "image" in content:
-            polygons = load_ros_map(content, path.parent, MAX_SEGMENTS)
+            polygons = load_ros_map(content, path.parent, MOST_SEGMENTS)
         elif path.suffix in (".json", ".geojson"):
             polygons = _of_parts(_geojson_parts(content))
         else:
@@ -152,5 +152,5 @@ def _check_number(polygons: list[Polygon]) -> None:
     if not polygons:
         raise MapError("has no polygon; it must have bounds, obstacles or walls")
     segments = sum(len(polygon) for polygon in polygons)  # a thin wall has a front and a back
-    if segments > MAX_SEGMENTS:
-        raise MapError(f"has {segments} wall segments; it must have at most {MAX_SEGMENTS}")
+    if segments > MOST_SEGMENTS:
+        raise MapError(f"has {segments} wall segments; it must have at most {MOST_SEGMENTS}")
