@@ -22,6 +22,8 @@ from mrsan.kernels.walls import (
     WINDING,
     ZONES,
     close_polygon,
+    fill_up,
+    with_room_for_lanes,
 )
 from mrsan.state import Floats
 
@@ -83,12 +85,12 @@ def _load(path: str, changed: int, clearance: float) -> FixedMap:
     ends = np.cumsum([len(polygon) for polygon in polygons])
     loaded = FixedMap(
         np.zeros(PLACE_COLUMNS, np.float32),
-        np.zeros((WALL_ROWS, len(vertices)), np.float32),
+        np.zeros((WALL_ROWS, with_room_for_lanes(len(vertices))), np.float32),
         np.concatenate([vertices.min(0), vertices.max(0)]),
         np.zeros((CORNER_ROWS, 2 * len(vertices)), np.float32),
         np.zeros((2 * len(vertices), 2 * len(vertices)), np.float32),
     )
-    loaded.walls[:2] = vertices.T
+    loaded.walls[:2, : len(vertices)] = vertices.T
     loaded.place[WALLS], loaded.place[ZONES] = len(vertices), 1
     loaded.place[WINDING] = -1 if any(_is_clockwise(polygon) for polygon in polygons) else 0
     loaded.place[FAMILY], loaded.place[CROSSING_SHARE] = MAP, 1.0
@@ -112,4 +114,5 @@ def _complete(loaded, ends, row):  # type: ignore[no-untyped-def]
     for last in ends:
         close_polygon(loaded.walls, first, last)
         first = last
+    fill_up(loaded.walls, loaded.place)
     build_corners(loaded.walls, loaded.place, loaded.corners, loaded.corner_distance, row)

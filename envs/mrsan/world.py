@@ -21,7 +21,7 @@ from mrsan.kernels.routes import CORNER_ROWS
 from mrsan.kernels.spawn import NO_ROOM_FOR_ROBOTS, begin_episodes
 from mrsan.kernels.tally import TALLY
 from mrsan.kernels.walled_spawn import walled_begin
-from mrsan.kernels.walls import PLACE_COLUMNS, WALL_ROWS
+from mrsan.kernels.walls import PLACE_COLUMNS, WALL_ROWS, with_room_for_lanes
 from mrsan.lookahead import LookaheadReward
 from mrsan.metrics import Episodes, episodes_of
 from mrsan.observation import Observation
@@ -288,7 +288,7 @@ def _empty_state(e: int, scenario: Scenario, history: int) -> State:
     """Allocate the state of E worlds, with `history` past positions of each person."""
     f, n, m = np.float32, scenario.robots, scenario.humans
     messages = scenario.team_delay_steps + 1 if scenario.team_tracks else 0
-    walls, corners = scenario.most_walls, scenario.most_corners
+    walls, corners = with_room_for_lanes(scenario.most_walls), scenario.most_corners
     walled = int(walls > 0)
     return State(
         case=np.arange(e, dtype=np.int64),

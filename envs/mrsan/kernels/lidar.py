@@ -12,15 +12,14 @@ from mrsan.kernels.walls import (
     MOST_SEGMENTS,
     START_X,
     START_Y,
-    WALLS,
-    faces,
     front_distances,
+    wall_count,
 )
 from mrsan.kernels.zones import next_point
 from mrsan.se2 import unrotate
 
 _ZERO = np.float32(0.0)
-_ONE = np.float32(1.0)
+_TINY = np.float32(1e-12)
 _FAR = np.float32(np.inf)
 _AGENTS = 1024  # rays at most, for distinct random numbers
 
@@ -52,7 +51,7 @@ def observe_walls(chunks, worlds, state, limit, segments, mask):
 
 @function
 def _wall_count(state, e):
-    return int(state.place[e, WALLS]) if state.place.shape[1] > 0 else 0
+    return wall_count(state.place[e]) if state.place.shape[1] > 0 else 0
 
 
 @function
@@ -127,6 +126,7 @@ def scan(chunks, worlds, state, q, cosines, sines, ranges):
     total, n, rays = ranges.shape
     for chunk in prange(chunks):
         directions = np.empty((2, rays), np.float32)
+        of_all = np.empty(MOST_SEGMENTS, np.float32)
         for e in range(chunk * total // chunks, (chunk + 1) * total // chunks):
             if worlds[e]:
                 for i in range(n):
@@ -135,20 +135,21 @@ def scan(chunks, worlds, state, q, cosines, sines, ranges):
                     for ray in range(rays):
                         directions[0, ray] = cos * cosines[ray] - sin * sines[ray]
                         directions[1, ray] = sin * cosines[ray] + cos * sines[ray]
-                    _scan_walls(state, e, i, q, directions[0], directions[1], ranges[e, i])
+                    _scan_walls(state, e, i, q, directions[0], directions[1], ranges[e, i], of_all)
                     if q.sees_agents:
                         _scan_agents(state, e, i, q, directions[0], directions[1], ranges[e, i])
                     _disturb(state, e, i, q, ranges[e, i])
 
 
 @function
-def _scan_walls(state, e, i, q, ray_x, ray_y, ranges):
-    walls = state.walls[e]
+def _scan_walls(state, e, i, q, ray_x, ray_y, ranges, of_all):
+    walls, count = state.walls[e], _wall_count(state, e)
     x, y = state.robot_position[e, i, 0], state.robot_position[e, i, 1]
     for ray in range(ranges.shape[0]):
         ranges[ray] = q.range
-    for k in range(_wall_count(state, e)):
-        if not faces(walls, k, x, y):
+    front_distances(walls, count, x, y, of_all)
+    for k in range(count):
+        if of_all[k] > q.range * q.range:
             continue
         ax, ay = walls[START_X, k] - x, walls[START_Y, k] - y
         ux, uy = walls[END_X, k] - walls[START_X, k], walls[END_Y, k] - walls[START_Y, k]
@@ -156,9 +157,9 @@ def _scan_walls(state, e, i, q, ray_x, ray_y, ranges):
         for ray in range(ranges.shape[0]):
             dx, dy = ray_x[ray], ray_y[ray]
             determinant = dx * uy - dy * ux  # positive: the ray meets the front of the line
-            distance = across / determinant
-            share = (ax * dy - ay * dx) / determinant  # of the segment, where they meet
-            hit = (determinant != _ZERO) & (share >= _ZERO) & (share <= _ONE) & (distance >= _ZERO)
+            share = ax * dy - ay * dx  # of the segment, where they meet, times the determinant
+            distance = across / max(determinant, _TINY)
+            hit = (share >= _ZERO) & (share <= determinant) & (determinant > _ZERO)
             nearer = hit & (distance < ranges[ray])
             ranges[ray] = distance if nearer else ranges[ray]
 

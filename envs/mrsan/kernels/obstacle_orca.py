@@ -78,7 +78,7 @@ def wall_lines(walls, x, y, vx, vy, radius, time_horizon, scratch):
     n = 0
     for row in range(scratch.wall_counts[0]):
         k = scratch.wall_numbers[row]
-        n = _add_line(walls, k, n, x, y, vx, vy, radius, _ONE / time_horizon, scratch.lines)
+        n = _add_line(walls, k, n, x, y, vx, vy, radius, _ONE / time_horizon, scratch.wall_lines)
     scratch.wall_counts[1] = n
 
 

@@ -33,6 +33,7 @@ from mrsan.kernels.walls import (
     is_clear,
     nearest_point,
     sees,
+    wall_count,
     winding_number,
 )
 from mrsan.se2 import rotate
@@ -64,7 +65,7 @@ _REACHED = np.float32(0.3)  # m, distance at which a corner counts as reached
 @function
 def is_free(walls, place, x, y):
     """Return whether (x, y) is on the floor, with clearance from all walls."""
-    count = int(place[WALLS])
+    count = wall_count(place)
     return winding_number(walls, count, x, y) == int(place[WINDING]) and is_clear(
         walls, count, x, y, _ZERO, _ZERO, place[CLEARANCE] - _SLACK
     )
@@ -73,7 +74,7 @@ def is_free(walls, place, x, y):
 @function
 def _can_move(walls, place, x, y, to_x, to_y):
     """Return whether a disc of the clearance can move straight from one place to another."""
-    count, radius = int(place[WALLS]), place[CLEARANCE] - _SLACK
+    count, radius = wall_count(place), place[CLEARANCE] - _SLACK
     dx, dy = to_x - x, to_y - y
     return sees(walls, count, x, y, dx, dy) and is_clear(walls, count, x, y, dx, dy, radius)
 
@@ -207,6 +208,10 @@ def _turns_round(walls, place, corner_x, corner_y, x, y):
     """
     left = right = _TWO_PI  # angles from the node to the nearest walls on both sides
     for k in range(int(place[WALLS])):
+        from_x, from_y = corner_x - walls[START_X, k], corner_y - walls[START_Y, k]
+        across = from_x * walls[ALONG_Y, k] - from_y * walls[ALONG_X, k]
+        if abs(across) > _SLACK:
+            continue
         near_x, near_y = nearest_point(walls, k, corner_x, corner_y)
         if _distance(near_x - corner_x, near_y - corner_y) > _SLACK:
             continue
@@ -265,7 +270,7 @@ def _find_corner(walls, place, corners, cost, x, y):
 @function
 def _find_corner_in_sight(walls, place, corners, cost, x, y):
     """Return the best corner in sight from (x, y), too close to a wall for the clearance."""
-    count = int(place[WALLS])
+    count = wall_count(place)
     best, least = NO_ROUTE, _FAR
     for v in range(int(place[CORNERS])):
         dx, dy = corners[X, v] - x, corners[Y, v] - y
@@ -286,9 +291,9 @@ def find_route(walls, place, corners, distance, x, y, goal_x, goal_y, cost):
         return GOAL, GOAL
     corner = _find_corner(walls, place, corners, cost, x, y)
     if corner == NO_ROUTE and not is_clear(
-        walls, int(place[WALLS]), x, y, _ZERO, _ZERO, place[CLEARANCE] - _SLACK
+        walls, wall_count(place), x, y, _ZERO, _ZERO, place[CLEARANCE] - _SLACK
     ):
-        if sees(walls, int(place[WALLS]), x, y, goal_x - x, goal_y - y):
+        if sees(walls, wall_count(place), x, y, goal_x - x, goal_y - y):
             return GOAL, GOAL
         corner = _find_corner_in_sight(walls, place, corners, cost, x, y)
     return corner, _following(place, corners, distance, cost, corner)
@@ -297,7 +302,7 @@ def find_route(walls, place, corners, distance, x, y, goal_x, goal_y, cost):
 @separate
 def follow_route(walls, place, corners, distance, cost, corner, following, x, y, goal_x, goal_y):
     """Return the two corners to head for from (x, y), after `corner` and `following` before."""
-    count = int(place[WALLS])
+    count = wall_count(place)
     if corner < 0:
         if sees(walls, count, x, y, goal_x - x, goal_y - y):
             return GOAL, GOAL

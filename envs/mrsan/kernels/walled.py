@@ -16,7 +16,7 @@ from mrsan.kernels.orca import orca_velocity
 from mrsan.kernels.people import changes_goal, list_agents
 from mrsan.kernels.routes import UPDATE_EVERY
 from mrsan.kernels.sensing import observe
-from mrsan.kernels.walls import WALLS, is_clear, nearest_point, sees, wall_distance
+from mrsan.kernels.walls import is_clear, nearest_point, sees, wall_count, wall_distance
 from mrsan.kernels.zones import (
     draw_goal_in_zones,
     join_goal,
@@ -34,13 +34,13 @@ _ROUNDING = np.float32(1e-5)  # m
 @function
 def is_in_sight(state, e, x, y, dx, dy):
     """Return whether no wall hides what is at (x + dx, y + dy) from (x, y)."""
-    return sees(state.walls[e], int(state.place[e, WALLS]), x, y, dx, dy)
+    return sees(state.walls[e], wall_count(state.place[e]), x, y, dx, dy)
 
 
 @function
 def robot_touches_wall(state, e, x, y, dx, dy, p):
     """Return whether a robot that moves from (x, y) by (dx, dy) touches a wall."""
-    count = int(state.place[e, WALLS])
+    count = wall_count(state.place[e])
     return not is_clear(state.walls[e], count, x, y, dx, dy, p.robot_radius)
 
 
@@ -122,7 +122,7 @@ def _list_near_walls(state, e, j, p, scratch):
     vx, vy = state.human_velocity[e, j, 0], state.human_velocity[e, j, 1]
     radius, horizon = state.human_radius[e, j], p.time_horizon_obstacles
     reach = horizon * state.human_speed[e, j] + radius
-    near_walls(state.walls[e], int(state.place[e, WALLS]), x, y, reach, scratch)
+    near_walls(state.walls[e], wall_count(state.place[e]), x, y, reach, scratch)
     wall_lines(state.walls[e], x, y, vx, vy, radius, horizon, scratch)
 
 
@@ -138,7 +138,7 @@ def _is_near_wall(state, e, j, p, scratch):
 @function
 def avoid_walls(state, e, j, p, velocity):
     """Change a velocity of human `j` that would lead into a wall: along the wall, or to a stop."""
-    walls, count = state.walls[e], int(state.place[e, WALLS])
+    walls, count = state.walls[e], wall_count(state.place[e])
     x, y, dt = state.human_position[e, j, 0], state.human_position[e, j, 1], p.time_step
     radius = state.human_radius[e, j] - _SLACK
     radius = min(radius, wall_distance(walls, count, x, y) - _ROUNDING)

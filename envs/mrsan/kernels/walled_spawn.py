@@ -10,7 +10,7 @@ from mrsan.kernels.layout import layout_of
 from mrsan.kernels.places import draw_place
 from mrsan.kernels.routes import CORNER_ROWS, build_corners, is_free
 from mrsan.kernels.spawn import NOT_PLACED, begin_episodes, draw_traits, has_room
-from mrsan.kernels.walls import CLEARANCE, PLACE_COLUMNS, REDRAWS, WALL_ROWS
+from mrsan.kernels.walls import CLEARANCE, PLACE_COLUMNS, REDRAWS, WALL_ROWS, fill_up
 from mrsan.kernels.zones import (
     draw_goal_in_zones,
     draw_human_start_in_zones,
@@ -48,6 +48,7 @@ def draw_place_of_case(state, e, attempt, p, place_parameters, fixed_map):
         place[CLEARANCE] = p.route_clearance
         draw_place(walls, place, state.zones[e], key, layout_of(key, p), attempt, place_parameters)
         room = state.route_cost[e, 0]  # written later
+        fill_up(walls, place)
         build_corners(walls, place, state.corners[e], state.corner_distance[e], room)
     place[REDRAWS] = redraws
 

@@ -5,7 +5,9 @@ unit direction, those of the segments before and after it in its polygon, and wh
 convex corners. Counter-clockwise polygons are solid, clockwise ones bound the floor, and two
 vertices make a thin wall with a front and a back, as in the RVO2 library.
 
-Loops over segments have no branches, so that the compiler can use vector instructions.
+Loops over segments have no branches, so that the compiler can use vector instructions. So that
+these loops have no remainder, walls too far away to matter fill the columns up to a multiple of
+`LANES`, see `wall_count`.
 """
 
 import math
@@ -16,6 +18,7 @@ from mrsan.kernels import function, separate
 
 WALL_ROWS = 12
 MOST_SEGMENTS = 256  # of a world
+LANES = 16  # walls examined together
 START_X, START_Y, END_X, END_Y = range(4)
 ALONG_X, ALONG_Y = 4, 5  # direction of the segment
 BEFORE_X, BEFORE_Y, AFTER_X, AFTER_Y = range(6, 10)  # directions of its neighbours
@@ -35,7 +38,29 @@ CLEARANCE = 7  # distance that routes keep from walls, m
 _ZERO = np.float32(0.0)
 _ONE = np.float32(1.0)
 _TINY = np.float32(1e-12)
+_FAR_AWAY = np.float32(1e6)  # m
 _FAR = np.float32(np.inf)
+
+
+def with_room_for_lanes(count: int) -> int:
+    """Return the number of columns that `count` walls need."""
+    return -(-count // LANES) * LANES
+
+
+@function
+def wall_count(place):
+    """Return the number of columns of the walls of a place, with those that are far away."""
+    return (int(place[WALLS]) + (LANES - 1)) // LANES * LANES
+
+
+@function
+def fill_up(walls, place):
+    """Write the far walls behind those of a place."""
+    for k in range(int(place[WALLS]), wall_count(place)):
+        walls[START_X, k], walls[END_X, k] = _ZERO, _ONE
+        walls[START_Y, k] = walls[END_Y, k] = _FAR_AWAY
+        walls[ALONG_X, k] = walls[BEFORE_X, k] = walls[AFTER_X, k] = _ONE
+        walls[ALONG_Y, k] = walls[BEFORE_Y, k] = walls[AFTER_Y, k] = _ZERO
 
 
 @separate
