@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numba import prange
 
-from mrsan.kernels import function, kernel, rng
+from mrsan.kernels import function, kernel, rng, separate
 from mrsan.kernels.walls import (
     END_X,
     END_Y,
@@ -19,7 +19,7 @@ from mrsan.kernels.zones import next_point
 from mrsan.se2 import unrotate
 
 _ZERO = np.float32(0.0)
-_TINY = np.float32(1e-12)
+_ONE = np.float32(1.0)
 _FAR = np.float32(np.inf)
 _AGENTS = 1024  # rays at most, for distinct random numbers
 
@@ -125,7 +125,7 @@ def scan(chunks, worlds, state, q, cosines, sines, ranges):
     """
     total, n, rays = ranges.shape
     for chunk in prange(chunks):
-        directions = np.empty((2, rays), np.float32)
+        directions = np.empty((4, rays), np.float32)
         of_all = np.empty(MOST_SEGMENTS, np.float32)
         for e in range(chunk * total // chunks, (chunk + 1) * total // chunks):
             if worlds[e]:
@@ -135,33 +135,52 @@ def scan(chunks, worlds, state, q, cosines, sines, ranges):
                     for ray in range(rays):
                         directions[0, ray] = cos * cosines[ray] - sin * sines[ray]
                         directions[1, ray] = sin * cosines[ray] + cos * sines[ray]
-                    _scan_walls(state, e, i, q, directions[0], directions[1], ranges[e, i], of_all)
+                    _scan_walls(
+                        state,
+                        e,
+                        i,
+                        q,
+                        directions[0],
+                        directions[1],
+                        directions[2],
+                        directions[3],
+                        ranges[e, i],
+                        of_all,
+                    )
                     if q.sees_agents:
                         _scan_agents(state, e, i, q, directions[0], directions[1], ranges[e, i])
                     _disturb(state, e, i, q, ranges[e, i])
 
 
 @function
-def _scan_walls(state, e, i, q, ray_x, ray_y, ranges, of_all):
+def _scan_walls(state, e, i, q, ray_x, ray_y, across, determinant, ranges, of_all):
     walls, count = state.walls[e], _wall_count(state, e)
     x, y = state.robot_position[e, i, 0], state.robot_position[e, i, 1]
-    for ray in range(ranges.shape[0]):
-        ranges[ray] = q.range
+    for ray in range(ranges.shape[0]):  # a range is across[ray] / determinant[ray] until the end
+        across[ray], determinant[ray] = q.range, _ONE
     front_distances(walls, count, x, y, of_all)
     for k in range(count):
         if of_all[k] > q.range * q.range:
             continue
         ax, ay = walls[START_X, k] - x, walls[START_Y, k] - y
         ux, uy = walls[END_X, k] - walls[START_X, k], walls[END_Y, k] - walls[START_Y, k]
-        across = ax * uy - ay * ux
-        for ray in range(ranges.shape[0]):
-            dx, dy = ray_x[ray], ray_y[ray]
-            determinant = dx * uy - dy * ux  # positive: the ray meets the front of the line
-            share = ax * dy - ay * dx  # of the segment, where they meet, times the determinant
-            distance = across / max(determinant, _TINY)
-            hit = (share >= _ZERO) & (share <= determinant) & (determinant > _ZERO)
-            nearer = hit & (distance < ranges[ray])
-            ranges[ray] = distance if nearer else ranges[ray]
+        _shorten_rays(ray_x, ray_y, across, determinant, ax, ay, ux, uy)
+    for ray in range(ranges.shape[0]):
+        ranges[ray] = across[ray] / determinant[ray]
+
+
+@separate
+def _shorten_rays(ray_x, ray_y, across, determinant, ax, ay, ux, uy):
+    """Shorten the rays that a wall from (ax, ay) along (ux, uy) stops."""
+    own_across = ax * uy - ay * ux
+    for ray in range(ray_x.shape[0]):
+        dx, dy = ray_x[ray], ray_y[ray]
+        own = dx * uy - dy * ux  # positive: the ray meets the front of the line
+        share = ax * dy - ay * dx  # of the segment, where they meet, times `own`
+        hit = (share >= _ZERO) & (share <= own) & (own > _ZERO)
+        nearer = hit & (own_across * determinant[ray] < across[ray] * own)
+        across[ray] = own_across if nearer else across[ray]
+        determinant[ray] = own if nearer else determinant[ray]
 
 
 @function
@@ -192,11 +211,13 @@ def _scan_agents(state, e, i, q, ray_x, ray_y, ranges):
 def _disturb(state, e, i, q, ranges):
     """Add noise to the ranges, and lose some: those have the greatest range."""
     key, step = state.key[e], state.clock[e]
-    for ray in range(ranges.shape[0]):
-        agent = i * _AGENTS + ray
-        if (q.noise > _ZERO or q.noise_share > _ZERO) and ranges[ray] < q.range:
+    if q.noise > _ZERO or q.noise_share > _ZERO:
+        for ray in range(ranges.shape[0]):
             sigma = q.noise + q.noise_share * ranges[ray]
-            noisy = ranges[ray] + sigma * rng.normal(key, rng.LIDAR, agent, step, 0)
-            ranges[ray] = min(max(noisy, _ZERO), q.range)
-        if q.dropout > _ZERO and rng.uniform(key, rng.LIDAR, agent, step, 2) < q.dropout:
-            ranges[ray] = q.range
+            error = rng.nearly_normal(key, rng.LIDAR, i * _AGENTS + ray, step, 0)
+            noisy = min(max(ranges[ray] + sigma * error, _ZERO), q.range)
+            ranges[ray] = noisy if ranges[ray] < q.range else q.range
+    if q.dropout > _ZERO:
+        for ray in range(ranges.shape[0]):
+            draw = rng.uniform(key, rng.LIDAR, i * _AGENTS + ray, step, 2)
+            ranges[ray] = q.range if draw < q.dropout else ranges[ray]

