@@ -45,6 +45,8 @@ class StepModule(nn.Module):
         """Return the action and the next memory."""
         named = dict(zip(self.names, inputs, strict=True))
         is_init, route = named.pop("is_init"), named.pop("route")
+        if self.policy.observes_route:
+            named["route"] = route.unsqueeze(1)
         memory = {
             name.removeprefix(MEMORY): named.pop(name).clone()
             for name in self.names
@@ -167,6 +169,8 @@ def _example_tracks(policy: Policy, scenario: Scenario, rows: int) -> dict[str, 
         for name, array in empty_tracks(scenario, rows).named().items()
     }
     observed = policy.sizes.entities.keys() | policy.sizes.sensors.keys() | {"ego"}
+    if policy.observes_route:
+        observed |= {"route"}
     return {
         name: torch.ones_like(tensor) if tensor.dtype == torch.bool else tensor
         for name, tensor in tracks.items()
@@ -232,9 +236,7 @@ def _check_equivalence(content: bytes, network: nn.Module, inputs: dict[str, Ten
     """
     session = onnxruntime.InferenceSession(content, providers=["CPUExecutionProvider"])
     values, random = dict(inputs), torch.Generator().manual_seed(0)
-    tracks = [
-        name for name in inputs if name not in ("is_init", "route") and not name.startswith(MEMORY)
-    ]
+    tracks = [name for name in inputs if name != "is_init" and not name.startswith(MEMORY)]
     for step in range(3):
         for name in tracks:
             drawn = torch.randn(values[name].shape, generator=random)

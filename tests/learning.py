@@ -13,6 +13,7 @@ from mrsan import Scenario
 from samarl.algorithms import ALGORITHMS
 from samarl.algorithms.advantages import streams
 from samarl.algorithms.ppo import PPO
+from samarl.observations.features import empty_frames
 from samarl.policies.checkpoint import make_policy
 from samarl.policies.policy import LOCAL, Policy
 from samarl.policies.stochastic import ActionEvaluation, StochasticPolicy
@@ -146,12 +147,17 @@ def policy_numbers(
 
 
 def policy(
-    name: str = "hierarchical", encoder: str = "spatio_temporal", gain: float = 1.0, **changes: Any
+    name: str = "hierarchical",
+    encoder: str = "spatio_temporal",
+    gain: float = 1.0,
+    scenario: Scenario | None = None,
+    **changes: Any,
 ) -> Policy:
     """A policy whose means depend on the input `gain` times as much as they do at first."""
     torch.manual_seed(0)
     numbers = policy_numbers(name, encoder, **changes)
-    made = make_policy(numbers.pop("name"), numbers, 3)
+    sizes = None if scenario is None else empty_frames(scenario).sizes
+    made = make_policy(numbers.pop("name"), numbers, 3, sizes)
     with torch.no_grad():
         for networks in made.networks:
             for head in networks.heads.values():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -11,9 +12,10 @@ import numpy as np
 
 from mrsan.fields import ConfigurationError
 from mrsan.kernels.layout import MAP
-from mrsan.kernels.routes import CORNER_ROWS, build_corners
+from mrsan.kernels.routes import CORNER_ROWS, build_corners, find_route
 from mrsan.kernels.walls import (
     CLEARANCE,
+    CORNERS,
     CROSSING_SHARE,
     FAMILY,
     PLACE_COLUMNS,
@@ -81,26 +83,64 @@ def _load(path: str, changed: int, clearance: float) -> FixedMap:
         polygons = load_map(path)
     except MapError as error:
         raise ConfigurationError(f"scenario.map: {error}") from None
+    return map_of_polygons(polygons, clearance)
+
+
+def map_of_polygons(polygons: Sequence[Polygon], clearance: float) -> FixedMap:
+    """Return the walls and the route graph of polygons.
+
+    Args:
+        polygons: the bounds first, clockwise; solid ones counter-clockwise; two points: thin walls.
+        clearance: that routes keep from walls, m.
+    """
     vertices = np.concatenate(polygons).astype(np.float32)
     ends = np.cumsum([len(polygon) for polygon in polygons])
+    room = 2 * len(vertices)
     loaded = FixedMap(
         np.zeros(PLACE_COLUMNS, np.float32),
         np.zeros((WALL_ROWS, with_room_for_lanes(len(vertices))), np.float32),
         np.concatenate([vertices.min(0), vertices.max(0)]),
-        np.zeros((CORNER_ROWS, 2 * len(vertices)), np.float32),
-        np.zeros((2 * len(vertices), 2 * len(vertices)), np.float32),
+        np.zeros((CORNER_ROWS, room), np.float32),
+        np.zeros((room, room), np.float32),
     )
     loaded.walls[:2, : len(vertices)] = vertices.T
     loaded.place[WALLS], loaded.place[ZONES] = len(vertices), 1
     loaded.place[WINDING] = -1 if any(_is_clockwise(polygon) for polygon in polygons) else 0
     loaded.place[FAMILY], loaded.place[CROSSING_SHARE] = MAP, 1.0
     loaded.place[CLEARANCE] = clearance
-    _complete(loaded, ends, np.empty(2 * len(vertices), np.float32))
-    corners = int(loaded.place[1])
+    _complete(loaded, ends, np.empty(room, np.float32))
+    corners = int(loaded.place[CORNERS])
     return loaded._replace(
         corners=np.ascontiguousarray(loaded.corners[:, :corners]),
         corner_distance=np.ascontiguousarray(loaded.corner_distance[:corners, :corners]),
     )
+
+
+def next_corner(
+    place: FixedMap, start: tuple[float, float], goal: tuple[float, float]
+) -> tuple[float, float]:
+    """Return the next corner of the shortest route from a start, or the goal, m."""
+    here, there = np.array(start, np.float32), np.array(goal, np.float32)
+    corner = _first_corner(place, here, there, np.empty(place.corners.shape[1], np.float32))
+    if corner < 0:
+        return goal
+    return float(place.corners[0, corner]), float(place.corners[1, corner])
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _first_corner(place, start, goal, cost):  # type: ignore[no-untyped-def]
+    corner, _ = find_route(
+        place.walls,
+        place.place,
+        place.corners,
+        place.corner_distance,
+        start[0],
+        start[1],
+        goal[0],
+        goal[1],
+        cost,
+    )
+    return corner
 
 
 def _is_clockwise(polygon: Polygon) -> bool:

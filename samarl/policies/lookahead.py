@@ -19,6 +19,7 @@ from mrsan.fields import required
 from samarl.encoders import Encoder
 from samarl.observations.features import empty_frames
 from samarl.observations.frames import FeatureSizes, Frames
+from samarl.observations.route import heading_for_route
 from samarl.observations.tracker import Tracks
 from samarl.planning.one_step import Commands, command_set, predict_outcomes
 from samarl.planning.orca import OrcaParameters, orca_actions
@@ -126,6 +127,7 @@ class LookaheadPolicy(Policy):
         """Return the best command [R, A] of the R active robots, or any with chance `epsilon`."""
         commands = command_set(self.config, scenario.kinematics)
         target = self.route(tracks, scenario)
+        tracks = tracks._replace(ego=heading_for_route(tracks))  # outcomes have no route
         outcomes = predict_outcomes(tracks, active, target, commands, scenario)
         imagined = self.extract_features(outcomes.tracks, scenario).to(self.device)
         rows = torch.from_numpy(np.flatnonzero(active)).to(self.device).repeat(len(commands))

@@ -239,12 +239,17 @@ class Policy(nn.Module, ABC):
         tracks = tracker.update(observation, state["tracks"], is_init)
         return tracks, self.extract_features(tracks, scenario).to(self.device)
 
+    @property
+    def observes_route(self) -> bool:
+        """Return whether the policy was trained with routes round walls."""
+        return self.sizes.ego > NETWORK_EGO_FEATURES
+
     def extract_features(self, tracks: Tracks, scenario: Scenario) -> Frames:
         """Return the features [B, 1, ...] of the groups and sensors that this policy observes.
 
         A policy that was trained without walls takes the next corner of its route for its goal.
         """
-        if "route" in tracks.sensors and self.sizes.ego == NETWORK_EGO_FEATURES:
+        if "route" in tracks.sensors and not self.observes_route:
             tracks = tracks._replace(ego=heading_for_route(tracks))
         return frames_of(tracks, scenario, self.config.known_origin).select(self.sizes)
 

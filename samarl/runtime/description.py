@@ -7,7 +7,7 @@ import json
 from dataclasses import dataclass
 from typing import Any
 
-from mrsan import ConfigurationError, Reward, Scenario
+from mrsan import EGO_FEATURES, ConfigurationError, Reward, Scenario
 from samarl.planning.shield import Shield
 
 KEY = "samarl"  # of the metadata
@@ -29,6 +29,10 @@ ROBOT_FIELDS = (
     "turn_in_place",
     "fov_degrees",
     "sensing_range",
+    "nearest_walls",
+    "lidar_rays",
+    "lidar_range",
+    "lidar_fov_degrees",
     "reward",
 )
 
@@ -37,11 +41,11 @@ ROBOT_FIELDS = (
 class Description:
     """Everything that the runtime needs besides the network.
 
-    Inputs of the network are the arrays of `Tracks.named`, [1, 1, ...]. With lookahead they are
-    those of C predicted outcomes, [C, 1, ...], and the output is `value` [C]. Other policies also
-    have the inputs `is_init` [1], whether the memory is cleared, `route` [1, 2], where the route
-    leads next in the body frame (m), and `state.NAME`, the memory. Their outputs are `action` [1,
-    A] in [-1, 1] and `next.NAME`, the memory after the step.
+    Inputs of the network are the arrays of `Tracks.named`, [1, 1, ...], but for `route`. With
+    lookahead they are those of C predicted outcomes, [C, 1, ...], and the output is `value` [C].
+    Other policies also have the inputs `is_init` [1], whether the memory is cleared, `route`
+    [1, 2], where the route leads next in the body frame (m), and `state.NAME`, the memory. Their
+    outputs are `action` [1, A] in [-1, 1] and `next.NAME`, the memory after the step.
     """
 
     agent: str  # its name in conf/agent
@@ -84,6 +88,11 @@ class Description:
         drives_round = self.scenario["fov_degrees"] < self.policy["round_below"]
         return bool(self.policy.get("known_origin", True) or drives_round)
 
+    @property
+    def observes_route(self) -> bool:
+        """Return whether the policy was trained with routes round walls."""
+        return bool(self.card["sizes"].get("ego", 0) > len(EGO_FEATURES))
+
     def make_scenario(self) -> Scenario:
         """Return the scenario as far as the robot knows it."""
         return Scenario(**{**self.scenario, "reward": Reward(**self.scenario["reward"])})
@@ -96,6 +105,7 @@ class Description:
 def robot_fields(scenario: Scenario) -> dict[str, Any]:
     """Return the fields of a scenario that a robot needs."""
     values = {name: getattr(scenario, name) for name in ROBOT_FIELDS}
+    values["nearest_walls"] = scenario.walls_observed
     values["kinematics"] = scenario.kinematics.name
     values["reward"] = dataclasses.asdict(scenario.reward)
     return values

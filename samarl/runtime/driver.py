@@ -15,7 +15,7 @@ from mrsan import EGO_FEATURES, OTHER_FEATURES, Entities, Observation
 from mrsan.observation import parts_of_named
 from mrsan.parameters import kernel_parameters
 from mrsan.se2 import unrotate
-from samarl.observations.route import next_point, route
+from samarl.observations.route import heading_for_route, next_point, route
 from samarl.observations.tracker import Tracker, TrackMemory, Tracks
 from samarl.planning.one_step import Commands, command_set, predict_outcomes
 from samarl.planning.shield import apply_shield
@@ -26,9 +26,12 @@ from samarl.runtime.inputs import (
     OwnState,
     validated,
     validated_sensors,
+    validated_walls,
 )
 from samarl.runtime.network import Network
 from samarl.runtime.slots import Slots
+
+_MOST_WALLS = 24  # that the shield takes into account, the nearest ones
 
 
 class Command(NamedTuple):
@@ -112,6 +115,7 @@ class Driver:
         detections: Iterable[Detection],
         time: float,
         sensors: Mapping[str, Any] | None = None,
+        walls: Any = (),
     ) -> Command:
         """Decide what to do now.
 
@@ -124,11 +128,15 @@ class Driver:
             time: of these measurements, on any clock that does not jump, s.
             sensors: the arrays of a policy with further sensors, see `sensor_inputs`: a sensor's
                 values, or the features of a group of entities and, as `GROUP_known`, its mask.
+            walls: segments [K, 4] of walls in view (start_x, start_y, end_x, end_y), in the frame
+                of `OwnState` and in any order; the shield, and a policy that observes walls, keep
+                clear of them. See `samarl.runtime.KnownMap` and `walls_of_scan`.
 
         Raises:
             InputError: names the input that cannot be used; the driver is unchanged.
         """
         own, agents, time = validated(own, detections, time)
+        segments = validated_walls(walls)
         readings = validated_sensors(sensors or {}, self.sensor_inputs)
         is_first = self._start_time is None
         if not is_first and time <= self._last_time:
@@ -141,7 +149,7 @@ class Driver:
             if not self.description.uses_absolute_position:
                 self._origin = own.x, own.y  # float32 is coarse far away from it
         elapsed, self._last_time = time - self._last_time, time
-        observation = self._observation(own, agents, time, readings)
+        observation = self._observation(own, agents, time, readings, segments)
         tracks = {
             track_time: tracker.update(
                 observation, self._memories[track_time], np.array([is_first]), elapsed
@@ -164,6 +172,7 @@ class Driver:
         detections: Sequence[Detection],
         time: float,
         sensors: Mapping[str, NDArray[Any]],
+        walls: NDArray[np.float64],
     ) -> Observation:
         """Return the robot's observation as in the simulator, each agent in a slot of its own."""
         s, x, y = self.scenario, own.x - self._origin[0], own.y - self._origin[1]
@@ -201,7 +210,37 @@ class Driver:
             entities[kind] = Entities(features, visible)
         _, groups, values = parts_of_named({"ego": None, **sensors}, "known")
         entities |= {name: Entities(*group) for name, group in groups.items()}
+        if self._network.walls or len(walls):
+            entities["walls"] = self._nearest_walls(own, walls, cos, sin)
+        if self.description.observes_route or (own.next_x, own.next_y) != (own.goal_x, own.goal_y):
+            assert own.next_x is not None
+            assert own.next_y is not None
+            next_point = to_body(own.next_x - own.x, own.next_y - own.y)
+            values["route"] = np.array([[next_point]], np.float32)
         return Observation(ego, entities, values, {})
+
+    def _nearest_walls(
+        self, own: OwnState, walls: NDArray[np.float64], cos: float, sin: float
+    ) -> Entities:
+        """Return the walls nearest to the robot in its body frame, as the simulator does."""
+        starts, ends = walls[:, :2] - (own.x, own.y), walls[:, 2:] - (own.x, own.y)
+        along = ends - starts
+        squared = np.maximum((along**2).sum(-1), 1e-12)
+        share = np.clip(-(starts * along).sum(-1) / squared, 0.0, 1.0)
+        distance = np.linalg.norm(starts + share[:, None] * along, axis=-1)
+        in_front = along[:, 0] * starts[:, 1] - along[:, 1] * starts[:, 0] > 0.0  # floor: right
+        starts = np.where(in_front[:, None], starts, walls[:, 2:] - (own.x, own.y))
+        ends = np.where(in_front[:, None], ends, walls[:, :2] - (own.x, own.y))
+        slots = self._network.walls or _MOST_WALLS
+        nearest = np.argsort(distance, kind="stable")[:slots]
+        nearest = nearest[distance[nearest] <= self.scenario.sensing_range]
+        features = np.zeros((1, 1, slots, 4), np.float32)
+        known = np.zeros((1, 1, slots), np.bool_)
+        known[0, 0, : len(nearest)] = True
+        for first, points in ((0, starts[nearest]), (2, ends[nearest])):
+            x, y = unrotate(cos, sin, points[:, 0], points[:, 1])
+            features[0, 0, : len(nearest), first : first + 2] = np.stack([x, y], -1)
+        return Entities(features, known)
 
     def _decide(self, tracks: Tracks) -> NDArray[np.float32]:
         """Return the policy's action, [1, 1, A]."""
@@ -210,6 +249,8 @@ class Driver:
         if self._network.needs_route:
             below, radius = policy["round_below"], policy["round_radius"]
             target = route(tracks, self.scenario.fov_degrees, below, radius)
+        if not self.description.observes_route:
+            tracks = tracks._replace(ego=heading_for_route(tracks))
         if not self._network.looks_ahead:
             return self._network.action(tracks, target)
         active = np.ones((1, 1), np.bool_)

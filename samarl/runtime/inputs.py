@@ -31,6 +31,8 @@ class OwnState(NamedTuple):
     velocity_y: float
     goal_x: float  # m
     goal_y: float
+    next_x: float | None = None  # next corner of the path round walls to the goal, m; None: none
+    next_y: float | None = None
 
 
 class Detection(NamedTuple):
@@ -70,6 +72,8 @@ def validated(
             f"detections is {_shown(detections)}; it must be an iterable of Detection"
         ) from None
     time = _number("time", time)
+    if own.next_x is None and own.next_y is None:
+        own = own._replace(next_x=own.goal_x, next_y=own.goal_y)
     own = OwnState(
         *(_number(f"own.{name}", value) for name, value in zip(own._fields, own, strict=True))
     )
@@ -85,6 +89,26 @@ def validated(
                 "differ"
             )
     return own, people, time
+
+
+def validated_walls(walls: Any) -> NDArray[np.float64]:
+    """Return wall segments as an array [K, 4].
+
+    Raises:
+        InputError: they are something else, or not finite.
+    """
+    try:
+        array = np.asarray(walls, np.float64)
+    except (TypeError, ValueError):
+        array = np.full((1, 1), np.nan)
+    if array.size == 0 and array.ndim <= 2:
+        return np.zeros((0, 4))
+    if array.ndim != 2 or array.shape[1] != 4 or not (np.abs(array) <= LARGEST).all():
+        raise InputError(
+            f"walls is {_shown(walls)}; it must be rows [start_x, start_y, end_x, end_y] of "
+            f"numbers within +-{LARGEST:g}"
+        )
+    return array
 
 
 def validated_sensors(

@@ -20,6 +20,8 @@ _ALWAYS_PRESENT = (
     "humans_known",
     "robots",
     "robots_known",
+    "walls",
+    "walls_known",
     "is_init",
     "route",
 )
@@ -58,6 +60,8 @@ class Network:
             for name, tensor in self._inputs.items()
             if name not in _ALWAYS_PRESENT and not name.startswith(MEMORY)
         }
+        # The number of walls that the network observes; 0 if it observes none.
+        self.walls = self._inputs["walls"].shape[2] if "walls" in self._inputs else 0
         self.reset()
 
     def reset(self) -> None:

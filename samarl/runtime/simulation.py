@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 from numpy.typing import NDArray
 
 from mrsan import Observation
@@ -43,6 +44,10 @@ def as_seen(
     vx, vy = to_world(ego[VELOCITY_X], ego[VELOCITY_Y])
     x, y = -origin_x, -origin_y
     own = OwnState(x, y, math.atan2(sin, cos), vx, vy, x + goal[0], y + goal[1])
+    if "route" in observation.sensors:
+        ahead, left = (float(value) for value in observation.sensors["route"][world, robot])
+        dx, dy = to_world(ahead, left)
+        own = own._replace(next_x=x + dx, next_y=y + dy)
     detections = []
     for group, is_robot in (("humans", False), ("robots", True)):
         rows, visible = observation.entities[group]
@@ -63,10 +68,28 @@ def as_seen(
     return own, detections
 
 
+def walls_in_view(observation: Observation, own: OwnState, robot: int, world: int = 0) -> NDArray:
+    """Return the `walls` of `Driver.step` for a robot, [K, 4]."""
+    if "walls" not in observation.entities:
+        return np.zeros((0, 4))
+    features, mask = observation.entities["walls"]
+    segments = features[world, robot][mask[world, robot]].astype(np.float64)
+    cos, sin = math.cos(own.heading), math.sin(own.heading)
+    columns = []
+    for x, y in ((segments[:, 0], segments[:, 1]), (segments[:, 2], segments[:, 3])):
+        dx, dy = rotate(cos, sin, x, y)
+        columns += [own.x + dx, own.y + dy]
+    return np.stack(columns, -1)
+
+
 def sensor_readings(observation: Observation, robot: int, world: int = 0) -> dict[str, NDArray]:
     """Return the `sensors` of `Driver.step` for a robot."""
-    readings = {name: values[world, robot] for name, values in observation.sensors.items()}
+    readings = {
+        name: values[world, robot]
+        for name, values in observation.sensors.items()
+        if name != "route"
+    }
     for name, (features, mask) in observation.entities.items():
-        if name not in ("humans", "robots"):
+        if name not in ("humans", "robots", "walls"):
             readings[name], readings[f"{name}_known"] = features[world, robot], mask[world, robot]
     return readings

@@ -19,13 +19,14 @@ from samarl.agents.shielded import Shielded
 from samarl.configuration import load_agent
 from samarl.encoders import ENCODERS
 from samarl.export import OPSET, export_agent
+from samarl.planning.shield import Shield
 from samarl.planning.velocity_control import action_to_motion
 from samarl.policies.checkpoint import save_policy
 from samarl.policies.flat import FlatPolicy
 from samarl.policies.policy import POLICIES, Policy
 from samarl.runtime import Command, Driver
 from samarl.runtime.network import Network
-from samarl.runtime.simulation import as_seen
+from samarl.runtime.simulation import as_seen, sensor_readings, walls_in_view
 from tests import learning
 
 SAME = 1e-4
@@ -159,6 +160,51 @@ def test_every_policy_and_every_encoder_is_exported(
         seen |= {tuple(command.action.round(4)) for command in commands}
         observation = world.step(action).observation
     assert len(seen) > 1  # it does not do the same whatever it sees
+
+
+PLACE = Scenario(layout="doorway", humans=4, robots=2, lidar_rays=24, time_limit=20.0)
+
+
+@pytest.mark.parametrize(
+    ("policy", "encoder", "observes_walls"),
+    [
+        ("flat", "set_pool", True),
+        ("hierarchical", "set_pool", True),
+        ("hierarchical", "spatio_temporal", True),
+        ("flat", "set_pool", False),  # heads for the next corner instead of the goal
+    ],
+)
+def test_walls_are_observed_on_a_robot_as_in_the_simulator(
+    policy: str, encoder: str, observes_walls: bool, tmp_path: Path
+) -> None:
+    """With the shield, which keeps clear of walls; decided from walls in the frame of the map."""
+    made = learning.policy(policy, encoder, 100.0, PLACE if observes_walls else None)
+    agent = Shielded(PLACE, agent_of(made, policy, tmp_path, PLACE), Shield(track_time=2.0))
+    export_agent(tmp_path / "policy.onnx", agent, "mine")
+    team = team_of(Network(tmp_path / "policy.onnx"), 2)
+    assert set(team[0].sensor_inputs) == ({"lidar"} if observes_walls else set())
+    world = World(PLACE, 1)
+    shielded = decisions = 0
+    for case in range(6):
+        observation = world.reset([case])
+        agent.reset(np.ones(1, np.bool_))
+        for driver in team:
+            driver.reset()
+        for step in range(20):
+            action = agent.act(observation)
+            commands = []
+            for robot, driver in enumerate(team):
+                own, people = as_seen(observation, robot)
+                walls = walls_in_view(observation, own, robot)
+                lidar = sensor_readings(observation, robot) if observes_walls else None
+                commands.append(driver.step(own, people, 0.25 * step, lidar, walls))
+            assert different(commands, action, observation, PLACE) == []
+            shielded += sum(command.shielded for command in commands)
+            decisions += 2
+            observation = world.step(action).observation
+            if world.state.done.all():
+                break
+    assert 0 < shielded < decisions
 
 
 def policy_config(name: str, encoder: str) -> dict[str, object]:

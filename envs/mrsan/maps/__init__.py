@@ -3,5 +3,6 @@
 from mrsan.kernels.walls import MOST_SEGMENTS
 from mrsan.maps.load import load_map
 from mrsan.maps.polygons import MapError, Polygon
+from mrsan.maps.ros import trace_free_area
 
-__all__ = ["MOST_SEGMENTS", "MapError", "Polygon", "load_map"]
+__all__ = ["MOST_SEGMENTS", "MapError", "Polygon", "load_map", "trace_free_area"]

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
 
+from mrsan.kernels.walls import MOST_SEGMENTS
 from mrsan.maps.polygons import MapError, Polygon, signed_area
 
 _COARSEST = 0.2  # m, largest deviation of the simplified outline
@@ -18,8 +19,7 @@ _COARSEST = 0.2  # m, largest deviation of the simplified outline
 def load_ros_map(content: dict[str, Any], folder: Path, most: int) -> list[Polygon]:
     """Return the outline of the largest free area of a grid, clockwise, and of its obstacles.
 
-    Occupied and unknown cells are obstacles. Outlines are simplified by at least half a cell, and
-    by more until there are at most `most` segments.
+    Occupied and unknown cells are obstacles.
 
     Args:
         content: of the YAML file, with the keys of ROS's map server.
@@ -29,12 +29,34 @@ def load_ros_map(content: dict[str, Any], folder: Path, most: int) -> list[Polyg
     Raises:
         MapError: a key is missing or wrong, or the map has too many details.
     """
+    resolution, origin = _geometry(content)
+    return trace_free_area(_free_cells(content, folder), resolution, origin, most)
+
+
+def trace_free_area(
+    free: NDArray[np.bool_],
+    resolution: float,
+    origin: tuple[float, float, float],
+    most: int = MOST_SEGMENTS,
+) -> list[Polygon]:
+    """Return the outline of the largest free area of a grid, clockwise, and of its obstacles.
+
+    Outlines are simplified by at least half a cell, and by more until there are at most `most`
+    segments.
+
+    Args:
+        free: which cells are free, [rows, columns], the top row first.
+        resolution: size of a cell, m.
+        origin: pose of the lower left corner of the grid: x and y, m, and yaw, rad.
+        most: largest number of segments.
+
+    Raises:
+        MapError: no cell is free, or the map has too many details.
+    """
     try:
         from skimage.measure import approximate_polygon, find_contours, label
     except ModuleNotFoundError:
         raise MapError("needs scikit-image: pip install 'samarl[maps]'") from None
-    resolution, origin = _geometry(content)
-    free = _free_cells(content, folder)
     areas = label(free, connectivity=1)
     if not areas.any():
         raise MapError("has no free cell; some cells must be free")
