@@ -5,6 +5,9 @@ relates the agents of one frame, and a temporal transformer each agent's own his
 itself attends to both, and cross-modal attention fuses the results. Unknown agents are masked
 everywhere, and the robot can also attend to a learned "nobody", so the result is finite with nobody
 in view.
+
+In places with walls there are further features to fuse: the robot's attention over the nearest
+walls, and the ranges of its lidar. Both are of the present frame only, as walls do not move.
 """
 
 from __future__ import annotations
@@ -18,7 +21,15 @@ from torch import Tensor, nn
 from mrsan import ConfigurationError
 from mrsan.fields import required, setting
 from samarl.encoders.encoder import ENCODERS, Encoder, EncoderState, frame_numbers
-from samarl.encoders.transformer_layers import SpatialTransformer, TemporalTransformer, nearness
+from samarl.encoders.rays import RayEncoder
+from samarl.encoders.transformer_layers import (
+    Pool,
+    SpatialTransformer,
+    TemporalTransformer,
+    nearness,
+)
+from samarl.encoders.windowed_attention import MASKED
+from samarl.observations.features import WALL_NEAR
 from samarl.observations.frames import FeatureSizes, Frames
 
 
@@ -34,6 +45,9 @@ class SpatioTemporalConfig:
     graph: bool = setting(True, kw_only=True, help="graph convolution weighted by proximity")
     cross_modal: bool = setting(True, kw_only=True, help="attention between the four features")
     one_block: bool = setting(False, kw_only=True, help="treat people and robots alike")
+    # Of places with walls, where the robots observe them:
+    segments: bool = setting(True, kw_only=True, help="read the nearest walls")
+    rays: bool = setting(True, kw_only=True, help="read the ranges of the lidar")
 
 
 class BlockScene(NamedTuple):
@@ -129,6 +143,57 @@ class Block(nn.Module):
         return BlockScene(self.spatial(tokens, others, known), temporal, score)
 
 
+class WallScene(NamedTuple):
+    """What is read of the walls around P robots; empty tensors for what is not."""
+
+    tokens: Tensor  # [P, K, D] of the nearest walls
+    score: Tensor  # [P, K, heads]
+    rays: Tensor  # [P, D] of the lidar
+
+
+class WallBlock(nn.Module):
+    """Tokens of the nearest walls for the attention of the robot, and features of its lidar."""
+
+    def __init__(self, sizes: FeatureSizes, config: SpatioTemporalConfig) -> None:
+        super().__init__()
+        width, self.heads = config.width, config.heads
+        self.reads_segments = config.segments and "walls" in sizes.entities
+        self.reads_rays = config.rays and "lidar" in sizes.sensors
+        if self.reads_segments:
+            self.embed_ego = nn.Linear(sizes.ego, width)
+            self.embed_wall = nn.Linear(sizes.entities["walls"], width)
+            self.embed = nn.Linear(width, width)
+            for layer in (self.embed_ego, self.embed_wall, self.embed):
+                nn.init.orthogonal_(layer.weight, gain=2**0.5)
+            self.pool = Pool(width, config.heads)
+        if self.reads_rays:
+            self.ray_encoder = RayEncoder(sizes.sensors["lidar"][0], width)
+        self.features = self.reads_segments + self.reads_rays
+
+    def forward(self, frame: Frames) -> WallScene:
+        """Return what is read of the walls in frames [P, ...]."""
+        empty = frame.ego.new_zeros(len(frame.ego), 0)
+        tokens, score, rays = empty, empty, empty
+        if self.reads_segments:
+            walls, mask = frame.entities["walls"]
+            embedded = self.embed_wall(walls) + self.embed_ego(frame.ego).unsqueeze(-2)
+            tokens = self.embed(torch.relu(embedded))
+            near = walls[..., WALL_NEAR].clamp_min(1e-20).log() / 2  # falls by 1 per metre
+            score = torch.where(mask, near, MASKED).unsqueeze(-1).expand(-1, -1, self.heads)
+        if self.reads_rays:
+            rays = self.ray_encoder(frame.sensors["lidar"])
+        return WallScene(tokens, score, rays)
+
+    def pooled(self, own: Tensor, scene: WallScene) -> list[Tensor]:
+        """Return the features for the robot's own embedding [P, D], [P, D] each."""
+        features = []
+        if self.reads_segments:
+            features.append(self.pool(own, scene.tokens, scene.score))
+        if self.reads_rays:
+            features.append(scene.rays)
+        return features
+
+
 class CrossModal(nn.Module):
     """Each of the four features queries their concatenation, then a transformer (Eq. 7)."""
 
@@ -144,7 +209,10 @@ class CrossModal(nn.Module):
         self.out = nn.Linear((1 + features) * width, config.features)
 
     def forward(self, own: Tensor, modalities: Tensor) -> Tensor:
-        """Return Y [P, out] from the robot's own embedding [P, D] and the features [P, 4, D]."""
+        """Return Y [P, out] from the robot's own embedding [P, D] and the features [P, G, D].
+
+        There are G = 4 of them in the paper: spatial and temporal, of humans and of robots.
+        """
         if self.attends:
             fused = self.norm(modalities)
             crossed, _ = self.cross(fused, fused, fused, need_weights=False)
@@ -152,8 +220,8 @@ class CrossModal(nn.Module):
         return torch.relu(self.out(torch.cat([own, modalities.flatten(1)], -1)))
 
 
-SpatioTemporalScene = tuple[BlockScene, ...]
-"""The output of each block: of robots and of humans, or of all agents together."""
+SpatioTemporalScene = tuple[BlockScene | WallScene, ...]
+"""The output of each block: of robots and of humans, or of all agents together, then of walls."""
 
 
 @ENCODERS.register("spatio_temporal", SpatioTemporalConfig)
@@ -180,7 +248,8 @@ class SpatioTemporalEncoder(Encoder):
             self.humans = Block(sizes.ego, sizes.entities["humans"], config)
             self.robots = Block(sizes.ego, sizes.entities["robots"], config)
         self.kinds = ("everybody",) if config.one_block else ("robots", "humans")
-        self.cross = CrossModal(2 * len(self.kinds), config)
+        self.walls = WallBlock(sizes, config)
+        self.cross = CrossModal(2 * len(self.kinds) + self.walls.features, config)
 
     def observe(
         self, frames: Frames, is_init: Tensor, state: EncoderState, samples: Tensor | None = None
@@ -193,15 +262,19 @@ class SpatioTemporalEncoder(Encoder):
         fresh = frame % is_init.shape[1] - lag >= episode_start.flatten()[frame].clamp_min(0)
         needed, window = torch.where(fresh, frame - lag, frame).unique(return_inverse=True)
         f = frames.map(lambda tensor: tensor.flatten(0, 1)[needed])
-        return tuple(
+        agents = tuple(
             getattr(self, kind)(f.ego, *_agents(f, kind), window, fresh) for kind in self.kinds
         )
+        if not self.walls.features:
+            return agents
+        return *agents, self.walls(f.of(window[:, 0]))
 
     def read(self, scene: SpatioTemporalScene, query: Tensor) -> Tensor:
         """See `Encoder.read`."""
         own = self.own(query)
         features: list[Tensor] = []
-        for kind, of_kind in zip(self.kinds, scene, strict=True):
+        kinds = (*self.kinds, "walls") if self.walls.features else self.kinds
+        for kind, of_kind in zip(kinds, scene, strict=True):
             features += getattr(self, kind).pooled(own, of_kind)
         y: Tensor = self.cross(own, torch.stack(features, 1))
         return y
@@ -223,12 +296,13 @@ class SpatioTemporalEncoder(Encoder):
         count = torch.where(is_init, 0, state["count"])
         state["count"][:] = count + 1
         f = frame.map(lambda tensor: tensor[:, 0])
-        return tuple(
+        agents = tuple(
             getattr(self, kind).step(
                 f.ego, *_agents(f, kind), state[kind], state[f"{kind}_known"], count
             )
             for kind in self.kinds
         )
+        return (*agents, self.walls(f)) if self.walls.features else agents
 
     def resume(self, frames: Frames, is_init: Tensor, state: EncoderState, rows: Tensor) -> None:
         """See `Encoder.resume`: fill the ring buffers with the last frames."""
@@ -253,9 +327,10 @@ class SpatioTemporalEncoder(Encoder):
         if "robots" not in self.kinds:
             return None
         own = self.own(query)
+        blocks = [part for part in scene if isinstance(part, BlockScene)]
         robots, humans = (
             getattr(self, kind).spatial.pool.weights(own, of_kind.spatial, of_kind.score)
-            for kind, of_kind in zip(self.kinds, scene, strict=True)
+            for kind, of_kind in zip(self.kinds, blocks, strict=True)
         )
         return robots, humans
 

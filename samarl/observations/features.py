@@ -62,6 +62,8 @@ RADIUS = slice(4, 5)  # m
 NEAR_NOW = 5  # exp(-2 gap), gap the distance between surfaces in m
 NEAR_SOON = 8  # the same of the closest approach ahead, times exp(-0.5 t), t s away
 
+WALL_NEAR = 6  # of a wall: exp(-2 gap), see `_wall_features`
+
 # The features of further groups and sensors: from what is observed, [B, slots, F] or [B, ...], to
 # what the networks get. Groups and sensors without an entry are passed on as observed.
 Features = Callable[[Tensor, Scenario], Tensor]

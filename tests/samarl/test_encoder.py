@@ -1,5 +1,6 @@
 """Encoders: what they must be blind to, and that they see over time what they see at once."""
 
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -23,8 +24,12 @@ from tests.scenes import blind, changed
 
 EGO, OTHER = NETWORK_EGO_FEATURES, NETWORK_OTHER_FEATURES
 ABLATIONS = ("graph=", "cross_modal=", "one_block=True")
+WALLS = ("spatio_temporal walls", "set_pool walls")  # that read walls and a lidar as well
+WALL_SIZES = replace(
+    AGENT_SIZES, entities={**AGENT_SIZES.entities, "walls": 7}, sensors={"lidar": (24,)}
+)
 every = pytest.mark.parametrize(
-    "name", [*ENCODERS, *(f"spatio_temporal {change}" for change in ABLATIONS)]
+    "name", [*ENCODERS, *(f"spatio_temporal {change}" for change in ABLATIONS), *WALLS]
 )
 
 
@@ -32,16 +37,17 @@ def encoder(name: str, **changes: Any) -> Any:
     """An encoder; its name may have a change of one of its flags behind it."""
     torch.manual_seed(0)
     name, _, change = name.partition(" ")
-    if change:
+    if change and change != "walls":
         flag, _, on = change.partition("=")
         changes[flag] = bool(on)
     config = ENCODERS.config({"name": name, **NUMBERS[name], **changes})
-    return ENCODERS[name].cls(config, AGENT_SIZES)
+    return ENCODERS[name].cls(config, WALL_SIZES if change == "walls" else AGENT_SIZES)
 
 
 def frames(b: int = 6, t: int = 11, m: int = 5, n: int = 3) -> Frames:
     torch.manual_seed(1)
     known, others_known = torch.rand(b, t, m) < 0.6, torch.rand(b, t, n - 1) < 0.6
+    walls_known = torch.rand(b, t, 4) < 0.6
     return Frames.from_named(
         {
             "ego": torch.randn(b, t, EGO),
@@ -49,6 +55,9 @@ def frames(b: int = 6, t: int = 11, m: int = 5, n: int = 3) -> Frames:
             "humans_known": known,
             "robots": torch.randn(b, t, n - 1, OTHER) * others_known.unsqueeze(-1),
             "robots_known": others_known,
+            "walls": torch.rand(b, t, 4, 7) * walls_known.unsqueeze(-1),
+            "walls_known": walls_known,
+            "lidar": torch.rand(b, t, 24),
         }
     )
 
@@ -310,3 +319,18 @@ def test_in_one_block_robots_are_as_humans(change: str) -> None:
     )
     one, other = (seen(model, given, some_begin()) for given in (data, others))
     assert torch.allclose(one, other, atol=1e-5) == bool(change.partition("=")[2])
+
+
+@pytest.mark.parametrize("name", WALLS)
+@pytest.mark.parametrize(("flag", "part"), [("segments", "walls"), ("rays", "lidar")])
+def test_each_branch_reads_its_part_of_the_walls(name: str, flag: str, part: str) -> None:
+    data = frames()
+    other = data.named()
+    other[part] = torch.rand_like(other[part]) * (
+        other["walls_known"].unsqueeze(-1) if part == "walls" else 1.0
+    )
+    changed_data = Frames.from_named(other)
+    for on in (True, False):
+        model = encoder(name, **{flag: on})
+        before, after = (seen(model, one, some_begin()) for one in (data, changed_data))
+        assert torch.equal(before, after) != on
