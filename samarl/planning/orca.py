@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from mrsan import Observation, Scenario
 from mrsan.fields import required
-from mrsan.kernels import kernel
+from mrsan.kernels import function, kernel
 from mrsan.kernels.obstacle_orca import near_walls, wall_lines
 from mrsan.kernels.orca import orca_room, orca_velocity
 from mrsan.kernels.walls import WALL_ROWS
@@ -21,6 +21,10 @@ from samarl.planning.velocity_control import gather_rows, preferred_velocity, tr
 from samarl.planning.walls import gather_walls, seen_walls
 
 _ZERO = np.float32(0.0)
+
+# By which robots keep farther from walls than their radius, as they cannot turn at once, m (chosen
+# on validation cases).
+WALL_MARGIN = np.float32(0.1)
 
 
 @dataclass
@@ -94,11 +98,9 @@ def _orca(
                 )
                 seen = gather_walls(segments[e, i], segments_visible[e, i], walls)
                 horizon = p.time_horizon_obstacles
-                reach = horizon * p.robot_speed + p.robot_radius
-                near_walls(walls, seen, _ZERO, _ZERO, reach, scratch)
-                wall_lines(
-                    walls, _ZERO, _ZERO, rows[0, 2], rows[0, 3], p.robot_radius, horizon, scratch
-                )
+                radius = p.robot_radius + WALL_MARGIN
+                near_walls(walls, seen, _ZERO, _ZERO, horizon * p.robot_speed + radius, scratch)
+                wall_lines(walls, _ZERO, _ZERO, rows[0, 2], rows[0, 3], radius, horizon, scratch)
                 preferred_x, preferred_y = preferred_velocity(targets[e, i], p)
                 vx, vy = orca_velocity(
                     rows,
@@ -114,5 +116,18 @@ def _orca(
                     scratch,
                     scratch.wall_counts[1],
                 )
+                if scratch.wall_counts[1] > 0:
+                    vx, vy = _slower_in_turns(vx, vy, p)
                 speed = math.sqrt(rows[0, 2] * rows[0, 2] + rows[0, 3] * rows[0, 3])
                 track_velocity(vx, vy, speed, action[e, i], p)
+
+
+@function
+def _slower_in_turns(vx, vy, p):
+    """Return a velocity scaled by the cosine of the angle that one step cannot turn.
+
+    At full speed a robot that has to turn first would be carried into the wall.
+    """
+    left = max(abs(math.atan2(vy, vx)) - p.max_turn, _ZERO)
+    scale = max(math.cos(left), _ZERO)
+    return vx * scale, vy * scale
