@@ -11,20 +11,25 @@ from numpy.typing import NDArray
 
 from mrsan import Observation, Scenario
 from mrsan.fields import required
-from mrsan.kernels import function, kernel
+from mrsan.kernels import kernel
 from mrsan.kernels.obstacle_orca import near_walls, wall_lines
 from mrsan.kernels.orca import orca_room, orca_velocity
 from mrsan.kernels.walls import WALL_ROWS
 from mrsan.parameters import kernel_parameters
 from samarl.observations.route import next_point
-from samarl.planning.velocity_control import gather_rows, preferred_velocity, track_velocity
+from samarl.planning.velocity_control import (
+    TURN_IN_PLACE_ANGLE,
+    gather_rows,
+    preferred_velocity,
+    track_velocity,
+)
 from samarl.planning.walls import gather_walls, seen_walls
 
 _ZERO = np.float32(0.0)
 
 # By which robots keep farther from walls than their radius, as they cannot turn at once, m (chosen
 # on validation cases).
-WALL_MARGIN = np.float32(0.1)
+WALL_MARGIN = np.float32(0.05)
 
 
 @dataclass
@@ -116,18 +121,7 @@ def _orca(
                     scratch,
                     scratch.wall_counts[1],
                 )
-                if scratch.wall_counts[1] > 0:
-                    vx, vy = _slower_in_turns(vx, vy, p)
                 speed = math.sqrt(rows[0, 2] * rows[0, 2] + rows[0, 3] * rows[0, 3])
-                track_velocity(vx, vy, speed, action[e, i], p)
-
-
-@function
-def _slower_in_turns(vx, vy, p):
-    """Return a velocity scaled by the cosine of the angle that one step cannot turn.
-
-    At full speed a robot that has to turn first would be carried into the wall.
-    """
-    left = max(abs(math.atan2(vy, vx)) - p.max_turn, _ZERO)
-    scale = max(math.cos(left), _ZERO)
-    return vx * scale, vy * scale
+                # Near walls there is no room for a turn on the way: it turns in place.
+                turn = p.max_turn if scratch.wall_counts[1] > 0 else TURN_IN_PLACE_ANGLE
+                track_velocity(vx, vy, speed, action[e, i], p, turn)
