@@ -22,11 +22,8 @@ from samarl.evaluation.sweep import read_cell
 from samarl.evaluation.table import rows_as_markdown
 from samarl.files import code_version, write_json, write_text
 
-_PER_ROBOT = [
-    name
-    for name in Episodes._fields
-    if name not in ("case", "episode", "duration", "outcome", "steps")
-]
+_PER_EPISODE = ("case", "episode", "duration", "outcome", "steps", "deadlock")
+_PER_ROBOT = [name for name in Episodes._fields if name not in _PER_EPISODE]
 
 
 def main() -> None:
@@ -80,6 +77,7 @@ def episodes_as_jsonl(episodes: Episodes) -> str:
             "success": bool(episodes.success[b]),
             "duration": float(episodes.duration[b]),
             "steps": int(episodes.steps[b]),
+            "deadlock": bool(episodes.deadlock[b]),
             "outcome": [Outcome(value).name for value in episodes.outcome[b]],
             "social_score": scores[b].round(2).tolist(),
         }

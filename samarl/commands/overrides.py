@@ -28,6 +28,7 @@ PATH_FIELDS = frozenset(
         "checkpoint",
         "init_from",
         "lookahead_predictor",
+        "map",
         "output",
         "predictor",
         "recording",

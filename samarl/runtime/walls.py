@@ -6,13 +6,16 @@ import math
 from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mrsan.fixed_map import map_of_polygons, next_corner
-from mrsan.maps import Polygon, load_map, trace_free_area
 from samarl.runtime.inputs import OwnState
+
+if TYPE_CHECKING:
+    from mrsan.maps import Polygon
 
 _LARGEST_GAP = 0.5  # between neighbouring points of a scan on the same wall, m
 _DEVIATION = 0.05  # of points from the segment that replaces them, m
@@ -39,6 +42,8 @@ class KnownMap:
         Raises:
             MapError: the file cannot be used.
         """
+        from mrsan.maps import load_map  # here because only maps from files need its packages
+
         return cls(load_map(path), clearance)
 
     @classmethod
@@ -54,6 +59,8 @@ class KnownMap:
         Raises:
             MapError: no cell is free, or the grid has too many details.
         """
+        from mrsan.maps import trace_free_area
+
         return cls(trace_free_area(free, resolution, origin), clearance)
 
     def with_route(self, own: OwnState) -> OwnState:

@@ -9,6 +9,7 @@ import pytest
 
 from mrsan import Kinematics, Scenario, World
 from mrsan.features import GOAL_X, GOAL_Y
+from mrsan.kernels.walls import WALL_ROWS
 from mrsan.parameters import kernel_parameters
 from samarl.agents.planners.model_predictive import ModelPredictive
 from samarl.planning.sampling import PlanParameters, _cost, plan_parameters
@@ -97,6 +98,7 @@ def cheapest_action(visible, p, plans, best):  # type: ignore[no-untyped-def]
     goal_angle, cheapest = math.atan2(goal_y, goal_x), np.float32(np.inf)
     scratch = np.empty_like(best)
     zero_offset = np.zeros((len(rows), 1, 2), np.float32)
+    no_walls = np.zeros((WALL_ROWS, 0), np.float32)
     for plan in range(directions * speeds * holds + 1):
         angle = goal_angle + TWO_PI * (np.float32(plan % directions) / np.float32(directions))
         velocity = p.robot_speed * np.float32(plan // directions % speeds + 1) / np.float32(speeds)
@@ -108,6 +110,8 @@ def cheapest_action(visible, p, plans, best):  # type: ignore[no-untyped-def]
             rows,
             zero_offset,
             count,
+            no_walls,
+            0,
             goal_x,
             goal_y,
             vx,

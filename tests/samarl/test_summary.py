@@ -92,7 +92,7 @@ def four_episodes() -> Episodes:
         arrived=np.array([[True, True], [False, False], [False, False], [True, False]]),
         contacts=np.array([[0.0, 0], [1, 0], [0.5, 0.5], [0, 0]]),
         comfort_share=np.array([[0.0, 0.3], [0.5, 0], [0, 0], [0, 0.1]]),
-        deadlock=np.zeros(4, bool),
+        deadlock=np.array([False, False, False, True]),
     )
 
 
@@ -125,6 +125,11 @@ def test_a_row_by_hand() -> None:
         "robot_on_person_rate": 25.0,
         "person_on_robot_rate": 0.0,
         "robot_collision_rate": 25.0,
+        "wall_collision_rate": 0.0,
+        "deadlock_rate": 25.0,
+        "makespan": 10.0,
+        "flow_rate": 12.0,  # two robots in 10 s
+        "path_ratio": 1.4,  # of 10, 20 and 12 m instead of 10
         "timeout_rate": 25.0,
         "path_length": 14.0,
         "time_to_goal": 11.0,
@@ -389,7 +394,7 @@ def test_committed_rows_have_every_metric_of_the_printed_table() -> None:
     """The metrics of driving and of MSA3C were added later; all are in the order of the fields."""
     rows = read_rows(COMMITTED)
     assert rows is not None
-    added = Tables.driving, Tables.counted
+    added = Tables.driving, Tables.counted, Tables.walled
     later = {f for metric in METRICS.values() if metric.tables in added for f in metric.fields}
     later |= {"scenario", "collisions_end"}
     seed_fields = list(across_seeds(rows[:2]))
