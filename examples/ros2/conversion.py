@@ -5,8 +5,13 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from mrsan.se2 import rotate
-from samarl.runtime import Command, Detection, OwnState
+from samarl.runtime import Command, Detection, KnownMap, OwnState, walls_of_scan
+
+_FREE_BELOW = 20  # occupancy in percent; unknown cells are -1
 
 
 def seconds(stamp: Any) -> float:
@@ -49,6 +54,51 @@ def detections(people: Any, reliability: float = 0.5) -> list[Detection]:
         for person in people.people
         if person.reliability >= reliability
     ]
+
+
+def known_map(grid: Any, clearance: float) -> KnownMap:
+    """Return the walls and routes of a `nav_msgs/OccupancyGrid`.
+
+    Unknown cells count as occupied. Raises `mrsan.maps.MapError` if the grid cannot be used.
+    """
+    info = grid.info
+    cells = np.asarray(grid.data, np.int16).reshape(info.height, info.width)
+    free = (cells >= 0) & (cells < _FREE_BELOW)
+    position = info.origin.position
+    origin = position.x, position.y, yaw(info.origin.orientation)
+    return KnownMap.of_grid(free[::-1], info.resolution, origin, clearance)
+
+
+def scan_angles(scan: Any) -> NDArray[np.float64]:
+    """Return the angles of the rays of a `sensor_msgs/LaserScan` to the heading, rad."""
+    angles: NDArray[np.float64] = scan.angle_min + scan.angle_increment * np.arange(
+        len(scan.ranges)
+    )
+    return angles
+
+
+def scan_walls(scan: Any, own: OwnState) -> NDArray[np.float64]:
+    """Return the wall segments of a `sensor_msgs/LaserScan` taken at the centre of the robot."""
+    return walls_of_scan(scan.ranges, scan_angles(scan), own, scan.range_max)
+
+
+def lidar_ranges(
+    scan: Any, rays: int, fov_degrees: float, greatest_range: float
+) -> NDArray[np.float32]:
+    """Return the ranges of a `sensor_msgs/LaserScan` at the rays that a policy observes, m.
+
+    Each ray takes the nearest ray of the scan; where there is none, and where nothing was hit, it
+    has the greatest range.
+    """
+    half = math.radians(fov_degrees) / 2
+    full = fov_degrees >= 360.0
+    wanted = np.linspace(-half, half, rays, endpoint=not full and rays > 1)
+    angles, ranges = scan_angles(scan), np.asarray(scan.ranges, np.float64)
+    away = np.abs((wanted[:, None] - angles + math.pi) % (2 * math.pi) - math.pi)
+    nearest = away.argmin(1)
+    usable = away.min(1) <= max(scan.angle_increment, 2 * half / rays)
+    taken = np.where(usable & np.isfinite(ranges[nearest]), ranges[nearest], greatest_range)
+    return np.clip(taken, 0.0, greatest_range).astype(np.float32)
 
 
 def velocity(command: Command) -> tuple[float, float]:
