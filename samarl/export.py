@@ -14,6 +14,7 @@ import torch
 from torch import Tensor, nn
 
 from mrsan import ConfigurationError, Scenario
+from mrsan.scenario import DEFAULT_NEAREST_WALLS
 from samarl.agents import Agent
 from samarl.agents.learned import Learned
 from samarl.agents.shielded import Shielded
@@ -96,6 +97,8 @@ def export_agent(path: Path, agent: Agent, name: str) -> None:
         )
     _check_exportable(agent, shield, name)
     policy, scenario = agent.policy, agent.scenario
+    if "walls" in policy.sizes.entities and not scenario.walls_observed:
+        scenario = replace(scenario, nearest_walls=DEFAULT_NEAREST_WALLS)
     # At least one slot for each kind of agent: the exporter fails on empty tensors.
     scenario = replace(scenario, humans=max(scenario.humans, 1), robots=max(scenario.robots, 2))
     memory: dict[str, Tensor] = {}

@@ -19,6 +19,8 @@ from mrsan.recording import NOBODY, Recording, RecordingError, load_recording
 from mrsan.reward import Reward
 from mrsan.sensors.sensor import check_sensors
 
+DEFAULT_NEAREST_WALLS = 12  # that robots see in places with walls
+
 
 @dataclass
 class Scenario:
@@ -277,7 +279,7 @@ class Scenario:
     @property
     def walls_observed(self) -> int:
         """Return the largest number of walls that a robot observes."""
-        usual = 12 if self.has_walls else 0
+        usual = DEFAULT_NEAREST_WALLS if self.has_walls else 0
         return usual if self.nearest_walls is None else self.nearest_walls
 
     @property

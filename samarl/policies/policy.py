@@ -22,13 +22,14 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.utils._pytree import tree_map
 
-from mrsan import ConfigurationError, Observation, Scenario
+from mrsan import ConfigurationError, Entities, Observation, Scenario
 from mrsan.fields import required, setting
+from mrsan.sensors.walls import WALL_FEATURES
 from samarl.encoders import ENCODERS, Encoder
 from samarl.encoders.encoder import samples_of
-from samarl.observations.features import AGENT_SIZES, NETWORK_EGO_FEATURES, empty_frames, frames_of
+from samarl.observations.features import AGENT_SIZES, NETWORK_EGO_FEATURES, empty_tracks, frames_of
 from samarl.observations.frames import FeatureSizes, Frames
-from samarl.observations.route import heading_for_route
+from samarl.observations.route import heading_for_route, next_point
 from samarl.observations.route import route as next_on_route
 from samarl.observations.tracker import Tracker, Tracks
 from samarl.policies.explanation import Explanation
@@ -218,10 +219,15 @@ class Policy(nn.Module, ABC):
                 f"scenario.robots is {scenario.robots}; it must be {sets}, as "
                 "policy.num_parameter_sets: each robot has its own parameters"
             )
-        available = empty_frames(scenario).sizes
+        available = frames_of(self._as_trained(empty_tracks(scenario)), scenario).sizes
         for kind in ("entities", "sensors"):
             for name, size in getattr(self.sizes, kind).items():
                 if getattr(available, kind).get(name) != size:
+                    if name == "lidar":
+                        raise ConfigurationError(
+                            f"scenario.lidar_rays is {scenario.lidar_rays}; it must be {size[0]}, "
+                            "as in the training of this policy"
+                        )
                     raise ConfigurationError(
                         f"scenario.sensors is {scenario.sensors!r}; it must have {name} with "
                         f"{size} features, which this policy observes"
@@ -245,17 +251,31 @@ class Policy(nn.Module, ABC):
         return self.sizes.ego > NETWORK_EGO_FEATURES
 
     def extract_features(self, tracks: Tracks, scenario: Scenario) -> Frames:
-        """Return the features [B, 1, ...] of the groups and sensors that this policy observes.
-
-        A policy that was trained without walls takes the next corner of its route for its goal.
-        """
-        if "route" in tracks.sensors and not self.observes_route:
-            tracks = tracks._replace(ego=heading_for_route(tracks))
+        """Return the features [B, 1, ...] of the groups and sensors that this policy observes."""
+        tracks = self._as_trained(tracks)
         return frames_of(tracks, scenario, self.config.known_origin).select(self.sizes)
+
+    def _as_trained(self, tracks: Tracks) -> Tracks:
+        """Return the tracks with the parts that this policy was trained with.
+
+        A policy that was trained without walls takes the next corner of its route for its goal. One
+        that was trained with them sees none where there are none, and its route is its goal.
+        """
+        entities, sensors = dict(tracks.entities), dict(tracks.sensors)
+        if "route" in sensors and not self.observes_route:
+            return tracks._replace(ego=heading_for_route(tracks))
+        if "route" not in sensors and self.observes_route:
+            sensors["route"] = next_point(tracks)
+        if "walls" in self.sizes.entities and "walls" not in entities:
+            shape = (*tracks.ego.shape[:2], 1)
+            features = np.zeros((*shape, len(WALL_FEATURES)), np.float32)
+            entities["walls"] = Entities(features, np.zeros(shape, np.bool_))
+        return tracks._replace(entities=entities, sensors=sensors)
 
     def empty_frames(self, scenario: Scenario, rows: int) -> Frames:
         """Return frames [B, 1, ...] like those of `extract_features` in which nothing is known."""
-        return empty_frames(scenario, rows).select(self.sizes).to(self.device)
+        example = self.extract_features(empty_tracks(scenario), scenario).to(self.device)
+        return example.map(lambda tensor: tensor.new_zeros(rows, *tensor.shape[1:]))
 
     def _per_parameter_set(self, rows: Tensor, call: Callable[[Any, int, Any], Any]) -> Any:
         """Call each set of parameters on its own robots and merge the results in order.
