@@ -59,6 +59,9 @@ throughput: setup ## Measure world-steps per second (a minute)
 soak: setup ## Step worlds with random actions 1e9 times, or resume an interrupted run (an hour)
 	@$(BIN)/python -m benchmarks.soak
 
+places: setup ## Certify 10,000 cases of each family of places, and watch people walk there (half an hour)
+	@$(BIN)/python -m benchmarks.places
+
 malformed: setup ## Load 10,000 malformed files and configurations: no traceback, no hang (minutes)
 	@$(BIN)/python -m benchmarks.malformed
 

@@ -186,6 +186,41 @@ def test_counted_collisions_leave_the_robot_before_the_wall() -> None:
     assert world.state.collision[0, 0] == Outcome.hit_wall
 
 
+def test_contacts_with_walls_are_those_of_shapely() -> None:
+    """On the whole way of a step; robots drive at random for as long as their episodes last."""
+    world = worlds_of(Layout.rooms, 100, humans=0)
+    state, rng = world.state, np.random.default_rng(0)
+    lines, hits = [lines_of(state, e) for e in range(100)], 0
+    for _ in range(40):
+        running, before = ~state.done, state.robot_position.astype(float)
+        step = world.step(rng.uniform(-1, 1, (100, 3, 3)).astype(np.float32))
+        for e in np.flatnonzero(running):
+            ways = shapely.linestrings(np.stack([before[e], state.robot_position[e]], 1))
+            gap = shapely.distance(ways, lines[e])
+            certain = np.abs(gap - 0.3) > 1e-4
+            touches = state.collision[e] == Outcome.hit_wall
+            others = state.collision[e] == Outcome.hit_robot  # takes precedence
+            assert ((touches == (gap < 0.3)) | ~certain | others).all()
+            hits += touches.any()
+        assert (step.terminated | ~(state.collision > 0).any(1)).all()
+    assert hits > 50
+
+
+def test_progress_adds_up_to_what_the_route_has_become_shorter() -> None:
+    world = worlds_of(Layout.doorway, 50, humans=0, robots=1)
+    state, total = world.state, np.zeros(50)
+    start = state.route_length[:, 0].copy()
+    rng = np.random.default_rng(1)
+    for _ in range(25):
+        running = ~state.done
+        step = world.step(rng.uniform(-0.5, 1, (50, 1, 3)).astype(np.float32))
+        total[running] += step.reward_parts.progress[running, 0] / 2.0
+    expected = start - state.route_left[:, 0]
+    driving = ~state.done
+    assert driving.sum() > 10
+    np.testing.assert_allclose(total[driving], expected[driving], atol=1e-3)
+
+
 def test_walls_hide_people_and_robots() -> None:
     world = worlds_of(Layout.rooms, 200, humans=6, robots=3)
     state, observation = world.state, world.observe()
