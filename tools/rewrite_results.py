@@ -35,6 +35,7 @@ def measure_tables(scripts: Path, recordings: str | None) -> None:
     run([bench, "table=table2", "seeds=true", "output=results"])
     run([bench, "table=ablations", "output=results"])
     run([bench, "table=robustness", "output=results"])
+    run([bench, "table=places", "output=results"])
     run([bench, "table=transfer", "output=results", *(setting or ["merge=true"])])
     run([predictor, "predictor=recurrent", "output=results", *setting])
 
@@ -45,6 +46,7 @@ def measure_speed(scripts: Path) -> None:
     run([python, "-m", "benchmarks.throughput", "--compile", *_output("throughput")])
     run([python, "-m", "benchmarks.latency", *_output("latency")])
     run([python, "-m", "benchmarks.training", *_output("training_throughput")])
+    run([python, "-m", "benchmarks.places", *_output("places_check")])
     one_thread = os.environ | {"OMP_NUM_THREADS": "1"}
     torchrun = [str(scripts / "torchrun"), "--nproc-per-node", "2", "--no-python"]
     one, two = _output("training_throughput_1_process"), _output("training_throughput_2_processes")
