@@ -60,20 +60,20 @@ def _nearest_segments(state, e, i, limit, segments, mask, numbers, distances, of
     x, y = state.robot_position[e, i, 0], state.robot_position[e, i, 1]
     cos, sin = math.cos(state.robot_heading[e, i]), math.sin(state.robot_heading[e, i])
     front_distances(walls, count, x, y, of_all)
-    found = 0
+    n = 0
     for k in range(count):
         squared = of_all[k]
-        if squared > limit * limit or (found == most and squared >= distances[most - 1]):
+        if squared > limit * limit or (n == most and squared >= distances[most - 1]):
             continue
-        row = min(found, most)
+        row = n
         while row > 0 and squared < distances[row - 1]:
             numbers[row], distances[row] = numbers[row - 1], distances[row - 1]
             row -= 1
         numbers[row], distances[row] = k, squared
-        found = min(found + 1, most)
+        n = min(n + 1, most)
     for slot in range(most):
-        mask[slot] = slot < found
-        if slot < found:
+        mask[slot] = slot < n
+        if slot < n:
             k = numbers[slot]
             segments[slot, 0], segments[slot, 1] = unrotate(
                 cos, sin, walls[START_X, k] - x, walls[START_Y, k] - y
@@ -125,7 +125,8 @@ def scan(chunks, worlds, state, q, cosines, sines, ranges):
     """
     total, n, rays = ranges.shape
     for chunk in prange(chunks):
-        directions = np.empty((4, rays), np.float32)
+        directions = np.empty((2, rays), np.float32)
+        fractions = np.empty((2, rays), np.float32)  # the ranges as numerators and denominators
         of_all = np.empty(MOST_SEGMENTS, np.float32)
         for e in range(chunk * total // chunks, (chunk + 1) * total // chunks):
             if worlds[e]:
@@ -135,28 +136,18 @@ def scan(chunks, worlds, state, q, cosines, sines, ranges):
                     for ray in range(rays):
                         directions[0, ray] = cos * cosines[ray] - sin * sines[ray]
                         directions[1, ray] = sin * cosines[ray] + cos * sines[ray]
-                    _scan_walls(
-                        state,
-                        e,
-                        i,
-                        q,
-                        directions[0],
-                        directions[1],
-                        directions[2],
-                        directions[3],
-                        ranges[e, i],
-                        of_all,
-                    )
+                    _scan_walls(state, e, i, q, directions, fractions, of_all, ranges[e, i])
                     if q.sees_agents:
                         _scan_agents(state, e, i, q, directions[0], directions[1], ranges[e, i])
                     _disturb(state, e, i, q, ranges[e, i])
 
 
 @function
-def _scan_walls(state, e, i, q, ray_x, ray_y, across, determinant, ranges, of_all):
+def _scan_walls(state, e, i, q, directions, fractions, of_all, ranges):
+    across, determinant = fractions[0], fractions[1]
     walls, count = state.walls[e], _wall_count(state, e)
     x, y = state.robot_position[e, i, 0], state.robot_position[e, i, 1]
-    for ray in range(ranges.shape[0]):  # a range is across[ray] / determinant[ray] until the end
+    for ray in range(ranges.shape[0]):
         across[ray], determinant[ray] = q.range, _ONE
     front_distances(walls, count, x, y, of_all)
     for k in range(count):
@@ -164,19 +155,19 @@ def _scan_walls(state, e, i, q, ray_x, ray_y, across, determinant, ranges, of_al
             continue
         ax, ay = walls[START_X, k] - x, walls[START_Y, k] - y
         ux, uy = walls[END_X, k] - walls[START_X, k], walls[END_Y, k] - walls[START_Y, k]
-        _shorten_rays(ray_x, ray_y, across, determinant, ax, ay, ux, uy)
+        _shorten_rays(directions[0], directions[1], across, determinant, ax, ay, ux, uy)
     for ray in range(ranges.shape[0]):
         ranges[ray] = across[ray] / determinant[ray]
 
 
 @separate
 def _shorten_rays(ray_x, ray_y, across, determinant, ax, ay, ux, uy):
-    """Shorten the rays that a wall from (ax, ay) along (ux, uy) stops."""
-    own_across = ax * uy - ay * ux
+    """Shorten the rays that a wall from (ax, ay) along (ux, uy), which faces the robot, stops."""
+    own_across = ay * ux - ax * uy  # positive, as the wall faces the robot
     for ray in range(ray_x.shape[0]):
         dx, dy = ray_x[ray], ray_y[ray]
-        own = dx * uy - dy * ux  # positive: the ray meets the front of the line
-        share = ax * dy - ay * dx  # of the segment, where they meet, times `own`
+        own = dy * ux - dx * uy  # positive: the ray meets the front of the line
+        share = ay * dx - ax * dy  # of the segment, where they meet, times `own`
         hit = (share >= _ZERO) & (share <= own) & (own > _ZERO)
         nearer = hit & (own_across * determinant[ray] < across[ray] * own)
         across[ray] = own_across if nearer else across[ray]
