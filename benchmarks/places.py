@@ -18,9 +18,9 @@ from tqdm import tqdm
 
 from benchmarks.workload import add_output, interruptible, positive_whole_number, provenance
 from mrsan import Layout, Scenario, World
-from mrsan.kernels.routes import GOAL
-from mrsan.kernels.walls import CLEARANCE, CORNERS, REDRAWS, WALLS, sees, wall_count, wall_distance
+from mrsan.kernels.walls import CLEARANCE, REDRAWS, sees, wall_count, wall_distance
 from mrsan.place import FAMILIES
+from mrsan.place_shapes import polygons_of, route_of
 from mrsan.state import State
 from samarl.evaluation.table import markdown_table
 from samarl.files import write_json
@@ -87,7 +87,7 @@ def certify(layout: Layout, cases: int) -> dict[str, Any]:
 
 def _least_clearance(state: State, e: int) -> float:
     """Return the smallest distance of a route of a case to a wall, m; -1 off the floor."""
-    polygons = _polygons(state, e)
+    polygons = polygons_of(state, e)
     floor = shapely.Polygon(polygons[0])
     solid = [shapely.Polygon(p) for p in polygons[1:] if len(p) > 2]
     lines = shapely.union_all(
@@ -95,44 +95,17 @@ def _least_clearance(state: State, e: int) -> float:
     )
     people = state.human_radius.shape[1]
     routes = [
-        _route(state, e, int(j), state.human_position[e, j], state.human_goal[e, j])
+        route_of(state, e, int(j), state.human_position[e, j], state.human_goal[e, j])
         for j in np.flatnonzero(state.human_present[e])
     ]
     routes += [
-        _route(state, e, people + i, state.robot_position[e, i], state.robot_goal[e, i])
+        route_of(state, e, people + i, state.robot_position[e, i], state.robot_goal[e, i])
         for i in range(ROBOTS)
     ]
     together = shapely.MultiLineString(routes)
     if not floor.contains(together) or any(polygon.intersects(together) for polygon in solid):
         return -1.0
     return float(together.distance(lines))
-
-
-def _polygons(state: State, e: int) -> list[np.ndarray]:
-    """Return the vertices of the polygons of a place, [K, 2] each, the bounds first."""
-    polygons, first = [], 0
-    for k in range(int(state.place[e, WALLS])):
-        if (state.walls[e, 2:4, k] == state.walls[e, :2, first]).all():
-            polygons.append(state.walls[e, :2, first : k + 1].T.astype(float))
-            first = k + 1
-    return polygons
-
-
-def _route(
-    state: State, e: int, agent: int, start: np.ndarray, goal: np.ndarray
-) -> list[np.ndarray]:
-    """Return the points of an agent's route, found from the lengths in plain Python."""
-    route, corner = [start.astype(float)], int(state.route_corner[e, agent])
-    count = int(state.place[e, CORNERS])
-    corners, cost = state.corners[e, :2, :count].T.astype(float), state.route_cost[e, agent]
-    while corner != GOAL:
-        route.append(corners[corner])
-        ways = np.linalg.norm(corners - corners[corner], axis=1)
-        linked = state.corner_distance[e, corner, :count] < ways + 1e-4
-        on_route = np.abs(ways + cost[:count] - cost[corner]) < 1e-4
-        following = linked & on_route & (cost[:count] < cost[corner])
-        corner = int(np.where(following, ways, np.inf).argmin()) if following.any() else GOAL
-    return [*route, goal.astype(float)]
 
 
 def walk(layout: Layout, person_steps: int) -> dict[str, Any]:

@@ -123,6 +123,7 @@ def export_agent(path: Path, agent: Agent, name: str) -> None:
         robot_fields(scenario),
         None if shield is None else asdict(shield),
         _slots(policy, scenario, memory),
+        policy.observes_route,
     )
     _write(path, content, description)
 

@@ -10,9 +10,9 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Circle
 
 from mrsan import Scenario, World
-from mrsan.kernels.walls import CORNERS, WALLS
 from mrsan.place import FAMILIES
-from mrsan.rendering import ROBOT_COLOURS, walls_of
+from mrsan.place_shapes import polygons_of, route_of
+from mrsan.rendering import ROBOT_COLOURS
 
 _CASE = 4
 _HUMANS, _ROBOTS, _RAYS = 5, 3, 72
@@ -36,7 +36,8 @@ def _draw(axes: Axes, world: World) -> None:
     state, scenario = world.state, world.scenario
     _fill(axes, world)
     for i in range(_ROBOTS):
-        route = _route(world, i)
+        agent = scenario.humans + i
+        route = route_of(state, 0, agent, state.robot_position[0, i], state.robot_goal[0, i])
         colour = ROBOT_COLOURS[i]
         axes.plot(*route.T, color=colour, linewidth=1.2, linestyle="--")
         axes.plot(*route[-1], marker="x", color=colour, markersize=7, markeredgewidth=2)
@@ -50,38 +51,12 @@ def _draw(axes: Axes, world: World) -> None:
 
 def _fill(axes: Axes, world: World) -> None:
     """Fill what is solid, and draw thin walls as lines."""
-    segments = walls_of(world.state, 0)
-    assert len(segments) == int(world.state.place[0, WALLS])
-    first = 0
-    for k, (_, _, end_x, end_y) in enumerate(segments):
-        if (end_x, end_y) != tuple(segments[first, :2]):
-            continue
-        polygon = segments[first : k + 1, :2]
-        if first == 0:
+    for number, polygon in enumerate(polygons_of(world.state, 0)):
+        if number == 0:
             axes.fill(*polygon.T, color="#F6F6F3", zorder=0)
         elif len(polygon) > 2:
             axes.fill(*polygon.T, color="#4A4A4A", zorder=1)
         axes.plot(*np.vstack([polygon, polygon[:1]]).T, color="#222222", linewidth=2.0, zorder=1)
-        first = k + 1
-
-
-def _route(world: World, robot: int) -> np.ndarray:
-    """Return the points of a robot's shortest route, [P, 2]."""
-    state = world.state
-    agent = world.scenario.humans + robot
-    goal, cost = state.robot_goal[0, robot], state.route_cost[0, agent]
-    points, corner = [state.robot_position[0, robot]], int(state.route_corner[0, agent])
-    corners = state.corners[0, :2].T
-    while corner >= 0:
-        points.append(corners[corner])
-        here, corner = corner, -1
-        ways = np.linalg.norm(corners - corners[here], axis=1)
-        for v in np.argsort(ways[: int(state.place[0, CORNERS])]):
-            linked = state.corner_distance[0, here, v] < ways[v] + 1e-4
-            if linked and cost[v] < cost[here] and abs(ways[v] + cost[v] - cost[here]) < 1e-4:
-                corner = int(v)
-                break
-    return np.array([*points, goal])
 
 
 if __name__ == "__main__":

@@ -35,6 +35,11 @@ class Layout(Enum):
     places = layout_kernel.PLACES  # one of these six, drawn per episode
     map = layout_kernel.MAP  # anywhere on the floor of `Scenario.map`
 
+    @property
+    def has_walls(self) -> bool:
+        """Return whether it is a place with walls."""
+        return self.value > layout_kernel.MIXED
+
 
 class LidarSees(Enum):
     """What stops the rays of a lidar."""

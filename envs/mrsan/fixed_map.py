@@ -31,7 +31,6 @@ from mrsan.state import Floats
 
 if TYPE_CHECKING:
     from mrsan.maps import Polygon
-    from mrsan.scenario import Scenario
 
 
 class FixedMap(NamedTuple):
@@ -53,26 +52,24 @@ _NONE = FixedMap(
 )
 
 
-def fixed_map(scenario: Scenario) -> FixedMap:
-    """Return the walls of the scenario's map file; empty arrays without one.
+def fixed_map(map_file: str | None, clearance: float) -> FixedMap:
+    """Return the walls of the map file of a scenario; empty arrays without one.
+
+    Args:
+        map_file: `Scenario.map`.
+        clearance: that routes keep from walls, m.
 
     Raises:
         ConfigurationError: the file cannot be used.
     """
-    if scenario.map is None:
+    if map_file is None:
         return _NONE
-    path = Path(scenario.map)
+    path = Path(map_file)
     try:
         changed = path.stat().st_mtime_ns
     except OSError as error:
-        raise ConfigurationError(f"scenario.map is {scenario.map!r}; {error.strerror}") from None
-    return _load(str(path.absolute()), changed, scenario.route_clearance)
-
-
-def map_size(scenario: Scenario) -> tuple[int, int]:
-    """Return the numbers of wall segments and of corners of the scenario's map file."""
-    loaded = fixed_map(scenario)
-    return loaded.walls.shape[1], loaded.corners.shape[1]
+        raise ConfigurationError(f"scenario.map is {map_file!r}; {error.strerror}") from None
+    return _load(str(path.absolute()), changed, clearance)
 
 
 @lru_cache(maxsize=16)

@@ -13,7 +13,7 @@ from mrsan.choices import ACTION_SIZE, Crowd, Kinematics, Layout, LidarSees, Tea
 from mrsan.consistency import check_consistency
 from mrsan.crowds import check_crowd
 from mrsan.fields import ConfigurationError, UnknownFieldError, check_numbers, number, setting
-from mrsan.fixed_map import fixed_map, map_size
+from mrsan.fixed_map import FixedMap, fixed_map
 from mrsan.place import Place, check_place, half_size, largest_place
 from mrsan.recording import NOBODY, Recording, RecordingError, load_recording
 from mrsan.reward import Reward
@@ -274,7 +274,7 @@ class Scenario:
     @property
     def has_walls(self) -> bool:
         """Return whether the place has walls."""
-        return self.layout.value > Layout.mixed.value
+        return self.layout.has_walls
 
     @property
     def walls_observed(self) -> int:
@@ -286,6 +286,11 @@ class Scenario:
     def route_clearance(self) -> float:
         """Return the distance that routes keep from walls, m: they suit all robots and people."""
         return max(self.robot_radius, self.human_radius_max) + self.place.feasible_margin
+
+    @property
+    def fixed_map(self) -> FixedMap:
+        """Return the walls of the map file; empty arrays without one."""
+        return fixed_map(self.map, self.route_clearance)
 
     @property
     def most_walls(self) -> int:
@@ -300,7 +305,7 @@ class Scenario:
     @property
     def _place_size(self) -> tuple[int, int]:
         if self.layout is Layout.map:
-            return map_size(self)
+            return self.fixed_map.walls.shape[1], self.fixed_map.corners.shape[1]
         return largest_place(self.layout, self.place)
 
     @property
@@ -392,7 +397,7 @@ class Scenario:
         if self.layout is Layout.circle:
             return circle
         if self.layout is Layout.map:
-            return float(np.abs(fixed_map(self).zone).max())
+            return float(np.abs(self.fixed_map.zone).max())
         if self.has_walls:
             return half_size(self.layout, self.place)
         return max(self.floor_size / 2, circle if self.layout is Layout.mixed else 0.0)

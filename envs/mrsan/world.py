@@ -15,7 +15,6 @@ from numpy.typing import ArrayLike
 from mrsan.crowds import crowd_model, step_kernel
 from mrsan.features import OTHER_FEATURES
 from mrsan.fields import ConfigurationError
-from mrsan.fixed_map import fixed_map
 from mrsan.kernels.places import MOST_ZONES
 from mrsan.kernels.routes import CORNER_ROWS
 from mrsan.kernels.spawn import NO_ROOM_FOR_ROBOTS, begin_episodes
@@ -88,7 +87,7 @@ class World:
         history = self._lookahead.predictor.history if self._lookahead else 0
         self._parameters = kernel_parameters(scenario)
         self._place = place_parameters(scenario.place)
-        self._map = fixed_map(scenario)
+        self._map = scenario.fixed_map
         self.state = _empty_state(worlds, scenario, history)
         crowd = crowd_model(scenario.crowd)
         self._advance = step_kernel(crowd, scenario.has_walls)

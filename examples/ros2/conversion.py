@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrsan.se2 import rotate
+from mrsan.sensors.walls import ray_angles
 from samarl.runtime import Command, Detection, KnownMap, OwnState, walls_of_scan
 
 _FREE_BELOW = 20  # occupancy in percent; unknown cells are -1
@@ -90,15 +91,14 @@ def lidar_ranges(
     Each ray takes the nearest ray of the scan; where there is none, and where nothing was hit, it
     has the greatest range.
     """
-    half = math.radians(fov_degrees) / 2
-    full = fov_degrees >= 360.0
-    wanted = np.linspace(-half, half, rays, endpoint=not full and rays > 1)
     angles, ranges = scan_angles(scan), np.asarray(scan.ranges, np.float64)
-    away = np.abs((wanted[:, None] - angles + math.pi) % (2 * math.pi) - math.pi)
+    observed = ray_angles(rays, fov_degrees)
+    away = np.abs((observed[:, None] - angles + math.pi) % (2 * math.pi) - math.pi)
     nearest = away.argmin(1)
-    usable = away.min(1) <= max(scan.angle_increment, 2 * half / rays)
-    taken = np.where(usable & np.isfinite(ranges[nearest]), ranges[nearest], greatest_range)
-    return np.clip(taken, 0.0, greatest_range).astype(np.float32)
+    is_covered = away.min(1) <= max(scan.angle_increment, math.radians(fov_degrees) / rays)
+    is_hit = is_covered & np.isfinite(ranges[nearest])
+    clipped = np.clip(np.where(is_hit, ranges[nearest], greatest_range), 0.0, greatest_range)
+    return clipped.astype(np.float32)
 
 
 def velocity(command: Command) -> tuple[float, float]:

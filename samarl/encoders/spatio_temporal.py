@@ -58,17 +58,28 @@ class BlockScene(NamedTuple):
     score: Tensor  # [P, M, heads] see `nearness`
 
 
-class Block(nn.Module):
-    """Embedding, spatial and temporal transformer of one kind of agent."""
+class Embedding(nn.Module):
+    """Tokens of one kind of entity, conditioned on the robot's own state."""
 
-    def __init__(self, ego: int, other: int, config: SpatioTemporalConfig) -> None:
+    def __init__(self, ego: int, other: int, width: int) -> None:
         super().__init__()
-        width, self.past = config.width, config.history - 1
         self.embed_ego = nn.Linear(ego, width)
         self.embed_other = nn.Linear(other, width)
         self.embed = nn.Linear(width, width)
         for layer in (self.embed_ego, self.embed_other, self.embed):
             nn.init.orthogonal_(layer.weight, gain=2**0.5)
+
+    def embedded(self, ego: Tensor, others: Tensor) -> Tensor:
+        """Return the tokens [..., M, D] of `others` [..., M, F_o] for robots `ego` [..., F_e]."""
+        return self.embed(torch.relu(self.embed_other(others) + self.embed_ego(ego).unsqueeze(-2)))
+
+
+class Block(Embedding):
+    """Embedding, spatial and temporal transformer of one kind of agent."""
+
+    def __init__(self, ego: int, other: int, config: SpatioTemporalConfig) -> None:
+        super().__init__(ego, other, config.width)
+        width, self.past = config.width, config.history - 1
         self.spatial = SpatialTransformer(width, config.heads, config.graph)
         self.temporal = TemporalTransformer(width, config.heads)
 
@@ -118,10 +129,6 @@ class Block(nn.Module):
         window = rows.unsqueeze(1) * size + slot
         return self._scene(tokens, others, known, key_value.flatten(0, 1), window, allowed)
 
-    def embedded(self, ego: Tensor, others: Tensor) -> Tensor:
-        """Return the tokens [..., M, D] of `others` [..., M, F_o] for robots `ego` [..., F_e]."""
-        return self.embed(torch.relu(self.embed_other(others) + self.embed_ego(ego).unsqueeze(-2)))
-
     def pooled(self, own: Tensor, scene: BlockScene) -> list[Tensor]:
         """Return the robot's spatial and temporal feature, [P, D] each."""
         return [
@@ -144,54 +151,29 @@ class Block(nn.Module):
 
 
 class WallScene(NamedTuple):
-    """What is read of the walls around P robots; empty tensors for what is not."""
+    """The output of the block of walls for P frames."""
 
     tokens: Tensor  # [P, K, D] of the nearest walls
-    score: Tensor  # [P, K, heads]
-    rays: Tensor  # [P, D] of the lidar
+    score: Tensor  # [P, K, heads] that is added to those of the robot's attention
 
 
-class WallBlock(nn.Module):
-    """Tokens of the nearest walls for the attention of the robot, and features of its lidar."""
+class WallBlock(Embedding):
+    """Embedding of the nearest walls, and the robot's attention over them."""
 
-    def __init__(self, sizes: FeatureSizes, config: SpatioTemporalConfig) -> None:
-        super().__init__()
-        width, self.heads = config.width, config.heads
-        self.reads_segments = config.segments and "walls" in sizes.entities
-        self.reads_rays = config.rays and "lidar" in sizes.sensors
-        if self.reads_segments:
-            self.embed_ego = nn.Linear(sizes.ego, width)
-            self.embed_wall = nn.Linear(sizes.entities["walls"], width)
-            self.embed = nn.Linear(width, width)
-            for layer in (self.embed_ego, self.embed_wall, self.embed):
-                nn.init.orthogonal_(layer.weight, gain=2**0.5)
-            self.pool = Pool(width, config.heads)
-        if self.reads_rays:
-            self.ray_encoder = RayEncoder(sizes.sensors["lidar"][0], width)
-        self.features = self.reads_segments + self.reads_rays
+    def __init__(self, ego: int, wall: int, config: SpatioTemporalConfig) -> None:
+        super().__init__(ego, wall, config.width)
+        self.heads, self.pool = config.heads, Pool(config.width, config.heads)
 
-    def forward(self, frame: Frames) -> WallScene:
-        """Return what is read of the walls in frames [P, ...]."""
-        empty = frame.ego.new_zeros(len(frame.ego), 0)
-        tokens, score, rays = empty, empty, empty
-        if self.reads_segments:
-            walls, mask = frame.entities["walls"]
-            embedded = self.embed_wall(walls) + self.embed_ego(frame.ego).unsqueeze(-2)
-            tokens = self.embed(torch.relu(embedded))
-            near = walls[..., WALL_NEAR].clamp_min(1e-20).log() / 2  # falls by 1 per metre
-            score = torch.where(mask, near, MASKED).unsqueeze(-1).expand(-1, -1, self.heads)
-        if self.reads_rays:
-            rays = self.ray_encoder(frame.sensors["lidar"])
-        return WallScene(tokens, score, rays)
+    def forward(self, frames: Frames) -> WallScene:
+        """Return the tokens of the walls in frames [P, ...]; scores fall by 1 per metre."""
+        walls, mask = frames.entities["walls"]
+        near = walls[..., WALL_NEAR].clamp_min(1e-20).log() / 2
+        score = torch.where(mask, near, MASKED).unsqueeze(-1).expand(-1, -1, self.heads)
+        return WallScene(self.embedded(frames.ego, walls), score)
 
-    def pooled(self, own: Tensor, scene: WallScene) -> list[Tensor]:
-        """Return the features for the robot's own embedding [P, D], [P, D] each."""
-        features = []
-        if self.reads_segments:
-            features.append(self.pool(own, scene.tokens, scene.score))
-        if self.reads_rays:
-            features.append(scene.rays)
-        return features
+    def pooled(self, own: Tensor, scene: WallScene) -> Tensor:
+        """Return the feature of the robot with its own embedding, [P, D]."""
+        return self.pool(own, scene.tokens, scene.score)
 
 
 class CrossModal(nn.Module):
@@ -220,8 +202,12 @@ class CrossModal(nn.Module):
         return torch.relu(self.out(torch.cat([own, modalities.flatten(1)], -1)))
 
 
-SpatioTemporalScene = tuple[BlockScene | WallScene, ...]
-"""The output of each block: of robots and of humans, or of all agents together, then of walls."""
+class SpatioTemporalScene(NamedTuple):
+    """What the encoder observed in P frames."""
+
+    agents: tuple[BlockScene, ...]  # of robots and of humans, or of all agents together
+    walls: tuple[WallScene, ...]  # of the nearest walls; empty if they are not read
+    rays: tuple[Tensor, ...]  # [P, D] of the lidar; empty if it is not read
 
 
 @ENCODERS.register("spatio_temporal", SpatioTemporalConfig)
@@ -248,8 +234,14 @@ class SpatioTemporalEncoder(Encoder):
             self.humans = Block(sizes.ego, sizes.entities["humans"], config)
             self.robots = Block(sizes.ego, sizes.entities["robots"], config)
         self.kinds = ("everybody",) if config.one_block else ("robots", "humans")
-        self.walls = WallBlock(sizes, config)
-        self.cross = CrossModal(2 * len(self.kinds) + self.walls.features, config)
+        self.walls: WallBlock | None = None
+        if config.segments and "walls" in sizes.entities:
+            self.walls = WallBlock(sizes.ego, sizes.entities["walls"], config)
+        self.rays: RayEncoder | None = None
+        if config.rays and "lidar" in sizes.sensors:
+            self.rays = RayEncoder(sizes.sensors["lidar"][0], width)
+        features = 2 * len(self.kinds) + (self.walls is not None) + (self.rays is not None)
+        self.cross = CrossModal(features, config)
 
     def observe(
         self, frames: Frames, is_init: Tensor, state: EncoderState, samples: Tensor | None = None
@@ -265,17 +257,17 @@ class SpatioTemporalEncoder(Encoder):
         agents = tuple(
             getattr(self, kind)(f.ego, *_agents(f, kind), window, fresh) for kind in self.kinds
         )
-        if not self.walls.features:
-            return agents
-        return *agents, self.walls(f.of(window[:, 0]))
+        return self._scene(agents, f.of(window[:, 0]))
 
     def read(self, scene: SpatioTemporalScene, query: Tensor) -> Tensor:
         """See `Encoder.read`."""
         own = self.own(query)
         features: list[Tensor] = []
-        kinds = (*self.kinds, "walls") if self.walls.features else self.kinds
-        for kind, of_kind in zip(kinds, scene, strict=True):
+        for kind, of_kind in zip(self.kinds, scene.agents, strict=True):
             features += getattr(self, kind).pooled(own, of_kind)
+        if self.walls is not None:
+            features.append(self.walls.pooled(own, scene.walls[0]))
+        features += scene.rays
         y: Tensor = self.cross(own, torch.stack(features, 1))
         return y
 
@@ -302,7 +294,13 @@ class SpatioTemporalEncoder(Encoder):
             )
             for kind in self.kinds
         )
-        return (*agents, self.walls(f)) if self.walls.features else agents
+        return self._scene(agents, f)
+
+    def _scene(self, agents: tuple[BlockScene, ...], frames: Frames) -> SpatioTemporalScene:
+        """Return the scene of frames [P, ...] whose agents are encoded."""
+        walls = () if self.walls is None else (self.walls(frames),)
+        rays = () if self.rays is None else (self.rays(frames.sensors["lidar"]),)
+        return SpatioTemporalScene(agents, walls, rays)
 
     def resume(self, frames: Frames, is_init: Tensor, state: EncoderState, rows: Tensor) -> None:
         """See `Encoder.resume`: fill the ring buffers with the last frames."""
@@ -327,10 +325,9 @@ class SpatioTemporalEncoder(Encoder):
         if "robots" not in self.kinds:
             return None
         own = self.own(query)
-        blocks = [part for part in scene if isinstance(part, BlockScene)]
         robots, humans = (
             getattr(self, kind).spatial.pool.weights(own, of_kind.spatial, of_kind.score)
-            for kind, of_kind in zip(self.kinds, blocks, strict=True)
+            for kind, of_kind in zip(self.kinds, scene.agents, strict=True)
         )
         return robots, humans
 

@@ -129,7 +129,7 @@ def rows_as_cells(
 
 def has_walls(rows: Sequence[Row]) -> bool:
     """Return whether the rows are of places with walls."""
-    return any(Layout[column_of(row).layout].value > Layout.mixed.value for row in rows)
+    return any(Layout[column_of(row).layout].has_walls for row in rows)
 
 
 def _cells(row: Row, metrics: Sequence[Metric]) -> list[str]:

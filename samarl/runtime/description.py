@@ -7,7 +7,7 @@ import json
 from dataclasses import dataclass
 from typing import Any
 
-from mrsan import EGO_FEATURES, ConfigurationError, Reward, Scenario
+from mrsan import ConfigurationError, Reward, Scenario
 from samarl.planning.shield import Shield
 
 KEY = "samarl"  # of the metadata
@@ -56,6 +56,7 @@ class Description:
     # Of each tensor of the memory: which axis has a slot for every one of "humans", "robots" or
     # "everybody" (robots first). A slot is cleared when it is assigned to somebody else.
     slots: dict[str, tuple[str, int]]
+    observes_route: bool = False  # the policy was trained with routes round walls
 
     def to_json(self) -> str:
         """Return the text that the file stores."""
@@ -87,11 +88,6 @@ class Description:
         """Return whether the policy takes the origin of the frame for the centre of the area."""
         drives_round = self.scenario["fov_degrees"] < self.policy["round_below"]
         return bool(self.policy.get("known_origin", True) or drives_round)
-
-    @property
-    def observes_route(self) -> bool:
-        """Return whether the policy was trained with routes round walls."""
-        return bool(self.card["sizes"].get("ego", 0) > len(EGO_FEATURES))
 
     def make_scenario(self) -> Scenario:
         """Return the scenario as far as the robot knows it."""

@@ -9,10 +9,10 @@ import pytest
 import shapely
 
 from mrsan import ConfigurationError, Layout, Outcome, Place, Scenario, World
-from mrsan.kernels.routes import GOAL
 from mrsan.kernels.tally import DEADLOCKS
 from mrsan.kernels.walls import CLEARANCE, CORNERS, REDRAWS, WALLS
 from mrsan.place import FAMILIES
+from mrsan.place_shapes import polygons_of, route_of
 from mrsan.state import State
 
 SLACK = 2e-3  # m, by which routes may undercut the clearance
@@ -33,30 +33,9 @@ def lines_of(state: State, e: int) -> shapely.Geometry:
 
 def floor_of(state: State, e: int) -> shapely.Polygon:
     """The free floor; the outline is the first polygon of every family."""
-    count = int(state.place[e, WALLS])
-    polygons, first = [], 0
-    for k in range(count):
-        if (state.walls[e, 2:4, k] == state.walls[e, :2, first]).all():
-            polygons.append(state.walls[e, :2, first : k + 1].T.astype(float))
-            first = k + 1
-    solid = [shapely.Polygon(p) for p in polygons[1:] if len(p) > 2]
-    return shapely.Polygon(polygons[0]).difference(shapely.union_all(solid))
-
-
-def route_of(state: State, e: int, agent: int, start, goal) -> list[np.ndarray]:
-    """The shortest route along the costs, in plain Python."""
-    route, corner = [start], int(state.route_corner[e, agent])
-    corners, cost = state.corners[e, :2].T, state.route_cost[e, agent]
-    while corner != GOAL:
-        route.append(corners[corner])
-        here, corner = corner, GOAL
-        ways = np.linalg.norm(corners - corners[here], axis=1)
-        for v in np.argsort(ways[: int(state.place[e, CORNERS])]):
-            linked = state.corner_distance[e, here, v] < ways[v] + 2e-5
-            if linked and cost[v] < cost[here] and abs(ways[v] + cost[v] - cost[here]) < 2e-5:
-                corner = int(v)
-                break
-    return [*route, goal]
+    outline, *others = polygons_of(state, e)
+    solid = [shapely.Polygon(p) for p in others if len(p) > 2]
+    return shapely.Polygon(outline).difference(shapely.union_all(solid))
 
 
 def agents_of(state: State, e: int):
@@ -99,7 +78,7 @@ def test_routes_are_the_shortest_in_the_graph(layout: Layout) -> None:
             free = shapely.distance(pairs, lines) >= clearance
             length = np.linalg.norm(nodes[:, None] - nodes[None], axis=-1)
             expected = dijkstra(np.where(free, length, np.inf))
-            route = np.array(route_of(state, e, agent, start, goal), float)
+            route = route_of(state, e, agent, start, goal)
             found = sum(np.linalg.norm(b - a) for a, b in pairwise(route))
             assert found == pytest.approx(expected, abs=0.01)
 

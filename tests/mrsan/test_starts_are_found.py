@@ -99,8 +99,10 @@ def test_a_place_without_room_is_refused_at_once(fields: dict, named: str | None
 @cache
 def compile_kernels() -> None:
     """Do once what takes long only because kernels are compiled at first use."""
-    for crowd in Crowd:  # each has its own kernel
-        reset(Scenario(crowd=crowd)).step(np.zeros((1, 3, 3)))
+    for crowd in Crowd:  # each has its own kernel, with and without walls
+        for layout in (Layout.circle, Layout.doorway):
+            if crowd is not Crowd.recorded or layout is Layout.circle:
+                reset(Scenario(crowd=crowd, layout=layout, lidar_rays=4)).step(np.zeros((1, 3, 3)))
 
 
 def values(field: dataclasses.Field, hint: Any) -> st.SearchStrategy:

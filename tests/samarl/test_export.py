@@ -178,8 +178,8 @@ def test_walls_are_observed_on_a_robot_as_in_the_simulator(
     policy: str, encoder: str, observes_walls: bool, tmp_path: Path
 ) -> None:
     """With the shield, which keeps clear of walls; decided from walls in the frame of the map."""
-    made = learning.policy(policy, encoder, 100.0, PLACE if observes_walls else None)
-    agent = Shielded(PLACE, agent_of(made, policy, tmp_path, PLACE), Shield(track_time=2.0))
+    trained = learning.policy(policy, encoder, 100.0, PLACE if observes_walls else None)
+    agent = Shielded(PLACE, agent_of(trained, policy, tmp_path, PLACE), Shield(track_time=2.0))
     export_agent(tmp_path / "policy.onnx", agent, "mine")
     team = team_of(Network(tmp_path / "policy.onnx"), 2)
     assert set(team[0].sensor_inputs) == ({"lidar"} if observes_walls else set())

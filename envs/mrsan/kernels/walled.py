@@ -16,7 +16,7 @@ from mrsan.kernels.orca import orca_velocity
 from mrsan.kernels.people import changes_goal, list_agents
 from mrsan.kernels.routes import UPDATE_EVERY
 from mrsan.kernels.sensing import observe
-from mrsan.kernels.walls import is_clear, nearest_point, sees, wall_count, wall_distance
+from mrsan.kernels.walls import is_clear, sees, wall_count
 from mrsan.kernels.zones import (
     draw_goal_in_zones,
     join_goal,
@@ -60,7 +60,10 @@ def progress_along_route(state, e, i, progress, p):
 def orca_crowd_past_walls(
     agents, count, i, preferred_x, preferred_y, max_speed, p, settings, scratch
 ):
-    """Optimal reciprocal collision avoidance, also of walls; see `people.orca_crowd`."""
+    """Optimal reciprocal collision avoidance, also of walls.
+
+    Without walls `people.orca_crowd` is a hundredth faster: the compiler knows that there are none.
+    """
     return orca_velocity(
         agents,
         count,
@@ -112,7 +115,7 @@ def walk_along_routes(
             agents, count, row, dx * scale, dy * scale, speed, p, settings, scratch
         )
         if _is_near_wall(state, e, j, p, scratch):
-            avoid_walls(state, e, j, p, velocities[row])
+            avoid_walls(state, e, j, p, velocities[row], scratch)
 
 
 @function
@@ -136,23 +139,18 @@ def _is_near_wall(state, e, j, p, scratch):
 
 
 @function
-def avoid_walls(state, e, j, p, velocity):
+def avoid_walls(state, e, j, p, velocity, scratch):
     """Change a velocity of human `j` that would lead into a wall: along the wall, or to a stop."""
     walls, count = state.walls[e], wall_count(state.place[e])
     x, y, dt = state.human_position[e, j, 0], state.human_position[e, j, 1], p.time_step
     radius = state.human_radius[e, j] - _SLACK
-    radius = min(radius, wall_distance(walls, count, x, y) - _ROUNDING)
+    distance = math.sqrt(scratch.wall_distances[0])
+    radius = min(radius, distance - _ROUNDING)
     if is_clear(walls, count, x, y, velocity[0] * dt, velocity[1] * dt, radius):
         return
-    least, away_x, away_y = np.float32(np.inf), _ZERO, _ZERO
-    for k in range(count):
-        px, py = nearest_point(walls, k, x, y)
-        squared = (x - px) * (x - px) + (y - py) * (y - py)
-        if squared < least:
-            least, away_x, away_y = squared, x - px, y - py
-    length = math.sqrt(least)
-    if length > _ZERO:
-        away_x, away_y = away_x / length, away_y / length
+    if distance > _ZERO:
+        away_x = (x - scratch.wall_points[0, 0]) / distance
+        away_y = (y - scratch.wall_points[0, 1]) / distance
         into = min(velocity[0] * away_x + velocity[1] * away_y, _ZERO)
         velocity[0] -= into * away_x
         velocity[1] -= into * away_y
