@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from mrsan import Observation, Scenario, Step
 from mrsan.features import GOAL
 from samarl.observations.features import speed_of, to_world
-from samarl.policies.hierarchical import HierarchicalConfig
+from samarl.policies.hierarchical import HierarchicalConfig, Mode
 from samarl.policies.policy import LOCAL, MACRO, Policy, PolicyState
 
 Floats = NDArray[np.float32]
@@ -54,7 +54,11 @@ def level_rewards(
     rewards = {LOCAL: task}
     if MACRO in policy.levels:
         waypoint = state["waypoint"].view(*task.shape, 2).cpu().numpy()
-        rewards = {MACRO: task, LOCAL: _waypoint_reward(policy.config, waypoint, before, step)}
+        makes_way = np.zeros(task.shape, np.bool_)
+        if policy.has_modes(MACRO):
+            makes_way = (state["mode"] != Mode.go).view(task.shape).cpu().numpy() & active
+        local = _waypoint_reward(policy.config, waypoint, makes_way, before, step)
+        rewards = {MACRO: task, LOCAL: local}
     if shaping.path_penalty > 0.0:
         per_speed = np.float32(shaping.path_penalty * scenario.time_step)
         penalty = per_speed * speed_of(step.observation.ego) * active
@@ -79,26 +83,37 @@ def _task_reward(
 
 
 def _waypoint_reward(
-    config: HierarchicalConfig, waypoint: Floats, before: Observation, step: Step
+    config: HierarchicalConfig,
+    waypoint: Floats,
+    makes_way: NDArray[np.bool_],
+    before: Observation,
+    step: Step,
 ) -> Floats:
     """Return the reward [E, N] of a local level, with progress to waypoints [E, N, 2].
+
+    A robot that should wait or yield, where `makes_way` [E, N] is true, also pays for its distance
+    from the waypoint: progress alone would cost nothing until it decides anew, elsewhere.
 
     The arrival bonus exceeds the discounted value of endless waypoint following; otherwise the
     robot would circle its waypoint.
     """
     parts = step.reward_parts
     progress = np.float32(config.waypoint_progress) * progress_to(waypoint, before, step)
-    reward = parts.collision + parts.discomfort + parts.lookahead
+    distance = distance_to(waypoint, step.observation)
+    reward = parts.collision + parts.discomfort + parts.lookahead + parts.time
     reward += np.where(parts.progress != 0.0, progress, np.float32(0.0))
     reward += parts.arrival + np.float32(config.arrival_bonus) * (parts.arrival > 0.0)
+    reward -= np.float32(config.making_way_distance) * distance * makes_way
     return reward
 
 
 def progress_to(target: Floats, before: Observation, step: Step) -> Floats:
     """Return by how many metres each robot came nearer to a target in the world frame, [E, N]."""
+    return distance_to(target, before) - distance_to(target, step.observation)
 
-    def distance(ego: Floats) -> Floats:
-        position = to_world(np.zeros_like(ego[..., GOAL]), ego)
-        return np.linalg.norm(position - target, axis=-1)
 
-    return distance(before.ego) - distance(step.observation.ego)
+def distance_to(target: Floats, observation: Observation) -> Floats:
+    """Return the distance of each robot from a target in the world frame, [E, N], m."""
+    position = to_world(np.zeros_like(observation.ego[..., GOAL]), observation.ego)
+    distance: Floats = np.linalg.norm(position - target, axis=-1)
+    return distance

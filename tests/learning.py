@@ -70,6 +70,7 @@ PPO_NUMBERS: dict[str, Any] = {
     "gae_lambda": 0.8,
     "clip_epsilon": 0.2,
     "entropy_coefficient": 0.01,
+    "macro_entropy_coefficient": 0.01,
     "critic_coefficient": 0.5,
     "max_gradient_norm": 1.0,
     "advantage_filter_fraction": 1.0,
@@ -81,11 +82,14 @@ PPO_NUMBERS: dict[str, Any] = {
     "critic_features": 8,
     "shield_coefficient": 0.0,
     "path_penalty": 0.0,
+    "mode_exploration": 0.0,
+    "local_std": 0.0,
     "macro_std": 0.0,
 }
 _ONLY_PPO = {
     "clip_epsilon",
     "entropy_coefficient",
+    "macro_entropy_coefficient",
     "critic_coefficient",
     "advantage_filter_fraction",
 }

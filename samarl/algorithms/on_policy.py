@@ -20,7 +20,6 @@ from samarl.algorithms.training_data import TrainingData, merge
 from samarl.distributed import all_gather_object, average_gradients
 from samarl.observations.features import state_sizes
 from samarl.observations.frames import Frames
-from samarl.policies.hierarchical import WAYPOINT_FEATURES
 from samarl.policies.policy import LOCAL, MACRO, Policy
 from samarl.policies.stochastic import Sequences, StochasticPolicy
 from samarl.rollout import Rollout, level_key
@@ -67,8 +66,14 @@ class OnPolicyConfig:
     std_end: float = required(
         0.01, 10.0, help="final upper bound of the exploration noise, approached linearly"
     )
+    local_std: float = required(
+        0.0, 10.0, help="lower bound of the local level's noise, below its upper bound"
+    )
     macro_std: float = required(
         0.0, 10.0, help="lower bound of the macro level's noise, below its upper bound"
+    )
+    mode_exploration: float = required(
+        0.0, 1.0, help="initial share of the modes that are drawn at random; falls linearly to 0"
     )
     critic_width: int = required(8, 1024, help="width of the critics' encoder")
     critic_features: int = required(8, 4096, help="output size of the critics' encoder")
@@ -96,7 +101,7 @@ class OnPolicy(Algorithm):
             )
         self.encoder = self._make_critic_encoder(config)
         # The local critic observes the waypoint, as its actor does.
-        extra = {LOCAL: WAYPOINT_FEATURES if MACRO in policy.levels else 0, MACRO: 0}
+        extra = {LOCAL: policy.waypoint_size, MACRO: 0}
         self.heads = nn.ModuleDict(
             {
                 level: self._make_head(level, config.critic_features + extra[level])
@@ -119,7 +124,7 @@ class OnPolicy(Algorithm):
     def _make_critic_encoder(self, config: OnPolicyConfig) -> CriticEncoder:
         """Return the encoder of the critics' inputs, by default of the global state."""
         sizes = config.critic_width, config.critic_features
-        return CriticEncoder(state_sizes(self.policy.sizes), *sizes)
+        return CriticEncoder(state_sizes(self.policy.sizes, self.policy.waypoint_size), *sizes)
 
     def _critic_frames(self, rollout: Rollout) -> Frames:
         """Return the input of the critics, [B, T + 1, ...]; by default the global state."""
@@ -154,8 +159,11 @@ class OnPolicy(Algorithm):
         self._set_learning_rate(share)
         largest = c.std_start + (c.std_end - c.std_start) * share
         for level in self.policy.levels:
-            rising = min(share / MACRO_RISE, 1.0) if level == MACRO else 0.0
-            self.policy.bound_std(level, c.macro_std * rising, largest)
+            rising = min(share / MACRO_RISE, 1.0)
+            least = c.macro_std * rising if level == MACRO else c.local_std
+            self.policy.bound_std(level, least, largest)
+            if self.policy.has_modes(level):
+                self.policy.set_uniform_share(level, c.mode_exploration * (1.0 - share))
 
     def optimisers(self) -> dict[str, Any]:
         """See `Algorithm.optimisers`."""

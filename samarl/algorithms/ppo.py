@@ -46,6 +46,9 @@ class PPOConfig(OnPolicyConfig):
 
     clip_epsilon: float = required(0.0, 0.99, help="clipping range of the probability ratio")
     entropy_coefficient: float = required(0.0, 10.0, help="weight of the entropy bonus")
+    macro_entropy_coefficient: float = required(
+        0.0, 10.0, help="weight of the entropy bonus of the macro level"
+    )
     critic_coefficient: float = required(0.0, 100.0, help="weight of the value loss")
     advantage_filter_fraction: float = required(
         0.01, 1.0, help="share of the samples to learn from, those with the largest advantages"
@@ -83,7 +86,7 @@ class PPO(OnPolicy):
             self.policy.actor(level),
             TensorDictModule(self.heads[level], in_keys=in_keys, out_keys=["state_value"]),
             clip_epsilon=c.clip_epsilon,
-            entropy_coeff=c.entropy_coefficient,
+            entropy_coeff=c.macro_entropy_coefficient if level == MACRO else c.entropy_coefficient,
             critic_coeff=0.0,
             clip_value=c.clip_epsilon,
             loss_critic_type="l2",

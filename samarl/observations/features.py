@@ -70,9 +70,9 @@ Features = Callable[[Tensor, Scenario], Tensor]
 ADDITIONAL_FEATURES: dict[str, Features] = {}
 
 
-def state_sizes(sizes: FeatureSizes) -> FeatureSizes:
+def state_sizes(sizes: FeatureSizes, waypoint_size: int = 0) -> FeatureSizes:
     """Return the sizes of the true state of a policy whose frames have `sizes`."""
-    agents = dict.fromkeys(("humans", "robots"), STATE_OTHER_FEATURES)
+    agents = {"humans": STATE_OTHER_FEATURES, "robots": STATE_OTHER_FEATURES + waypoint_size}
     return replace(sizes, entities=sizes.entities | agents)
 
 
@@ -113,11 +113,16 @@ def state_of(world: World) -> Frames:
     return state_features(true_state(world), world.scenario)
 
 
-def true_state(world: World) -> Tracks:
+def true_state(world: World, waypoints: NDArray[np.float32] | None = None) -> Tracks:
     """Return the true state as seen from every robot: `state_of` before it is scaled.
 
     Features of people and robots end with the goal in the body frame (units of `LENGTH_SCALE`) and
-    whether they have arrived.
+    whether they have arrived; those of robots with their waypoints.
+
+    Args:
+        world: E worlds.
+        waypoints: [E, N, N - 1, W] features of the waypoints of the other robots; None: there is
+            no macro level.
     """
     state, n = world.state, world.scenario.robots
     observation = world.observe(all_seeing=True)
@@ -131,8 +136,10 @@ def true_state(world: World) -> Tracks:
     for name, (goals, arrived) in goals_and_arrivals.items():
         features, mask = observation.entities[name]
         goal = to_body(goals, observation.ego[:, :, None]) / np.float32(LENGTH_SCALE)
-        extended = np.concatenate([features, goal, arrived[..., None]], -1, dtype=np.float32)
-        entities[name] = Entities(extended, mask)
+        extended = [features, goal, arrived[..., None]]
+        if name == "robots" and waypoints is not None:
+            extended.append(waypoints)
+        entities[name] = Entities(np.concatenate(extended, -1, dtype=np.float32), mask)
     return Tracks(observation.ego, entities, observation.sensors)
 
 
@@ -147,7 +154,8 @@ def _frames(ego: Tensor, tracks: Tracks, extra: int, scenario: Scenario) -> Fram
     Args:
         ego: [B, 1, F_e].
         tracks: [E, N, ...].
-        extra: index of the first feature of people and robots that is passed on as it is.
+        extra: index of the first feature of people and robots that is passed on as it is. Robots
+            may have more features than people: those of their waypoints.
         scenario: the task.
     """
     agents = {name: tracks.entities[name] for name in ("humans", "robots")}
@@ -156,12 +164,20 @@ def _frames(ego: Tensor, tracks: Tracks, extra: int, scenario: Scenario) -> Fram
         if name not in agents:
             entities[name] = _additional_group(name, features, known, scenario)
     # People and robots in one pass: each operation of torch costs more than its arithmetic.
-    observed = torch.cat([torch.as_tensor(features) for features, _ in agents.values()], -2)
+    common = agents["humans"].features.shape[-1]
+    observed = torch.cat(
+        [torch.as_tensor(features)[..., :common] for features, _ in agents.values()], -2
+    )
     mask = torch.cat([torch.as_tensor(mask) for _, mask in agents.values()], -1)
     both = _agent_features(observed.flatten(0, 1), mask.flatten(0, 1), extra, scenario)
     slots = [mask.shape[-1] for _, mask in agents.values()]
     parts = zip(agents, both.features.split(slots, 2), both.mask.split(slots, 2), strict=True)
     split = {name: EntityFeatures(features, mask) for name, features, mask in parts}
+    waypoints = torch.as_tensor(agents["robots"].features)[..., common:]
+    if waypoints.shape[-1]:
+        robots = split["robots"]
+        waypoints = waypoints.flatten(0, 1).unsqueeze(1) * robots.mask.unsqueeze(-1)
+        split["robots"] = EntityFeatures(torch.cat([robots.features, waypoints], -1), robots.mask)
     ordered = {name: (split | entities)[name] for name in tracks.entities}
     return Frames(ego, ordered, _additional_sensors(tracks.sensors, scenario))
 

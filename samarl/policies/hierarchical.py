@@ -3,35 +3,41 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from enum import Enum
+from dataclasses import dataclass, replace
+from enum import Enum, IntEnum
 from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 from torch.jit import is_tracing  # type: ignore[attr-defined]
 
-from mrsan import Scenario
-from mrsan.fields import required
+from mrsan import Entities, Observation, Scenario
+from mrsan.fields import number, required, setting
 from samarl.encoders import Encoder
 from samarl.encoders.encoder import samples_of
 from samarl.observations.features import (
+    AGENT_SIZES,
     EGO_PLACE,
+    EGO_ROUTE,
     EGO_TARGET,
     EGO_TIME,
+    NETWORK_OTHER_FEATURES,
     features_of_target,
     to_body,
     to_world,
 )
 from samarl.observations.frames import FeatureSizes, Frames
+from samarl.observations.tracker import TRACK_FEATURES, Tracks
 from samarl.policies.explanation import Explanation
 from samarl.policies.flat import MEAN, STD
-from samarl.policies.heads import Gaussian, log_prob
+from samarl.policies.heads import Gaussian, ModalGaussian, ModalNormal, log_prob
 from samarl.policies.policy import (
     LOCAL,
     MACRO,
     POLICIES,
+    WAYPOINT_FEATURES,
     Decision,
     LevelStep,
     Networks,
@@ -43,7 +49,7 @@ from samarl.policies.stochastic import ExplorationNoise, StochasticPolicy
 from samarl.registry import needed
 
 REACHED = 0.3  # m; a waypoint that is nearer is replaced
-WAYPOINT_FEATURES = 3  # see `encode_waypoint`
+YIELD_BACK, YIELD_ASIDE = 1.0, 1.2  # m; where a robot makes way: back along the route, and aside
 NEVER = 2**31 - 1  # steps until the next waypoint is due
 
 
@@ -54,6 +60,15 @@ class Waypoints(Enum):
     first = "the macro level, once in an episode"
     random = "anywhere the macro level could put them"
     shuffled = "the macro level's choice for the next robot"
+
+
+class Mode(IntEnum):
+    """What a robot does until its next macro action."""
+
+    go = 0  # to a waypoint near the route
+    wait = 1  # where it is
+    yield_left = 2  # make way: back and to the left of the route, or ...
+    yield_right = 3  # ... to the right
 
 
 @dataclass
@@ -74,6 +89,19 @@ class HierarchicalConfig(PolicyConfig):
     arrival_bonus: float = required(
         0.0, 1000.0, help="additional reward of the local level for arriving"
     )
+    observes_intent: bool = setting(
+        False, kw_only=True, help="robots observe the waypoints and modes that team-mates report"
+    )
+    modes: bool = setting(
+        False, kw_only=True, help="the macro level chooses to go, to wait or to yield to a side"
+    )
+    making_way_steps: int = number(24, 1, 1000, help="steps for which a robot waits or yields")
+    making_way_distance: float = number(
+        0.25,
+        0.0,
+        100.0,
+        help="penalty of the local level per step and metre from where it should wait or yield",
+    )
 
 
 @POLICIES.register("hierarchical", HierarchicalConfig)
@@ -93,28 +121,91 @@ class HierarchicalPolicy(StochasticPolicy):
         self, config: HierarchicalConfig, action_size: int, sizes: FeatureSizes | None = None
     ) -> None:
         """See `Policy`."""
+        sizes = AGENT_SIZES if sizes is None else sizes
+        if config.observes_intent and sizes.entities["robots"] == NETWORK_OTHER_FEATURES:
+            robots = NETWORK_OTHER_FEATURES + _waypoint_size(config)
+            sizes = replace(sizes, entities=sizes.entities | {"robots": robots})
         super().__init__(config, action_size, sizes)
         self._random = np.random.default_rng(0)  # of random waypoints
 
     def _make_networks(self, encoder: Encoder) -> Networks:
         n, y, hidden = self.action_size, encoder.features, self.config.hidden
+        offset = y, hidden, (0.0, 0.0), (0.1, 0.1)
         heads = {
-            MACRO: Gaussian(y, hidden, (0.0, 0.0), (0.1, 0.1)),
-            LOCAL: Gaussian(y + WAYPOINT_FEATURES, hidden, MEAN[n], STD[n]),
+            MACRO: ModalGaussian(*offset, len(Mode)) if self.config.modes else Gaussian(*offset),
+            LOCAL: Gaussian(y + self.waypoint_size, hidden, MEAN[n], STD[n]),
         }
         return Networks(encoder, heads)
 
+    @property
+    def waypoint_size(self) -> int:
+        """See `Policy.waypoint_size`."""
+        return _waypoint_size(self.config)
+
+    def has_modes(self, level: str) -> bool:
+        """See `Policy.has_modes`."""
+        return level == MACRO and bool(self.config.modes)
+
     def action_sizes(self) -> dict[str, int]:
-        """See `StochasticPolicy.action_sizes`; a macro action moves the waypoint in the plane."""
-        return {MACRO: 2, LOCAL: self.action_size}
+        """See `StochasticPolicy.action_sizes`.
+
+        A macro action is the mode, if the policy has modes, and by how much the waypoint is moved.
+        """
+        return {MACRO: 2 + self.config.modes, LOCAL: self.action_size}
 
     def initial_policy_state(self, rows: int, scenario: Scenario) -> PolicyState:
         """See `StochasticPolicy.initial_policy_state`; with the waypoints and their clocks."""
-        return {
+        state = {
             **super().initial_policy_state(rows, scenario),
             "waypoint": torch.zeros(rows, 2, device=self.device),  # in the world frame, m
             "steps_left": torch.zeros(rows, dtype=torch.long, device=self.device),
         }
+        if self.config.modes:
+            state["mode"] = torch.zeros_like(state["steps_left"])
+        return state
+
+    def _as_trained(self, tracks: Tracks) -> Tracks:
+        """See `Policy._as_trained`; the waypoints of team-mates are zero unless they are known."""
+        tracks = super()._as_trained(tracks)
+        features, known = tracks.entities["robots"]
+        if not self.config.observes_intent or features.shape[-1] > len(TRACK_FEATURES):
+            return tracks
+        return _with_waypoints(tracks, np.zeros((*known.shape, self.waypoint_size), np.float32))
+
+    def _perceive(
+        self,
+        observation: Observation,
+        state: PolicyState,
+        is_init: NDArray[np.bool_],
+        scenario: Scenario,
+    ) -> tuple[Tracks, Frames]:
+        """See `Policy._perceive`; team-mates report the waypoints of their last decisions."""
+        tracks, features = super()._perceive(observation, state, is_init, scenario)
+        if not (self.config.observes_intent and scenario.team_tracks):
+            return tracks, features
+        waypoints = self.team_waypoints(state, tracks.ego)
+        waypoints[is_init] = 0.0
+        tracks = _with_waypoints(tracks, waypoints)
+        return tracks, self.extract_features(tracks, scenario).to(self.device)
+
+    def team_waypoints(self, state: PolicyState, ego: NDArray[np.float32]) -> NDArray[np.float32]:
+        """See `Policy.team_waypoints`."""
+        worlds, n = ego.shape[:2]
+        others = np.array([[j for j in range(n) if j != i] for i in range(n)], int)
+        waypoint = state["waypoint"].view(worlds, n, 2).cpu().numpy()
+        in_body = to_body(waypoint[:, others.reshape(n, n - 1)], ego[:, :, None])
+        mode = None
+        if self.config.modes:
+            mode = state["mode"].view(worlds, n)[:, others.reshape(n, n - 1)].cpu()
+        return self._waypoint_features(torch.from_numpy(in_body), mode).numpy()
+
+    def _waypoint_features(self, waypoint: Tensor, mode: Tensor | None) -> Tensor:
+        """Return the features [..., W] of waypoints in the body frame [..., 2] and modes [...]."""
+        features = encode_waypoint(waypoint)
+        if mode is None:
+            return features
+        one_hot = torch.nn.functional.one_hot(mode, len(Mode)).to(features.dtype)
+        return torch.cat([features, one_hot], -1)
 
     def step(
         self,
@@ -125,20 +216,29 @@ class HierarchicalPolicy(StochasticPolicy):
         state: PolicyState,
         noise: ExplorationNoise | None = None,
     ) -> tuple[PolicyStep, PolicyState]:
-        """See `StochasticPolicy.step`. A waypoint is due after K steps, or when it is reached."""
+        """See `StochasticPolicy.step`. A waypoint is due after K steps, or when it is reached.
+
+        A robot that waits or yields does so for all steps of its macro action.
+        """
         scene = self._encode(features, is_init, state)
         ego, rows = features.ego[:, 0], torch.arange(len(is_init), device=is_init.device)
         steps_left = torch.where(is_init, 0, state["steps_left"])
         due = steps_left <= 0
         if self.waypoint_source is not Waypoints.first:
-            due = due | (to_body(state["waypoint"], pose).norm(dim=-1) < REACHED)
+            reached = to_body(state["waypoint"], pose).norm(dim=-1) < REACHED
+            if self.config.modes:
+                reached = reached & (state["mode"] == Mode.go)
+            due = due | reached
         macro = self._macro_step(scene, ego, rows, due, noise)
-        chosen = to_world(self._waypoint_of(route, self._ablated(macro)), pose)
+        macro_action = self._ablated(macro)
+        chosen = to_world(self._waypoint_of(route, macro_action), pose)
         waypoint = torch.where(due.unsqueeze(-1), chosen, state["waypoint"])
-        period = NEVER if self.waypoint_source is Waypoints.first else self.config.macro_steps
-        steps_left = torch.where(due, period, steps_left) - 1
+        steps_left = torch.where(due, self._duration(macro_action), steps_left) - 1
 
-        waypoint_features = encode_waypoint(to_body(waypoint, pose))
+        following = {"waypoint": waypoint, "steps_left": steps_left}
+        if self.config.modes:
+            following["mode"] = torch.where(due, macro_action[:, 0].long(), state["mode"])
+        waypoint_features = self._waypoint_features(to_body(waypoint, pose), following.get("mode"))
         query = self._local_query(ego, waypoint_features)
         embedding = self._embedding(scene, query, rows, waypoint_features)
         distribution = self.distribution(LOCAL, embedding, rows)
@@ -151,8 +251,17 @@ class HierarchicalPolicy(StochasticPolicy):
             waypoint_features=waypoint_features,
             scene=scene,
         )
-        following = {"noise": current, "waypoint": waypoint, "steps_left": steps_left}
-        return step, {**state, **following}
+        return step, {**state, **following, "noise": current}
+
+    def _duration(self, macro: Tensor) -> Tensor:
+        """Return the largest number of steps [B] of macro actions [B, A]."""
+        c = self.config
+        duration = torch.full_like(macro[:, 0], c.macro_steps).long()
+        if self.waypoint_source is Waypoints.first:
+            return torch.full_like(duration, NEVER)
+        if c.modes:
+            duration = torch.where(macro[:, 0] == Mode.go, duration, c.making_way_steps)
+        return duration
 
     def _macro_step(
         self, scene: Any, ego: Tensor, rows: Tensor, due: Tensor, noise: ExplorationNoise | None
@@ -162,22 +271,54 @@ class HierarchicalPolicy(StochasticPolicy):
         # traced for export or the ablation uses the choices of other robots.
         everybody = is_tracing() or self.waypoint_source is Waypoints.shuffled
         index = rows if everybody else due.nonzero().squeeze(1)
+        size = self.action_sizes()[MACRO]
         if len(index) == 0:
-            return LevelStep(ego.new_zeros(len(rows), 2), ego.new_zeros(len(rows)), due)
+            return LevelStep(ego.new_zeros(len(rows), size), ego.new_zeros(len(rows)), due)
         embedding = self._embedding(samples_of(scene, index), ego[index], rows[index])
-        mean, std = self.distribution(MACRO, embedding, rows[index])
-        if noise is None:
-            action, probability = mean, torch.zeros_like(mean[:, 0])
-        else:
-            action = mean + std * noise.fresh[MACRO][index]
-            probability = log_prob(action, mean, std)
+        fresh = None if noise is None else noise.fresh[MACRO][index]
+        action, probability = self._sample_macro(embedding, rows[index], fresh)
         if everybody:
             return LevelStep(action, probability, due)
         return LevelStep(
-            action.new_zeros(len(rows), 2).index_copy(0, index, action),
+            action.new_zeros(len(rows), size).index_copy(0, index, action),
             probability.new_zeros(len(rows)).index_copy(0, index, probability),
             due,
         )
+
+    def _sample_macro(
+        self, embedding: Tensor, rows: Tensor, noise: Tensor | None
+    ) -> tuple[Tensor, Tensor]:
+        """Draw macro actions for embeddings [P, Y] with standard normal noise; None: the best.
+
+        Returns:
+            The actions [P, A], and their log-probabilities [P]; 0 without noise.
+        """
+        mean, std = self.distribution(MACRO, embedding, rows)
+        zero = torch.zeros_like(mean[:, 0])
+        if not self.config.modes:
+            if noise is None:
+                return mean, zero
+            action = mean + std * noise
+            return action, log_prob(action, mean, std)
+        logits = self.mode_logits(embedding, rows)
+        if noise is None:
+            mode = logits.argmax(-1, keepdim=True)
+            return torch.cat([mode.to(mean.dtype), mean], -1), zero
+        share = torch.special.ndtr(noise[:, :1])  # uniform
+        mode = (share > logits.softmax(-1).cumsum(-1)[:, :-1]).sum(-1, keepdim=True)
+        action = torch.cat([mode.to(mean.dtype), mean + std * noise[:, 1:]], -1)
+        return action, ModalNormal(logits, mean, std).log_prob(action)
+
+    def mode_logits(self, embedding: Tensor, rows: Tensor) -> Tensor:
+        """See `StochasticPolicy.mode_logits`."""
+
+        def head(net: Any, index: int, samples: Any) -> Tensor:
+            logits: Tensor = net.heads[MACRO].mode_logits(embedding[samples])
+            return logits
+
+        with self._precision():
+            logits = self._per_parameter_set(rows, head)
+        return logits.float()
 
     def _embeddings(
         self,
@@ -207,9 +348,12 @@ class HierarchicalPolicy(StochasticPolicy):
         """Return the macro actions [B, 2] that are used."""
         action = macro.action
         if self.waypoint_source is Waypoints.shuffled:
-            return action.view(-1, self.team_size, 2).roll(-1, 1).view_as(action)
+            return action.view(-1, self.team_size, action.shape[1]).roll(-1, 1).view_as(action)
         if self.waypoint_source is Waypoints.random and macro.decided.any():
-            return torch.from_numpy(self._random.uniform(-1, 1, action.shape)).to(action)
+            drawn = torch.from_numpy(self._random.uniform(-1, 1, action.shape)).to(action)
+            if self.config.modes:
+                drawn[:, 0] = ((drawn[:, 0] + 1) / 2 * len(Mode)).floor()
+            return drawn
         return action
 
     def _waypoint_of(self, route: Tensor, macro: Tensor) -> Tensor:
@@ -222,15 +366,26 @@ class HierarchicalPolicy(StochasticPolicy):
 
         Args:
             route: [B, 2] where the route leads next in the body frame, m.
-            macro: [B, 2] before clipping.
+            macro: [B, A] before clipping.
         """
         c = self.config
+        mode, macro = macro[:, 0], macro[:, -2:]
         distance = route.norm(dim=-1, keepdim=True).clamp(min=1e-6)
         share = (c.waypoint_ahead / distance).clamp(max=1.0)
         reach = c.waypoint_range
         if not c.local_goal:
             reach = reach * (distance / c.waypoint_ahead).clamp(max=1.0)
-        return route * share + reach * macro.clamp(-1.0, 1.0)
+        going = route * share + reach * macro.clamp(-1.0, 1.0)
+        if not c.modes:
+            return going
+        ahead = route / distance
+        left = torch.stack([-ahead[:, 1], ahead[:, 0]], -1)
+        side = (mode == Mode.yield_left).to(route.dtype) - (mode == Mode.yield_right).to(
+            route.dtype
+        )
+        side = side.unsqueeze(-1)
+        making_way = YIELD_ASIDE * side * left - YIELD_BACK * side.abs() * ahead
+        return torch.where((mode == Mode.go).unsqueeze(-1), going, making_way)
 
     def _encoder_input(self, features: Frames) -> Frames:
         """Without `local_goal` the scene, which both levels share, must not reveal the goal."""
@@ -239,12 +394,27 @@ class HierarchicalPolicy(StochasticPolicy):
         return features._replace(ego=without_goal(features.ego))
 
     def _local_query(self, ego: Tensor, waypoint_features: Tensor) -> Tensor:
-        """Return own states [P, F_e], with the waypoint in place of a goal that is hidden."""
-        if self.config.local_goal:
+        """Return own states [P, F_e] with the waypoint in place of the goal and of the route."""
+        c = self.config
+        if c.local_goal and not c.modes:
             return ego
-        query = without_goal(ego)
-        query[..., EGO_TARGET] = features_of_target(decode_waypoint(waypoint_features))
+        query = ego.clone() if c.local_goal else without_goal(ego)
+        target = features_of_target(decode_waypoint(waypoint_features))
+        query[..., EGO_TARGET] = target
+        if c.modes and self.observes_route:
+            query[..., EGO_ROUTE] = target
         return query
+
+
+def _waypoint_size(config: HierarchicalConfig) -> int:
+    return WAYPOINT_FEATURES + len(Mode) * config.modes
+
+
+def _with_waypoints(tracks: Tracks, waypoints: NDArray[np.float32]) -> Tracks:
+    """Return tracks whose robots also have the features [E, N, N - 1, W] of their waypoints."""
+    features, known = tracks.entities["robots"]
+    robots = Entities(np.concatenate([features, waypoints], -1), known)
+    return tracks._replace(entities=tracks.entities | {"robots": robots})
 
 
 def encode_waypoint(waypoint: Tensor) -> Tensor:

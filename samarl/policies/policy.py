@@ -39,6 +39,7 @@ POLICIES: Registry[Policy] = Registry("policy")
 
 LOCAL = "local"  # the level that drives; every policy has it
 MACRO = "macro"  # the level above it, which chooses waypoints
+WAYPOINT_FEATURES = 3  # of a waypoint in the body frame, see `encode_waypoint`
 PolicyState = dict[str, Any]  # nested dicts and tuples of tensors, [B, ...] each
 
 
@@ -81,7 +82,9 @@ class PolicyStep(NamedTuple):
     mean: Tensor  # [B, A] the local level's action without noise
     levels: dict[str, LevelStep]
     previous_noise: Tensor | None = None  # [B, A] of the local level, in standard deviations
-    waypoint_features: Tensor | None = None  # [B, 3]; None without a macro level
+    waypoint_features: Tensor | None = (
+        None  # [B, W], see `Policy.waypoint_size`; None without a macro level
+    )
     scene: Any = None  # [B, ...] what the encoder made of the features, for explanations
 
 
@@ -174,6 +177,29 @@ class Policy(nn.Module, ABC):
         self.check(scenario)
         tracker = Tracker(self.config.track_time, scenario.time_step)
         return {"tracks": tracker.initial(worlds, scenario.robots, scenario.humans)}
+
+    @property
+    def waypoint_size(self) -> int:
+        """Return the number of features of a waypoint that the local level observes, W."""
+        return 0
+
+    def has_modes(self, level: str) -> bool:
+        """Return whether the actions of a level begin with a mode; see `ModalNormal`."""
+        return False
+
+    def team_waypoints(
+        self, state: PolicyState, ego: NDArray[np.float32]
+    ) -> NDArray[np.float32] | None:
+        """Return the features of the waypoints of every robot's team-mates, [E, N, N - 1, W].
+
+        Args:
+            state: after a decision.
+            ego: [E, N, 11] own states; the waypoints are in their body frames.
+
+        Returns:
+            None without a macro level.
+        """
+        return None
 
     @property
     def device(self) -> torch.device:

@@ -18,7 +18,7 @@ from torch.utils._pytree import tree_map
 from mrsan import Observation, Scenario
 from samarl.encoders.encoder import samples_of
 from samarl.observations.frames import Frames
-from samarl.policies.heads import log_prob
+from samarl.policies.heads import ModalNormal, log_prob
 from samarl.policies.policy import (
     LOCAL,
     Decision,
@@ -115,6 +115,10 @@ class StochasticPolicy(Policy):
     def action_sizes(self) -> dict[str, int]:
         """Return how many numbers an action of each level has."""
         return {LOCAL: self.action_size}
+
+    def mode_logits(self, embedding: Tensor, rows: Tensor) -> Tensor:
+        """Return the logits [P, M] of the modes for embeddings [P, Y] of a level that has modes."""
+        raise NotImplementedError
 
     def initial_policy_state(self, rows: int, scenario: Scenario) -> PolicyState:
         """Return the memory of B robots before their first step.
@@ -233,17 +237,19 @@ class StochasticPolicy(Policy):
         from torchrl.modules import IndependentNormal, ProbabilisticActor
 
         noise = ["previous_noise", "noise_correlation"] if level == LOCAL else []
+        has_modes = self.has_modes(level)
+        parameters = ["logits", "loc", "scale"] if has_modes else ["loc", "scale"]
         head = TensorDictModule(
             LevelHead(self, level),
             in_keys=["embedding", "row", *noise],
-            out_keys=["loc", "scale", "mean", "std"],
+            out_keys=[*parameters, "mean", "std"],
         )
         return ProbabilisticActor(
             head,
-            in_keys=["loc", "scale"],
+            in_keys=parameters,
             out_keys=["action"],
-            distribution_class=IndependentNormal,
-            distribution_kwargs={"validate_args": False},
+            distribution_class=ModalNormal if has_modes else IndependentNormal,
+            distribution_kwargs={} if has_modes else {"validate_args": False},
             return_log_prob=True,
             log_prob_key="sample_log_prob",
         )
@@ -308,6 +314,11 @@ class StochasticPolicy(Policy):
         """Clamp the standard deviation of a level; `largest` wins where the two disagree."""
         for net in self.networks:
             net.heads[level].bound_std(least, largest)
+
+    def set_uniform_share(self, level: str, share: float) -> None:
+        """Set how much of the probability all modes of a level share equally."""
+        for net in self.networks:
+            net.heads[level].uniform_share.fill_(share)
 
     # Parts of `step`
 
@@ -389,9 +400,11 @@ class LevelHead(nn.Module):
         row: Tensor,
         previous_noise: Tensor | None = None,
         noise_correlation: Tensor | float = 0.0,
-    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Return loc, scale, mean and std, [Q, A] each."""
+    ) -> tuple[Tensor, ...]:
+        """Return the logits [Q, M] of a level with modes; loc, scale, mean and std, [Q, A] each."""
         mean, std = self.policy.distribution(self.level, embedding, row)
+        if self.policy.has_modes(self.level):
+            return self.policy.mode_logits(embedding, row), mean, std, mean, std
         if previous_noise is None:
             return mean, std, mean, std
         return *given_previous_noise(mean, std, previous_noise, noise_correlation), mean, std

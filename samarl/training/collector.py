@@ -106,7 +106,7 @@ class RolloutCollector:
         columns, states = [], []
         episodes: list[Episodes] = []
         for step in range(t):
-            states.append(true_state(world) if self.uses_global_state else None)
+            states.append(self._true_state())
             columns.append(self._decision_column() | self._step(episodes))
             back = self._begin(world.state.done)
             if back.any():
@@ -120,7 +120,7 @@ class RolloutCollector:
             self._decide(step + 1)
         outcome = {key: torch.zeros_like(x) for key, x in columns[-1].items() if key[0] == "next"}
         columns.append(self._decision_column() | outcome)
-        states.append(true_state(world) if self.uses_global_state else None)
+        states.append(self._true_state())
         return self._rollout(columns, states, mask, closed, encoder_before, episodes)
 
     def _decide(self, step: int) -> None:
@@ -146,6 +146,13 @@ class RolloutCollector:
             buffer[:, column] = tensor[:, 0]
         begins = torch.from_numpy(np.repeat(self.is_init, scenario.robots))
         self.begins[:, column] = begins.to(self.begins.device)
+
+    def _true_state(self) -> Tracks | None:
+        """Return the true state, with the waypoints that were just decided, for central critics."""
+        if not self.uses_global_state:
+            return None
+        waypoints = self.policy.team_waypoints(self.state, self.observation.ego)
+        return true_state(self.world, waypoints)
 
     def _decision_column(self) -> dict[Any, Tensor]:
         """Return what was decided for the next step, by the keys of `Rollout.steps`."""

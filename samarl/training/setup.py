@@ -6,6 +6,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from torch import Tensor
+from torch.nn.functional import pad
+
 from mrsan import ConfigurationError, Scenario
 from samarl.algorithms import ALGORITHMS
 from samarl.algorithms.algorithm import Algorithm
@@ -38,9 +41,13 @@ def build_policy(settings: Mapping[str, Any], scenario: Scenario) -> Policy:
 def load_initial_weights(policy: Policy, path: Path) -> dict[str, Any]:
     """Load the weights of another policy, except its exploration noise.
 
+    A policy of one level may initialise one of two levels, one without modes may initialise one
+    with modes, and so on: what only the new policy has keeps its initial weights, and what only the
+    new policy observes has no effect at first.
+
     Args:
         policy: its weights are overwritten.
-        path: file of a policy with the same sizes.
+        path: file of a policy with the same sizes, but for such additions.
 
     Returns:
         The provenance of the weights.
@@ -49,15 +56,28 @@ def load_initial_weights(policy: Policy, path: Path) -> dict[str, Any]:
         ConfigurationError: the file is damaged, or its policy has other sizes.
     """
     initial_policy, card = load_policy(path)
-    noise = {name: value for name, value in policy.state_dict().items() if "log_std" in name}
-    try:
-        policy.load_state_dict({**initial_policy.state_dict(), **noise})
-    except RuntimeError as error:
+    weights = policy.state_dict()
+    initial = {
+        name: _padded(value, weights[name]) if name in weights else value
+        for name, value in initial_policy.state_dict().items()
+    }
+    if len(initial_policy.networks) != len(policy.networks) or any(
+        name not in weights or value.shape != weights[name].shape for name, value in initial.items()
+    ):
         raise ConfigurationError(
             f"init_from is {str(path)!r} with {card.config}; its sizes must be those of this run's "
             "policy"
-        ) from error
+        )
+    weights |= {name: value for name, value in initial.items() if "log_std" not in name}
+    policy.load_state_dict(weights)
     return {"sha256": card.sha256, **card.provenance}
+
+
+def _padded(initial: Tensor, weights: Tensor) -> Tensor:
+    """Return initial weights [..., I], with zeros for the additional inputs of `weights`."""
+    if weights.dim() < 2 or initial.dim() != weights.dim():
+        return initial
+    return pad(initial, (0, max(weights.shape[-1] - initial.shape[-1], 0)))
 
 
 def build_algorithm(settings: Mapping[str, Any], policy: Policy) -> Algorithm:

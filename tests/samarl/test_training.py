@@ -23,6 +23,7 @@ from samarl.commands.train import main
 from samarl.evaluation.runner import Evaluation, run_cases
 from samarl.policies.checkpoint import FORMAT, load_policy, save_policy
 from samarl.policies.policy import LOCAL
+from samarl.training.setup import load_initial_weights
 from samarl.training.trainer import Trainer
 from tests.learning import policy
 
@@ -277,6 +278,26 @@ def test_a_run_begins_with_the_weights_of_a_policy_but_explores_anew(
         assert "init_from" in errors
         assert value in errors
         assert errors.count("\n") == 1
+
+
+def test_a_policy_of_one_level_initialises_one_with_modes_and_what_is_new_has_no_effect(
+    tmp_path: Path,
+) -> None:
+    flat = policy("flat")
+    save_policy(tmp_path / "flat.safetensors", flat, "flat", {})
+    begins = policy("hierarchical", modes=True, observes_intent=True)
+    new = {name: value.clone() for name, value in begins.state_dict().items()}
+    load_initial_weights(begins, tmp_path / "flat.safetensors")
+    loaded, weights = begins.state_dict(), flat.state_dict()
+    for name, value in loaded.items():
+        if name not in weights or "log_std" in name:
+            assert torch.equal(value, new[name])
+        elif value.shape == weights[name].shape:
+            assert torch.equal(value, weights[name])
+        else:  # inputs of the waypoint, the mode and the intent of team-mates
+            known = weights[name].shape[-1]
+            assert torch.equal(value[..., :known], weights[name])
+            assert not value[..., known:].any()
 
 
 def test_a_foreign_or_damaged_checkpoint_is_refused_in_words(tmp_path: Path) -> None:

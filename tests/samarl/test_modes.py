@@ -1,0 +1,178 @@
+"""The modes of the macro level: what they mean, how they are drawn, and who knows of them."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from mrsan import ConfigurationError, TeamPerception, World
+from samarl.algorithms import ALGORITHMS
+from samarl.observations.features import to_body
+from samarl.policies.heads import ModalNormal
+from samarl.policies.hierarchical import (
+    YIELD_ASIDE,
+    YIELD_BACK,
+    HierarchicalPolicy,
+    Mode,
+    decode_waypoint,
+)
+from samarl.policies.policy import MACRO, WAYPOINT_FEATURES
+from tests.learning import REPPO_NUMBERS, SCENARIO, algorithm, collector, policy
+
+OPEN = replace(SCENARIO, humans=0, fov_degrees=360.0, time_limit=50.0)
+LOGITS = torch.tensor([[2.0, 0.0, 1.0, -1.0]])
+LOC, SCALE = torch.tensor([[0.5, -0.5]]), torch.tensor([[0.1, 0.2]])
+
+
+def with_mode(mode: Mode, **numbers: int) -> HierarchicalPolicy:
+    """A policy that always chooses `mode` and moves no waypoint."""
+    model = policy(modes=True, **numbers)
+    assert isinstance(model, HierarchicalPolicy)
+    head = model.networks[0].heads[MACRO]
+    with torch.no_grad():
+        for parameter in (*head.body[-1].parameters(), *head.logits.parameters()):
+            parameter.zero_()
+        head.logits.bias[mode] = 100.0
+    return model
+
+
+def test_the_probability_of_an_offset_counts_only_if_the_robot_goes() -> None:
+    distribution = ModalNormal(LOGITS, LOC, SCALE)
+    weights = [math.exp(logit) for logit in LOGITS[0].tolist()]
+    offset = [0.6, -0.1]
+    density = sum(
+        -0.5 * ((x - m) / s) ** 2 - math.log(s * math.sqrt(2 * math.pi))
+        for x, m, s in zip(offset, LOC[0].tolist(), SCALE[0].tolist(), strict=True)
+    )
+    for mode in Mode:
+        expected = math.log(weights[mode] / sum(weights)) + (density if mode is Mode.go else 0.0)
+        value = torch.tensor([[float(mode), *offset]])
+        assert distribution.log_prob(value).item() == pytest.approx(expected, abs=1e-5)
+
+
+def test_the_entropy_is_the_mean_of_minus_the_log_probability() -> None:
+    torch.manual_seed(0)
+    distribution = ModalNormal(*(x.expand(100000, -1) for x in (LOGITS, LOC, SCALE)))
+    sample = distribution.sample()
+    estimate = -distribution.log_prob(sample).mean().item()
+    assert distribution.entropy()[0].item() == pytest.approx(estimate, abs=0.02)
+    best = distribution.deterministic_sample[0].tolist()
+    assert best == pytest.approx([0.0, 0.5, -0.5])
+
+
+def test_modes_are_drawn_as_often_as_their_probabilities_say() -> None:
+    model, rows = policy(modes=True), 20000
+    assert isinstance(model, HierarchicalPolicy)
+    head = model.networks[0].heads[MACRO]
+    with torch.no_grad():
+        head.logits.weight.zero_()
+        head.logits.bias.copy_(LOGITS[0])
+    torch.manual_seed(0)
+    embedding = torch.zeros(rows, head.body[0].in_features)
+    action, log_prob = model._sample_macro(embedding, torch.arange(rows), torch.randn(rows, 3))
+    share = torch.bincount(action[:, 0].long(), minlength=4) / rows
+    expected = LOGITS[0].softmax(-1)
+    assert share.tolist() == pytest.approx(expected.tolist(), abs=0.015)
+    waits = action[:, 0] == Mode.wait
+    assert log_prob[waits].tolist() == pytest.approx([expected[1].log().item()] * int(waits.sum()))
+
+
+@pytest.mark.parametrize(
+    ("mode", "ahead", "left"),
+    [
+        (Mode.go, 2.0, 0.0),
+        (Mode.wait, 0.0, 0.0),
+        (Mode.yield_left, -YIELD_BACK, YIELD_ASIDE),
+        (Mode.yield_right, -YIELD_BACK, -YIELD_ASIDE),
+    ],
+)
+def test_the_waypoint_of_a_mode(mode: Mode, ahead: float, left: float) -> None:
+    model, world = with_mode(mode), World(OPEN)
+    observation = world.reset([0])  # the robots look at their goals
+    state = model.initial_state(1, OPEN)
+    decision = model.act(observation, state, np.ones(1, np.bool_), OPEN)
+    waypoint = to_body(state["waypoint"].view(1, 2, 2).numpy(), observation.ego)
+    np.testing.assert_allclose(waypoint, [[[ahead, left]] * 2], atol=1e-3)
+    features = decision.step.waypoint_features
+    assert features is not None
+    one_hot = [float(other is mode) for other in Mode]
+    assert features[0, 0, WAYPOINT_FEATURES:].tolist() == one_hot
+
+
+def test_a_robot_that_waits_decides_again_after_all_steps_of_its_macro_action() -> None:
+    model, world = with_mode(Mode.wait, making_way_steps=6), World(OPEN)
+    observation, begins = world.reset([0]), np.ones(1, np.bool_)
+    state, decided = model.initial_state(1, OPEN), []
+    for _ in range(8):
+        decision = model.act(observation, state, begins, OPEN)
+        decided.append(bool(decision.levels[MACRO].decided.all()))
+        begins = np.zeros(1, np.bool_)
+    assert decided == [True, *[False] * 5, True, False]
+
+
+def test_the_macro_level_learns_to_wait_if_only_that_is_rewarded() -> None:
+    model = policy(modes=True)
+    learner = algorithm(model, learning_rate=0.02, epochs=4)
+    rollouts = collector(model, 32, 16, OPEN)
+    for _ in range(12):
+        rollout = rollouts.collect()
+        waits = rollout.steps["agents", "waypoint_features"][..., WAYPOINT_FEATURES + Mode.wait]
+        rollout.steps["next", "agents", "macro", "reward"] = waits.float()
+        statistics = learner.update([rollout])
+        assert all(np.isfinite(value) for value in statistics.values())
+    assert waits.mean() > 0.5  # 0.25 at first
+
+
+def test_critics_observe_the_macro_actions_of_team_mates() -> None:
+    scenario = replace(OPEN, robots=3)
+    model = policy(modes=True)
+    going = collector(model, 2, 5, scenario)
+    rollout = going.collect()
+    assert rollout.state is not None
+    others = rollout.state.robots.view(2, 3, 6, 2, -1)  # [S, N, T + 1, N - 1, F]
+    own = rollout.steps["agents", "waypoint_features"].transpose(1, 2)  # [S, N, T + 1, W]
+    modes = others[..., -len(Mode) :]
+    for robot, slots in ((0, (1, 2)), (1, (0, 2)), (2, (0, 1))):
+        for slot, other in enumerate(slots):
+            assert torch.equal(modes[:, robot, :, slot], own[:, other, :, WAYPOINT_FEATURES:])
+    # In whose body frame? The distance to the waypoint is exp(-|w|) of the observer.
+    ego = going.observation.ego
+    waypoint = going.state["waypoint"].view(2, 3, 2).numpy()
+    distance = np.linalg.norm(to_body(waypoint[:, [1, 2]], ego[:, :1]), axis=-1)
+    nearness = others[:, 0, -1, :, -len(Mode) - 1]
+    np.testing.assert_allclose(nearness, np.exp(-distance), atol=1e-5)
+
+
+def test_robots_observe_the_intent_of_team_mates_only_with_team_perception() -> None:
+    silent = replace(OPEN, robots=3)
+    talking = replace(silent, team_perception=TeamPerception.tracks)
+    for scenario in (silent, talking):
+        model, world = policy(modes=True, observes_intent=True), World(scenario, 2)
+        state, observation = model.initial_state(2, scenario), world.reset([0, 1])
+        begins = np.ones(2, np.bool_)
+        for step in range(3):
+            before = {
+                name: value.clone()
+                for name, value in state.items()
+                if name != "tracks" and isinstance(value, torch.Tensor)
+            }
+            decision = model.act(observation, state, begins, scenario)
+            intent = decision.features.robots[:, 0, :, 10:].view(2, 3, 2, -1)
+            if step == 0 or scenario is silent:
+                assert not intent.any()
+            else:
+                mode = torch.nn.functional.one_hot(before["mode"], len(Mode)).view(2, 3, -1)
+                assert torch.equal(intent[:, 1, :, WAYPOINT_FEATURES:], mode[:, [0, 2]].float())
+                ahead = before["waypoint"].view(2, 3, 2).numpy()[:, [0, 2]]
+                ahead = to_body(ahead, observation.ego[:, 1:2])
+                seen = decode_waypoint(intent[:, 1])
+                np.testing.assert_allclose(seen, ahead, atol=1e-5)
+            observation, begins = world.step(decision.action).observation, np.zeros(2, np.bool_)
+
+
+def test_pathwise_gradients_refuse_modes() -> None:
+    numbers = ALGORITHMS.config({"name": "reppo", **REPPO_NUMBERS})
+    with pytest.raises(ConfigurationError, match=r"policy\.modes is true"):
+        ALGORITHMS["reppo"].cls(policy(modes=True), numbers)
