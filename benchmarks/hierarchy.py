@@ -33,11 +33,19 @@ from samarl.policies.hierarchical import Waypoints
 
 COMMON = ["experiment=passages", "trainer.threads=1"]
 TALKING = ["curriculum=passages_team"]
+TWO_LEVELS = [
+    "policy.local_goal=true",
+    "policy.arrival_bonus=0",
+    "algorithm.local_discount=0.95",
+    "algorithm.discount=0.998",  # waiting for 6 s would cost a fifth of the return with 0.99
+    "algorithm.macro_std=0.1",
+]
+MODES = [*TWO_LEVELS, "policy.modes=true", "algorithm.macro_entropy_coefficient=0.05"]
 RECIPES = {  # settings, in addition to `COMMON`
-    "two levels": ["policy.modes=true"],
-    "two levels without modes": [],
+    "two levels": MODES,
+    "two levels without modes": TWO_LEVELS,
     "flat": ["policy=flat"],
-    "two levels, intent": ["policy.modes=true", "policy.observes_intent=true", *TALKING],
+    "two levels, intent": [*MODES, "policy.observes_intent=true", *TALKING],
     "flat, team tracks": ["policy=flat", *TALKING],
 }
 ABLATIONS = {

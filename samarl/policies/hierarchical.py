@@ -95,7 +95,7 @@ class HierarchicalConfig(PolicyConfig):
     modes: bool = setting(
         False, kw_only=True, help="the macro level chooses to go, to wait or to yield to a side"
     )
-    making_way_steps: int = number(24, 1, 1000, help="steps for which a robot waits or yields")
+    making_way_steps: int = number(16, 1, 1000, help="steps for which a robot waits or yields")
     making_way_distance: float = number(
         0.25,
         0.0,
