@@ -29,7 +29,7 @@ from samarl.evaluation.runner import run_cases
 from samarl.evaluation.table import markdown_table
 from samarl.files import machine, write_json, write_text
 from samarl.policies.checkpoint import load_policy
-from samarl.policies.hierarchical import Waypoints
+from samarl.policies.macro_actions import Waypoints
 
 COMMON = ["experiment=passages", "trainer.threads=1"]
 TALKING = ["curriculum=passages_team"]

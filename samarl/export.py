@@ -24,8 +24,8 @@ from samarl.observations.tracker import Tracks
 from samarl.planning.one_step import command_set
 from samarl.planning.shield import Shield
 from samarl.planning.track_predictor import CONSTANT_VELOCITY
-from samarl.policies.hierarchical import Waypoints
 from samarl.policies.lookahead import LookaheadPolicy
+from samarl.policies.macro_actions import Waypoints
 from samarl.policies.policy import Policy, PolicyState
 from samarl.policies.stochastic import StochasticPolicy
 from samarl.runtime.description import KEY, MEMORY, NEXT_MEMORY, Description, robot_fields
@@ -147,6 +147,11 @@ def _check_exportable(agent: Learned, shield: Shield | None, name: str) -> None:
         raise ConfigurationError(
             f"scenario.kinematics is {agent.scenario.kinematics.name}; it must be that of the "
             f"robots {name} was trained on to be exported"
+        )
+    if getattr(agent.policy.config, "observes_intent", False):
+        raise ConfigurationError(
+            "policy.observes_intent is true; it must be false to be exported: the runtime has no "
+            "input for what team-mates intend"
         )
     if agent.policy.config.num_parameter_sets != 1:
         raise ConfigurationError(

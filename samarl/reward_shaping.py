@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from mrsan import Observation, Scenario, Step
 from mrsan.features import GOAL
 from samarl.observations.features import speed_of, to_world
-from samarl.policies.hierarchical import HierarchicalConfig, Mode
+from samarl.policies.macro_actions import HierarchicalConfig, Mode
 from samarl.policies.policy import LOCAL, MACRO, Policy, PolicyState
 
 Floats = NDArray[np.float32]

@@ -15,6 +15,7 @@ from samarl.algorithms.advantages import streams
 from samarl.algorithms.ppo import PPO
 from samarl.observations.features import empty_frames
 from samarl.policies.checkpoint import make_policy
+from samarl.policies.heads import ModalGaussian
 from samarl.policies.policy import LOCAL, Policy
 from samarl.policies.stochastic import ActionEvaluation, StochasticPolicy
 from samarl.reward_shaping import RewardShaping
@@ -166,6 +167,8 @@ def policy(
         for networks in made.networks:
             for head in networks.heads.values():
                 head.body[-1].weight.mul_(gain)
+                if isinstance(head, ModalGaussian):
+                    head.logits.weight.mul_(gain)
     return made
 
 

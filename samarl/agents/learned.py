@@ -17,7 +17,8 @@ from samarl.agents.agent import Agent
 from samarl.planning.velocity_control import retarget_actions
 from samarl.policies.checkpoint import find_policy, load_policy
 from samarl.policies.explanation import Explanation
-from samarl.policies.hierarchical import HierarchicalPolicy, Waypoints
+from samarl.policies.hierarchical import HierarchicalPolicy
+from samarl.policies.macro_actions import Waypoints
 from samarl.policies.policy import Decision, Policy
 from samarl.registry import needed
 

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from enum import Enum, IntEnum
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,16 +12,13 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.jit import is_tracing  # type: ignore[attr-defined]
 
-from mrsan import Entities, Observation, Scenario
-from mrsan.fields import number, required, setting
+from mrsan import Observation, Scenario
 from samarl.encoders import Encoder
 from samarl.encoders.encoder import samples_of
 from samarl.observations.features import (
     AGENT_SIZES,
-    EGO_PLACE,
     EGO_ROUTE,
     EGO_TARGET,
-    EGO_TIME,
     NETWORK_OTHER_FEATURES,
     features_of_target,
     to_body,
@@ -33,75 +29,31 @@ from samarl.observations.tracker import TRACK_FEATURES, Tracks
 from samarl.policies.explanation import Explanation
 from samarl.policies.flat import MEAN, STD
 from samarl.policies.heads import Gaussian, ModalGaussian, ModalNormal, log_prob
+from samarl.policies.macro_actions import (
+    HierarchicalConfig,
+    Mode,
+    Waypoints,
+    decode_waypoint,
+    encode_macro_action,
+    waypoint_of,
+    waypoint_size,
+    with_waypoints,
+    without_goal,
+)
 from samarl.policies.policy import (
     LOCAL,
     MACRO,
     POLICIES,
-    WAYPOINT_FEATURES,
     Decision,
     LevelStep,
     Networks,
-    PolicyConfig,
     PolicyState,
     PolicyStep,
 )
 from samarl.policies.stochastic import ExplorationNoise, StochasticPolicy
-from samarl.registry import needed
 
 REACHED = 0.3  # m; a waypoint that is nearer is replaced
-YIELD_BACK, YIELD_ASIDE = 1.0, 1.2  # m; where a robot makes way: back along the route, and aside
 NEVER = 2**31 - 1  # steps until the next waypoint is due
-
-
-class Waypoints(Enum):
-    """Where the waypoints of the local level come from; all but the first are ablations."""
-
-    learned = "the macro level"
-    first = "the macro level, once in an episode"
-    random = "anywhere the macro level could put them"
-    shuffled = "the macro level's choice for the next robot"
-
-
-class Mode(IntEnum):
-    """What a robot does until its next macro action."""
-
-    go = 0  # to a waypoint near the route
-    wait = 1  # where it is
-    yield_left = 2  # make way: back and to the left of the route, or ...
-    yield_right = 3  # ... to the right
-
-
-@dataclass
-class HierarchicalConfig(PolicyConfig):
-    """Numbers of the two levels."""
-
-    macro_steps: int = required(1, 200, help="steps between two waypoints, K")
-    waypoint_ahead: float = required(
-        0.1, 100.0, unit="m", help="distance of the default waypoint along the route"
-    )
-    waypoint_range: float = required(
-        0.1, 100.0, unit="m", help="largest distance by which the macro level moves a waypoint"
-    )
-    waypoint_progress: float = required(
-        0.0, 100.0, help="reward of the local level per metre towards its waypoint"
-    )
-    local_goal: bool = needed(help="the local level also observes the goal")
-    arrival_bonus: float = required(
-        0.0, 1000.0, help="additional reward of the local level for arriving"
-    )
-    observes_intent: bool = setting(
-        False, kw_only=True, help="robots observe the waypoints and modes that team-mates report"
-    )
-    modes: bool = setting(
-        False, kw_only=True, help="the macro level chooses to go, to wait or to yield to a side"
-    )
-    making_way_steps: int = number(16, 1, 1000, help="steps for which a robot waits or yields")
-    making_way_distance: float = number(
-        0.25,
-        0.0,
-        100.0,
-        help="penalty of the local level per step and metre from where it should wait or yield",
-    )
 
 
 @POLICIES.register("hierarchical", HierarchicalConfig)
@@ -123,7 +75,7 @@ class HierarchicalPolicy(StochasticPolicy):
         """See `Policy`."""
         sizes = AGENT_SIZES if sizes is None else sizes
         if config.observes_intent and sizes.entities["robots"] == NETWORK_OTHER_FEATURES:
-            robots = NETWORK_OTHER_FEATURES + _waypoint_size(config)
+            robots = NETWORK_OTHER_FEATURES + waypoint_size(config)
             sizes = replace(sizes, entities=sizes.entities | {"robots": robots})
         super().__init__(config, action_size, sizes)
         self._random = np.random.default_rng(0)  # of random waypoints
@@ -140,7 +92,7 @@ class HierarchicalPolicy(StochasticPolicy):
     @property
     def waypoint_size(self) -> int:
         """See `Policy.waypoint_size`."""
-        return _waypoint_size(self.config)
+        return waypoint_size(self.config)
 
     def has_modes(self, level: str) -> bool:
         """See `Policy.has_modes`."""
@@ -170,23 +122,22 @@ class HierarchicalPolicy(StochasticPolicy):
         features, known = tracks.entities["robots"]
         if not self.config.observes_intent or features.shape[-1] > len(TRACK_FEATURES):
             return tracks
-        return _with_waypoints(tracks, np.zeros((*known.shape, self.waypoint_size), np.float32))
+        return with_waypoints(tracks, np.zeros((*known.shape, self.waypoint_size), np.float32))
 
-    def _perceive(
+    def _track(
         self,
         observation: Observation,
         state: PolicyState,
         is_init: NDArray[np.bool_],
         scenario: Scenario,
-    ) -> tuple[Tracks, Frames]:
-        """See `Policy._perceive`; team-mates report the waypoints of their last decisions."""
-        tracks, features = super()._perceive(observation, state, is_init, scenario)
+    ) -> Tracks:
+        """See `Policy._track`; team-mates report the waypoints of their last decisions."""
+        tracks = super()._track(observation, state, is_init, scenario)
         if not (self.config.observes_intent and scenario.team_tracks):
-            return tracks, features
+            return tracks
         waypoints = self.team_waypoints(state, tracks.ego)
         waypoints[is_init] = 0.0
-        tracks = _with_waypoints(tracks, waypoints)
-        return tracks, self.extract_features(tracks, scenario).to(self.device)
+        return with_waypoints(tracks, waypoints)
 
     def team_waypoints(self, state: PolicyState, ego: NDArray[np.float32]) -> NDArray[np.float32]:
         """See `Policy.team_waypoints`."""
@@ -197,15 +148,7 @@ class HierarchicalPolicy(StochasticPolicy):
         mode = None
         if self.config.modes:
             mode = state["mode"].view(worlds, n)[:, others.reshape(n, n - 1)].cpu()
-        return self._waypoint_features(torch.from_numpy(in_body), mode).numpy()
-
-    def _waypoint_features(self, waypoint: Tensor, mode: Tensor | None) -> Tensor:
-        """Return the features [..., W] of waypoints in the body frame [..., 2] and modes [...]."""
-        features = encode_waypoint(waypoint)
-        if mode is None:
-            return features
-        one_hot = torch.nn.functional.one_hot(mode, len(Mode)).to(features.dtype)
-        return torch.cat([features, one_hot], -1)
+        return encode_macro_action(torch.from_numpy(in_body), mode).numpy()
 
     def step(
         self,
@@ -231,14 +174,14 @@ class HierarchicalPolicy(StochasticPolicy):
             due = due | reached
         macro = self._macro_step(scene, ego, rows, due, noise)
         macro_action = self._ablated(macro)
-        chosen = to_world(self._waypoint_of(route, macro_action), pose)
+        chosen = to_world(waypoint_of(self.config, route, macro_action), pose)
         waypoint = torch.where(due.unsqueeze(-1), chosen, state["waypoint"])
         steps_left = torch.where(due, self._duration(macro_action), steps_left) - 1
 
         following = {"waypoint": waypoint, "steps_left": steps_left}
         if self.config.modes:
             following["mode"] = torch.where(due, macro_action[:, 0].long(), state["mode"])
-        waypoint_features = self._waypoint_features(to_body(waypoint, pose), following.get("mode"))
+        waypoint_features = encode_macro_action(to_body(waypoint, pose), following.get("mode"))
         query = self._local_query(ego, waypoint_features)
         embedding = self._embedding(scene, query, rows, waypoint_features)
         distribution = self.distribution(LOCAL, embedding, rows)
@@ -356,37 +299,6 @@ class HierarchicalPolicy(StochasticPolicy):
             return drawn
         return action
 
-    def _waypoint_of(self, route: Tensor, macro: Tensor) -> Tensor:
-        """Return the waypoints [B, 2] in the body frame (m) of macro actions [B, 2].
-
-        A waypoint is a point on the route, `waypoint_ahead` in front of the robot, moved by the
-        macro action in [-1, 1] times `waypoint_range`; zero means "along the route". Where less
-        than `waypoint_ahead` of the route remains, waypoints are moved by proportionally less:
-        a local level that does not see the goal could not arrive otherwise.
-
-        Args:
-            route: [B, 2] where the route leads next in the body frame, m.
-            macro: [B, A] before clipping.
-        """
-        c = self.config
-        mode, macro = macro[:, 0], macro[:, -2:]
-        distance = route.norm(dim=-1, keepdim=True).clamp(min=1e-6)
-        share = (c.waypoint_ahead / distance).clamp(max=1.0)
-        reach = c.waypoint_range
-        if not c.local_goal:
-            reach = reach * (distance / c.waypoint_ahead).clamp(max=1.0)
-        going = route * share + reach * macro.clamp(-1.0, 1.0)
-        if not c.modes:
-            return going
-        ahead = route / distance
-        left = torch.stack([-ahead[:, 1], ahead[:, 0]], -1)
-        side = (mode == Mode.yield_left).to(route.dtype) - (mode == Mode.yield_right).to(
-            route.dtype
-        )
-        side = side.unsqueeze(-1)
-        making_way = YIELD_ASIDE * side * left - YIELD_BACK * side.abs() * ahead
-        return torch.where((mode == Mode.go).unsqueeze(-1), going, making_way)
-
     def _encoder_input(self, features: Frames) -> Frames:
         """Without `local_goal` the scene, which both levels share, must not reveal the goal."""
         if self.config.local_goal:
@@ -404,32 +316,3 @@ class HierarchicalPolicy(StochasticPolicy):
         if c.modes and self.observes_route:
             query[..., EGO_ROUTE] = target
         return query
-
-
-def _waypoint_size(config: HierarchicalConfig) -> int:
-    return WAYPOINT_FEATURES + len(Mode) * config.modes
-
-
-def _with_waypoints(tracks: Tracks, waypoints: NDArray[np.float32]) -> Tracks:
-    """Return tracks whose robots also have the features [E, N, N - 1, W] of their waypoints."""
-    features, known = tracks.entities["robots"]
-    robots = Entities(np.concatenate([features, waypoints], -1), known)
-    return tracks._replace(entities=tracks.entities | {"robots": robots})
-
-
-def encode_waypoint(waypoint: Tensor) -> Tensor:
-    """Return the features [..., 3] of a waypoint in the body frame [..., 2], m."""
-    return torch.cat([waypoint / 2.0, torch.exp(-waypoint.norm(dim=-1, keepdim=True))], -1)
-
-
-def decode_waypoint(features: Tensor) -> Tensor:
-    """Return the waypoint in the body frame [..., 2], m; the inverse of `encode_waypoint`."""
-    return 2.0 * features[..., 0:2]
-
-
-def without_goal(ego: Tensor) -> Tensor:
-    """Return own states [..., F_e] without the goal, the place and the time."""
-    blind = ego.clone()
-    for hidden in (EGO_TARGET, EGO_PLACE, EGO_TIME):
-        blind[..., hidden] = 0.0
-    return blind

@@ -267,9 +267,19 @@ class Policy(nn.Module, ABC):
         scenario: Scenario,
     ) -> tuple[Tracks, Frames]:
         """Update the tracks of all robots; return them and the features of the networks."""
-        tracker = Tracker(self.config.track_time, scenario.time_step)
-        tracks = tracker.update(observation, state["tracks"], is_init)
+        tracks = self._track(observation, state, is_init, scenario)
         return tracks, self.extract_features(tracks, scenario).to(self.device)
+
+    def _track(
+        self,
+        observation: Observation,
+        state: PolicyState,
+        is_init: NDArray[np.bool_],
+        scenario: Scenario,
+    ) -> Tracks:
+        """Update the tracks of all robots, and return them."""
+        tracker = Tracker(self.config.track_time, scenario.time_step)
+        return tracker.update(observation, state["tracks"], is_init)
 
     @property
     def observes_route(self) -> bool:

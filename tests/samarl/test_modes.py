@@ -11,13 +11,8 @@ from mrsan import ConfigurationError, TeamPerception, World
 from samarl.algorithms import ALGORITHMS
 from samarl.observations.features import to_body
 from samarl.policies.heads import ModalNormal
-from samarl.policies.hierarchical import (
-    YIELD_ASIDE,
-    YIELD_BACK,
-    HierarchicalPolicy,
-    Mode,
-    decode_waypoint,
-)
+from samarl.policies.hierarchical import HierarchicalPolicy
+from samarl.policies.macro_actions import YIELD_ASIDE, YIELD_BACK, Mode, decode_waypoint
 from samarl.policies.policy import MACRO, WAYPOINT_FEATURES
 from tests.learning import REPPO_NUMBERS, SCENARIO, algorithm, collector, policy
 

@@ -14,7 +14,7 @@ from samarl.agents.learned import DeployedPolicy
 from samarl.algorithms.action_limits import action_limits, excess
 from samarl.encoders import ENCODERS
 from samarl.observations.features import to_body
-from samarl.policies.hierarchical import decode_waypoint
+from samarl.policies.macro_actions import decode_waypoint
 from samarl.policies.policy import LOCAL, MACRO, PolicyState
 from tests.learning import SCENARIO, algorithm, choices, collector, policy
 
