@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from mrsan import Observation, Scenario, Step
 from mrsan.features import GOAL
 from samarl.observations.features import speed_of, to_world
+from samarl.policies.hierarchical import HierarchicalPolicy
 from samarl.policies.macro_actions import HierarchicalConfig, Mode
 from samarl.policies.policy import LOCAL, MACRO, Policy, PolicyState
 
@@ -52,7 +53,7 @@ def level_rewards(
     """
     task = _task_reward(policy, shaping, scenario, before, step)
     rewards = {LOCAL: task}
-    if MACRO in policy.levels:
+    if isinstance(policy, HierarchicalPolicy):
         waypoint = state["waypoint"].view(*task.shape, 2).cpu().numpy()
         makes_way = np.zeros(task.shape, np.bool_)
         if policy.has_modes(MACRO):

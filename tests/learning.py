@@ -162,21 +162,21 @@ def policy(
     torch.manual_seed(0)
     numbers = policy_numbers(name, encoder, **changes)
     sizes = None if scenario is None else empty_frames(scenario).sizes
-    made = make_policy(numbers.pop("name"), numbers, 3, sizes)
+    model = make_policy(numbers.pop("name"), numbers, 3, sizes)
     with torch.no_grad():
-        for networks in made.networks:
+        for networks in model.networks:
             for head in networks.heads.values():
                 head.body[-1].weight.mul_(gain)
                 if isinstance(head, ModalGaussian):
                     head.logits.weight.mul_(gain)
-    return made
+    return model
 
 
 def algorithm(of: Policy, name: str = "mappo", **changes: Any) -> PPO:
     """What trains it."""
-    made = ALGORITHMS[name].cls(of, ALGORITHMS.config({"name": name, **PPO_NUMBERS, **changes}))
-    assert isinstance(made, PPO)
-    return made
+    ppo = ALGORITHMS[name].cls(of, ALGORITHMS.config({"name": name, **PPO_NUMBERS, **changes}))
+    assert isinstance(ppo, PPO)
+    return ppo
 
 
 def collector(

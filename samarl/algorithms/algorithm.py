@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Any
+from typing import Any, Protocol
 
 from torch import nn
 
@@ -15,6 +15,12 @@ from samarl.rollout import Rollout
 ALGORITHMS: Registry[Algorithm] = Registry("algorithm")
 
 
+class AlgorithmConfig(Protocol):
+    """What the dataclasses of all algorithms have."""
+
+    learning_rate: float
+
+
 class Algorithm(nn.Module, ABC):
     """Trains a policy on rollouts; critics and other networks are its submodules."""
 
@@ -24,7 +30,7 @@ class Algorithm(nn.Module, ABC):
     uses_shield_targets = False  # rollouts must hold the actions of the safety shield
     supports_data_parallel = False  # gradients can be averaged over processes
 
-    def __init__(self, policy: Policy, config: Any) -> None:
+    def __init__(self, policy: Policy, config: AlgorithmConfig) -> None:
         """Create critics and optimisers.
 
         Args:

@@ -32,7 +32,7 @@ class Encoder(nn.Module, ABC):
     history = 0  # number of frames before the first that `observe` needs, h
     features: int  # length of Y
 
-    def __init__(self, config: Any, sizes: FeatureSizes) -> None:
+    def __init__(self, config: object, sizes: FeatureSizes) -> None:
         """Create the layers.
 
         Args:

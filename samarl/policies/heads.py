@@ -131,3 +131,15 @@ class SpreadGaussian(nn.Module):
 def log_prob(action: Tensor, mean: Tensor, std: Tensor) -> Tensor:
     """Return the log-probability [...] of actions [..., A] under a diagonal Gaussian."""
     return torch.distributions.Normal(mean, std, validate_args=False).log_prob(action).sum(-1)
+
+
+def given_previous_noise(
+    mean: Tensor, std: Tensor, previous: Tensor, correlation: Tensor | float
+) -> tuple[Tensor, Tensor]:
+    """Return loc and scale of correlated actions: only the fresh part of the noise is random.
+
+    With a_t = mean + std n_t and n_t = rho n_(t-1) + sqrt(1 - rho^2) e_t, where e_t is standard
+    normal, a_t given n_(t-1) has the location mean + rho std n_(t-1) and the scale
+    sqrt(1 - rho^2) std.
+    """
+    return mean + correlation * std * previous, (1.0 - correlation**2) ** 0.5 * std

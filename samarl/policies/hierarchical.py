@@ -65,6 +65,7 @@ class HierarchicalPolicy(StochasticPolicy):
     the macro level alone decides where the robot goes.
     """
 
+    config: HierarchicalConfig
     levels = (MACRO, LOCAL)
     waypoint_source = Waypoints.learned
     team_size = 1  # N, for shuffled waypoints

@@ -54,6 +54,7 @@ class LookaheadPolicy(Policy):
     `imitating`; the algorithm sets both.
     """
 
+    config: LookaheadConfig
     epsilon = 0.0
     imitating = False
 

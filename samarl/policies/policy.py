@@ -123,8 +123,11 @@ class Policy(nn.Module, ABC):
 
     levels: tuple[str, ...] = (LOCAL,)
     networks: Sequence[Networks]
+    config: PolicyConfig
 
-    def __init__(self, config: Any, action_size: int, sizes: FeatureSizes | None = None) -> None:
+    def __init__(
+        self, config: PolicyConfig, action_size: int, sizes: FeatureSizes | None = None
+    ) -> None:
         """Create the networks.
 
         Args:

@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor, nn
+from torch import Tensor
 from torch.utils._pytree import tree_map
 
 from mrsan import Observation, Scenario
 from samarl.encoders.encoder import samples_of
 from samarl.observations.frames import Frames
-from samarl.policies.heads import ModalNormal, log_prob
+from samarl.policies.heads import given_previous_noise, log_prob
 from samarl.policies.policy import (
     LOCAL,
     Decision,
@@ -225,34 +225,11 @@ class StochasticPolicy(Policy):
             return self._embeddings(scene, ego, rows, waypoint_features, decision_indices)
 
     def actor(self, level: str) -> ProbabilisticActor:
-        """Return a level as TorchRL's actor, which its losses accept.
+        """Return a level as TorchRL's actor, which its losses accept; see `make_actor`."""
+        # Imported here because it imports TorchRL, which takes seconds and only training needs.
+        from samarl.policies.torchrl_actor import make_actor
 
-        It reads `embedding` [Q, Y] (see `embed`) and `row` [Q] (see `Policy._per_parameter_set`),
-        for the local level also `previous_noise` [Q, A] and `noise_correlation` [Q, 1]. It writes
-        `loc` and `scale` [Q, A] of the distribution of `action` given the previous noise, and
-        `mean` and `std` [Q, A] without that condition.
-        """
-        # Imported here because it takes seconds, and only training needs it.
-        from tensordict.nn import TensorDictModule
-        from torchrl.modules import IndependentNormal, ProbabilisticActor
-
-        noise = ["previous_noise", "noise_correlation"] if level == LOCAL else []
-        has_modes = self.has_modes(level)
-        parameters = ["logits", "loc", "scale"] if has_modes else ["loc", "scale"]
-        head = TensorDictModule(
-            LevelHead(self, level),
-            in_keys=["embedding", "row", *noise],
-            out_keys=[*parameters, "mean", "std"],
-        )
-        return ProbabilisticActor(
-            head,
-            in_keys=parameters,
-            out_keys=["action"],
-            distribution_class=ModalNormal if has_modes else IndependentNormal,
-            distribution_kwargs={} if has_modes else {"validate_args": False},
-            return_log_prob=True,
-            log_prob_key="sample_log_prob",
-        )
+        return make_actor(self, level)
 
     def evaluate(
         self,
@@ -385,38 +362,3 @@ class StochasticPolicy(Policy):
         loc, scale = given_previous_noise(mean, std, previous, rho)
         level = LevelStep(action, log_prob(action, loc, scale), everywhere)
         return mean, level, previous, current
-
-
-class LevelHead(nn.Module):
-    """One level of a policy as a module, see `StochasticPolicy.actor`."""
-
-    def __init__(self, policy: StochasticPolicy, level: str) -> None:
-        super().__init__()
-        self.policy, self.level = policy, level
-
-    def forward(
-        self,
-        embedding: Tensor,
-        row: Tensor,
-        previous_noise: Tensor | None = None,
-        noise_correlation: Tensor | float = 0.0,
-    ) -> tuple[Tensor, ...]:
-        """Return the logits [Q, M] of a level with modes; loc, scale, mean and std, [Q, A] each."""
-        mean, std = self.policy.distribution(self.level, embedding, row)
-        if self.policy.has_modes(self.level):
-            return self.policy.mode_logits(embedding, row), mean, std, mean, std
-        if previous_noise is None:
-            return mean, std, mean, std
-        return *given_previous_noise(mean, std, previous_noise, noise_correlation), mean, std
-
-
-def given_previous_noise(
-    mean: Tensor, std: Tensor, previous: Tensor, correlation: Tensor | float
-) -> tuple[Tensor, Tensor]:
-    """Return loc and scale of correlated actions: only the fresh part of the noise is random.
-
-    With a_t = mean + std n_t and n_t = rho n_(t-1) + sqrt(1 - rho^2) e_t, where e_t is standard
-    normal, a_t given n_(t-1) has the location mean + rho std n_(t-1) and the scale
-    sqrt(1 - rho^2) std.
-    """
-    return mean + correlation * std * previous, (1.0 - correlation**2) ** 0.5 * std

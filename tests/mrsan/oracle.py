@@ -81,17 +81,17 @@ def half_plane(
     centre, r = p / horizon, radius / horizon
     half_angle = math.asin(radius / distance)
     bearing = math.atan2(p[1], p[0])
-    found = []
+    candidates = []
     outward = (v - centre) / np.hypot(*(v - centre))
     if math.acos(np.clip(-outward @ p / distance, -1, 1)) <= math.acos(radius / distance):
-        found.append((centre + r * outward, outward))  # the arc that faces the agent
+        candidates.append((centre + r * outward, outward))  # the arc that faces the agent
     for side in (1.0, -1.0):
         leg = bearing + side * half_angle
         along = np.array([math.cos(leg), math.sin(leg)])
         normal = side * np.array([-along[1], along[0]])
         tangent_point = math.sqrt(distance**2 - radius**2) / horizon
-        found.append((along * max(float(v @ along), tangent_point), normal))
-    nearest, normal = min(found, key=lambda point: np.hypot(*(point[0] - v)))
+        candidates.append((along * max(float(v @ along), tangent_point), normal))
+    nearest, normal = min(candidates, key=lambda point: np.hypot(*(point[0] - v)))
     return nearest - v, normal
 
 
@@ -114,12 +114,12 @@ def solve(
         corners += _on_circle(n, b, max_speed)
     for i, j in itertools.combinations(range(len(points)), 2):
         corners += _crossing(normals[i], offsets[i], normals[j], offsets[j])
-    found = np.array(corners)
-    inside = np.hypot(*found.T) <= max_speed + 1e-7
-    permitted = inside & (found @ normals.T >= offsets - 1e-7).all(1)
+    candidates = np.array(corners)
+    inside = np.hypot(*candidates.T) <= max_speed + 1e-7
+    permitted = inside & (candidates @ normals.T >= offsets - 1e-7).all(1)
     if permitted.any():
-        found = found[permitted]
-        return found[np.argmin(np.hypot(*(found - preferred).T))]
+        candidates = candidates[permitted]
+        return candidates[np.argmin(np.hypot(*(candidates - preferred).T))]
     # Violations are equal along the bisector of two lines; the optimum is a corner of bisectors
     # and the circle, or the point of the circle farthest into one line's permitted side.
     corners = list(normals * max_speed)
@@ -134,9 +134,9 @@ def solve(
     for (i, j, n, b), (k, m, o, c) in itertools.combinations(bisectors, 2):
         if i == k and j < m:  # the three bisectors of a triple share one point
             corners += _crossing(n, b, o, c)
-    found = np.array(corners)
-    found = found[np.hypot(*found.T) <= max_speed + 1e-7]
-    return found[np.argmin((offsets - found @ normals.T).max(1))]
+    candidates = np.array(corners)
+    candidates = candidates[np.hypot(*candidates.T) <= max_speed + 1e-7]
+    return candidates[np.argmin((offsets - candidates @ normals.T).max(1))]
 
 
 def _on_circle(n: np.ndarray, b: float, radius: float) -> list[np.ndarray]:

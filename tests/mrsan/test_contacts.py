@@ -61,5 +61,5 @@ def test_a_robot_at_rest_is_hit_by_a_human_that_passes_through() -> None:
 )
 def test_closest_approach(start, end, expected: float) -> None:
     f = np.float32
-    found = closest_approach(f(start[0]), f(start[1]), f(end[0]), f(end[1]))
-    assert found == pytest.approx(expected, abs=1e-6)
+    distance = closest_approach(f(start[0]), f(start[1]), f(end[0]), f(end[1]))
+    assert distance == pytest.approx(expected, abs=1e-6)

@@ -107,8 +107,8 @@ def test_auto_reset_keeps_what_ended_and_begins_another_episode() -> None:
         assert step.finished.case.tolist() == cases[done].tolist()
         expected = episodes_of(manual.state, scenario, new)
         rows = np.flatnonzero(new[done])  # those in their first episode
-        for mine, theirs in zip(step.finished, expected, strict=True):
-            np.testing.assert_array_equal(mine[rows], theirs)
+        for field_values, theirs in zip(step.finished, expected, strict=True):
+            np.testing.assert_array_equal(field_values[rows], theirs)
         final = step.final_observation.arrays()
         for name, array in reference.observation.of_worlds(new).arrays().items():
             np.testing.assert_array_equal(final[name][rows], array)

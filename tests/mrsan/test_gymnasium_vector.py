@@ -10,10 +10,10 @@ E, STEPS = 6, 60
 FIELDS = {"humans": 6, "time_limit": 5.0, "circle_radius": 2.5, "goal_distance": 2.0}
 
 
-def assert_same(mine: dict, theirs: dict) -> None:
-    assert mine.keys() == theirs.keys()
+def assert_same(vector_data: dict, theirs: dict) -> None:
+    assert vector_data.keys() == theirs.keys()
     for key, value in theirs.items():
-        np.testing.assert_array_equal(mine[key], value, err_msg=key)
+        np.testing.assert_array_equal(vector_data[key], value, err_msg=key)
 
 
 def both(mode: AutoresetMode) -> tuple[GymnasiumVectorEnv, SyncVectorEnv]:
@@ -28,15 +28,15 @@ def test_step_by_step_like_a_vector_of_single_environments(mode: AutoresetMode) 
     assert vector.single_observation_space == sync.single_observation_space
     assert vector.action_space == sync.action_space
     rng = np.random.default_rng(0)
-    mine, theirs = vector.reset(seed=11)[0], sync.reset(seed=11)[0]
-    assert_same(mine, theirs)
+    observation, theirs = vector.reset(seed=11)[0], sync.reset(seed=11)[0]
+    assert_same(observation, theirs)
     ends = 0
     for _ in range(STEPS):
         actions = rng.uniform(-1, 1, (E, 3)).astype(np.float32)
         actions[:, 0] = 1
-        mine, reward, terminated, truncated, info = vector.step(actions)
+        observation, reward, terminated, truncated, info = vector.step(actions)
         theirs, reward2, terminated2, truncated2, info2 = sync.step(actions)
-        assert_same(mine, theirs)
+        assert_same(observation, theirs)
         np.testing.assert_array_equal(reward, reward2)
         np.testing.assert_array_equal(terminated, terminated2)
         np.testing.assert_array_equal(truncated, truncated2)
@@ -56,9 +56,9 @@ def test_step_by_step_like_a_vector_of_single_environments(mode: AutoresetMode) 
         if done.any() and mode is AutoresetMode.DISABLED:
             with pytest.raises(RuntimeError, match="has ended; reset it"):
                 vector.step(actions)
-            mine = vector.reset(options={"reset_mask": done})[0]
+            observation = vector.reset(options={"reset_mask": done})[0]
             theirs = sync.reset(options={"reset_mask": done})[0]
-            assert_same(mine, theirs)
+            assert_same(observation, theirs)
     assert ends > E
 
 

@@ -61,11 +61,11 @@ print(advance.serial._cache.cache_path)
 """
 
 
-@pytest.mark.parametrize("taken", [False, True])
+@pytest.mark.parametrize("folder_exists", [False, True])
 def test_where_nothing_can_be_written_kernels_lie_in_a_private_temporary_folder(
-    taken: bool, tmp_path: Path
+    folder_exists: bool, tmp_path: Path
 ) -> None:
-    if taken:  # somebody else may have put code there
+    if folder_exists:  # somebody else may have put code there
         folder = tmp_path / f"mrsan-kernels-{os.getuid()}"
         folder.mkdir()
         folder.chmod(0o777)

@@ -125,14 +125,14 @@ def test_people_of_the_square_go_anywhere() -> None:
 
 def test_mixed_is_each_of_the_layouts_as_often() -> None:
     mixed = begun(1000, humans=5, layout=Layout.mixed).state
-    found = np.zeros(1000, int)
+    matches = np.zeros(1000, int)
     for layout in OPEN:
         one = begun(1000, humans=5, layout=layout).state
         same = (mixed.human_position == one.human_position).all((1, 2))
         same &= (mixed.robot_goal == one.robot_goal).all((1, 2))
         assert same.mean() == pytest.approx(0.25, abs=0.07)
-        found += same
-    assert (found == 1).all()
+        matches += same
+    assert (matches == 1).all()
 
 
 def test_a_share_of_people_is_in_a_hurry() -> None:

@@ -73,10 +73,10 @@ def test_what_team_mates_tell_is_not_in_view() -> None:
     """The second robot sees the person behind the first, and says so."""
     robots = [(0, 0, 0, 0, 9, 0), (-4, 0, 0, 0, 9, 3)]
     fields: dict[str, Any] = {"fov_degrees": 90.0, "reward": ON}
-    told = stage(robots, [(-1.2, 0, 0.6, 0)], team_perception=TeamPerception.tracks, **fields)
-    observation = told.step([[COAST, COAST]]).observation
+    team_world = stage(robots, [(-1.2, 0, 0.6, 0)], team_perception=TeamPerception.tracks, **fields)
+    observation = team_world.step([[COAST, COAST]]).observation
     assert observation.humans_reported[0].tolist() == [[True], [False]]
-    assert paid(told, COAST, COAST) == [0.0, 0.0]
+    assert paid(team_world, COAST, COAST) == [0.0, 0.0]
     seen = stage(robots, [(-1.2, 0, 0.6, 0)], reward=ON)
     seen.step([[COAST, COAST]])
     assert paid(seen, COAST, COAST)[0] < 0.0
@@ -94,8 +94,8 @@ def test_who_drives_on_after_a_collision_is_paid_again() -> None:
     """They touch in three steps; then it meets another one."""
     crowd = [(0.7, 0, -1, 0), (3.0, 0, 0, 0)]
     world = stage([DRIVER], crowd, reward=ON, collisions_end=False)
-    found = [paid(world, COAST)[0] for _ in range(5)]
-    assert found == [0.0, 0.0, 0.0, after(5), after(4)]
+    rewards = [paid(world, COAST)[0] for _ in range(5)]
+    assert rewards == [0.0, 0.0, 0.0, after(5), after(4)]
 
 
 def test_after_the_end_nothing_is_paid() -> None:
@@ -185,9 +185,9 @@ def played(world: World, steps: int) -> list[np.ndarray]:
 def test_the_same_to_the_bit_alone_and_among_others() -> None:
     everybody, alone = World(RECURRENT, 24, True), World(RECURRENT, 1, True)
     everybody.reset(np.arange(24)), alone.reset([7])
-    found, again = played(everybody, 60), played(alone, 60)
-    np.testing.assert_array_equal([r[7] for r in found], [r[0] for r in again])
-    assert any(r.any() for r in found)
+    rewards, again = played(everybody, 60), played(alone, 60)
+    np.testing.assert_array_equal([r[7] for r in rewards], [r[0] for r in again])
+    assert any(r.any() for r in rewards)
 
 
 def test_going_back_goes_back_in_what_is_remembered_of_people() -> None:

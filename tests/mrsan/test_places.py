@@ -79,8 +79,8 @@ def test_routes_are_the_shortest_in_the_graph(layout: Layout) -> None:
             length = np.linalg.norm(nodes[:, None] - nodes[None], axis=-1)
             expected = dijkstra(np.where(free, length, np.inf))
             route = route_of(state, e, agent, start, goal)
-            found = sum(np.linalg.norm(b - a) for a, b in pairwise(route))
-            assert found == pytest.approx(expected, abs=0.01)
+            route_length = sum(np.linalg.norm(b - a) for a, b in pairwise(route))
+            assert route_length == pytest.approx(expected, abs=0.01)
 
 
 def dijkstra(length: np.ndarray) -> float:

@@ -48,10 +48,10 @@ def walks(worlds: int = 5, people: int = 4) -> People:
 
 def test_constant_velocity_by_hand() -> None:
     past = np.array([[[[9, 9], [1, 2]]]], np.float32)
-    found = ConstantVelocity(DT).predict(
+    positions = ConstantVelocity(DT).predict(
         past, np.ones((1, 1, 2), bool), np.array([[[1, -2]]], np.float32), 3
     )
-    np.testing.assert_array_equal(found, [[[[1.25, 1.5], [1.5, 1.0], [1.75, 0.5]]]])
+    np.testing.assert_array_equal(positions, [[[[1.25, 1.5], [1.5, 1.0], [1.75, 0.5]]]])
 
 
 def test_weights_of_zero_are_constant_velocity_to_the_bit() -> None:
@@ -69,14 +69,14 @@ def test_it_turns_and_moves_with_the_world(angle: float) -> None:
     turn = np.array([[cos, sin], [-sin, cos]], np.float32)
     past, known, velocity = walks()
     moved = past @ turn + np.float32(3), known, velocity @ turn
-    found = NETWORK.predict(past, known, velocity, K) @ turn + np.float32(3)
-    np.testing.assert_allclose(NETWORK.predict(*moved, K), found, atol=1e-4)
+    positions = NETWORK.predict(past, known, velocity, K) @ turn + np.float32(3)
+    np.testing.assert_allclose(NETWORK.predict(*moved, K), positions, atol=1e-4)
 
 
 def test_who_never_moved_is_expected_to_stay() -> None:
     past = np.ones((1, 1, H, 2), np.float32)
-    found = NETWORK.predict(past, np.ones((1, 1, H), bool), np.zeros((1, 1, 2), np.float32), K)
-    np.testing.assert_array_equal(found, np.ones((1, 1, K, 2)))
+    positions = NETWORK.predict(past, np.ones((1, 1, H), bool), np.zeros((1, 1, 2), np.float32), K)
+    np.testing.assert_array_equal(positions, np.ones((1, 1, K, 2)))
 
 
 def test_who_stops_is_predicted_in_the_direction_of_before() -> None:
@@ -92,18 +92,18 @@ def test_what_is_not_known_does_not_matter_by_one_bit() -> None:
     known[..., -1] = True
     other = np.where(known[..., None], past, np.float32(77))
     assert (other != past).any()
-    found = NETWORK.predict(past, known, velocity, K)
-    np.testing.assert_array_equal(NETWORK.predict(other, known, velocity, K), found)
+    positions = NETWORK.predict(past, known, velocity, K)
+    np.testing.assert_array_equal(NETWORK.predict(other, known, velocity, K), positions)
 
 
 def test_alone_or_among_others_it_is_the_same_to_the_bit() -> None:
     past, known, velocity = walks(worlds=300)
-    found = NETWORK.predict(past, known, velocity, K)
+    positions = NETWORK.predict(past, known, velocity, K)
     for rows in (slice(0, 1), slice(17, 40)):
         some = NETWORK.predict(past[rows], known[rows], velocity[rows], K)
-        np.testing.assert_array_equal(some, found[rows])
+        np.testing.assert_array_equal(some, positions[rows])
     one = NETWORK.predict(past[3, 2], known[3, 2], velocity[3, 2], K)
-    np.testing.assert_array_equal(one, found[3, 2])
+    np.testing.assert_array_equal(one, positions[3, 2])
 
 
 def read(w: dict[str, np.ndarray], hidden: list[float], x: float, y: float) -> list[float]:
@@ -129,8 +129,8 @@ def read(w: dict[str, np.ndarray], hidden: list[float], x: float, y: float) -> l
 
 def test_the_network_agrees_with_plain_python() -> None:
     w, (past, known, velocity) = weights(), walks(worlds=1)
-    found = NETWORK.predict(past, known, velocity, K)[0]
-    for j in range(len(found)):
+    positions = NETWORK.predict(past, known, velocity, K)[0]
+    for j in range(len(positions)):
         angle = np.arctan2(velocity[0, j, 1], velocity[0, j, 0])
         cos, sin = np.cos(angle), np.sin(angle)
         hidden = [0.0] * HIDDEN
@@ -149,7 +149,7 @@ def test_the_network_agrees_with_plain_python() -> None:
                 cos * place[0] - sin * place[1],
                 sin * place[0] + cos * place[1],
             ]
-            np.testing.assert_allclose(found[j, k], expected, atol=2e-5)
+            np.testing.assert_allclose(positions[j, k], expected, atol=2e-5)
 
 
 @pytest.mark.parametrize(
@@ -160,11 +160,11 @@ def test_every_predictor_does_what_the_interface_says(name: str) -> None:
     past, known, velocity = walks()
     past = np.repeat(past, predictor.history, 2)[:, :, -predictor.history :]
     known = np.repeat(known, predictor.history, 2)[:, :, -predictor.history :]
-    found = predictor.predict(past, known, velocity, K)
-    assert found.shape == (5, 4, K, 2)
-    assert found.dtype == np.float32
-    assert np.isfinite(found).all()
-    np.testing.assert_array_equal(predictor.predict(past, known, velocity, K), found)
+    positions = predictor.predict(past, known, velocity, K)
+    assert positions.shape == (5, 4, K, 2)
+    assert positions.dtype == np.float32
+    assert np.isfinite(positions).all()
+    np.testing.assert_array_equal(predictor.predict(past, known, velocity, K), positions)
     assert predictor.predict(past[:, :0], known[:, :0], velocity[:, :0], K).shape == (5, 0, K, 2)
 
 
@@ -178,9 +178,9 @@ def written(folder: Path, content: bytes, **card: object) -> str:
 
 
 def test_a_file_is_what_was_written(tmp_path: Path) -> None:
-    found = find_predictor(written(tmp_path, save(weights())), DT)
-    assert found.history == H
-    np.testing.assert_array_equal(found.predict(*walks(), K), NETWORK.predict(*walks(), K))
+    predictor = find_predictor(written(tmp_path, save(weights())), DT)
+    assert predictor.history == H
+    np.testing.assert_array_equal(predictor.predict(*walks(), K), NETWORK.predict(*walks(), K))
 
 
 def test_what_is_wrong_with_a_file_is_said_in_one_line(tmp_path: Path) -> None:

@@ -85,14 +85,14 @@ def test_a_world_with_absent_people_is_the_world_without_them(crowd: Crowd) -> N
     gone = world.state.human_position[:, ~here].copy()
     for _ in range(6):  # nobody comes to a goal so soon: a new one is drawn by the number of a slot
         actions = rng.uniform(-1, 1, (E, 2, 3)).astype(np.float32)
-        mine, theirs = world.step(actions), left.step(actions)
-        np.testing.assert_array_equal(mine.observation.ego, theirs.observation.ego)
+        step, theirs = world.step(actions), left.step(actions)
+        np.testing.assert_array_equal(step.observation.ego, theirs.observation.ego)
         np.testing.assert_array_equal(
-            mine.observation.humans[:, :, here], theirs.observation.humans
+            step.observation.humans[:, :, here], theirs.observation.humans
         )
-        assert not mine.observation.humans_visible[..., ~here].any()
-        np.testing.assert_array_equal(mine.reward, theirs.reward)
-        np.testing.assert_array_equal(mine.terminated, theirs.terminated)
+        assert not step.observation.humans_visible[..., ~here].any()
+        np.testing.assert_array_equal(step.reward, theirs.reward)
+        np.testing.assert_array_equal(step.terminated, theirs.terminated)
         np.testing.assert_array_equal(
             world.state.human_position[:, here], left.state.human_position
         )

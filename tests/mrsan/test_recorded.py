@@ -181,9 +181,9 @@ def test_with_few_slots_the_nearest_are_kept() -> None:
     for e in range(len(CASES)):
         there = many.state.human_position[e, many.state.human_present[e]]
         away = np.linalg.norm(there[:, None] - many.state.robot_position[e], axis=-1).min(1)
-        kept = few.state.human_position[e, few.state.human_present[e]]
-        found = np.linalg.norm(kept[:, None] - many.state.robot_position[e], axis=-1).min(1)
-        np.testing.assert_allclose(found, np.sort(away)[:3])
+        places = few.state.human_position[e, few.state.human_present[e]]
+        distances = np.linalg.norm(places[:, None] - many.state.robot_position[e], axis=-1).min(1)
+        np.testing.assert_allclose(distances, np.sort(away)[:3])
 
 
 def test_a_slot_is_not_another_person_before_it_is_forgotten() -> None:

@@ -66,8 +66,8 @@ def test_the_ends_of_each_range_can_be_used(owner: type, name: str, end: str) ->
     if end == "low" and field.metadata["above"]:
         value = 1e-3
     others = {} if owner is not Scenario else dict(ROOM.get((name, end), {}))
-    made = make(owner, **{name: value}, **others)
-    assert getattr(made.reward if owner is Reward else made, name) == value
+    configuration = make(owner, **{name: value}, **others)
+    assert getattr(configuration.reward if owner is Reward else configuration, name) == value
 
 
 @pytest.mark.parametrize("name", [f.name for f in dataclasses.fields(Scenario) if f.type == "bool"])

@@ -78,22 +78,22 @@ def test_only_the_chosen_worlds_go_back() -> None:
     alone = begun()
     for some, start in ((SOME, past), (~SOME, present)):
         alone.restore(start)
-        for mine, theirs in zip(go_on(alone), later, strict=True):
-            assert bits(mine.observation.of_worlds(some)) == bits(
+        for step, theirs in zip(go_on(alone), later, strict=True):
+            assert bits(step.observation.of_worlds(some)) == bits(
                 theirs.observation.of_worlds(some)
             )
-            np.testing.assert_array_equal(mine.reward[some], theirs.reward[some])
+            np.testing.assert_array_equal(step.reward[some], theirs.reward[some])
 
 
 def test_a_snapshot_is_a_copy_and_so_is_what_is_restored() -> None:
     world = begun()
     past = world.snapshot()
-    kept = bits(past)
+    past_bytes = bits(past)
     go_on(world)
-    assert bits(past) == kept
+    assert bits(past) == past_bytes
     world.restore(past)
     go_on(world)
-    assert bits(past) == kept
+    assert bits(past) == past_bytes
 
 
 def test_an_ended_world_can_be_taken_back_before_its_end() -> None:

@@ -156,12 +156,12 @@ def test_a_step_counts_what_the_twin_counts(scenario: Scenario, seed: int, room:
     soonest = oracle.soonest_collisions(after, scenario, expected.margin)
     assume(expected.margin.smallest > THRESHOLD_MARGIN)
 
-    found = dict(zip(TALLY, after["tally"].T, strict=True))
+    tally = dict(zip(TALLY, after["tally"].T, strict=True))
     for name, added in expected.tally.items():
-        np.testing.assert_allclose(found[name], added, rtol=0, atol=TOLERANCE, err_msg=name)
+        np.testing.assert_allclose(tally[name], added, rtol=0, atol=TOLERANCE, err_msg=name)
     soonest[expected.contact == Outcome.hit_human] = 0.0
     soonest[before["arrived"]] = math.inf
-    found_soonest = np.minimum(found["soonest_collision"], 10.0)
+    found_soonest = np.minimum(tally["soonest_collision"], 10.0)
     np.testing.assert_allclose(found_soonest, np.minimum(soonest, 10.0), rtol=1e-3, atol=1e-3)
 
 

@@ -92,16 +92,16 @@ def assert_same_step(
     before: Step,
     after: Step,
     matrix: NDArray,
-    kept: NDArray,
+    steady: NDArray,
     sign: np.float32,
 ) -> None:
-    """`other` went on as `world` did, transformed by `matrix`, in the worlds `kept`."""
-    np.testing.assert_allclose(before.reward[kept], after.reward[kept], atol=1e-3)
+    """`other` went on as `world` did, transformed by `matrix`, in the worlds `steady`."""
+    np.testing.assert_allclose(before.reward[steady], after.reward[steady], atol=1e-3)
     np.testing.assert_array_equal(before.terminated, after.terminated)
     for name in ("robot_position", "robot_velocity", "human_position", "human_velocity"):
-        expected = getattr(world.state, name)[kept] @ matrix.T
-        np.testing.assert_allclose(getattr(other.state, name)[kept], expected, atol=5e-4)
-    rows = (step.observation.of_worlds(kept) for step in (before, after))
+        expected = getattr(world.state, name)[steady] @ matrix.T
+        np.testing.assert_allclose(getattr(other.state, name)[steady], expected, atol=5e-4)
+    rows = (step.observation.of_worlds(steady) for step in (before, after))
     assert_same_observation(*rows, sign, 5e-4)
 
 
@@ -117,10 +117,10 @@ def test_a_rotated_world_goes_on_rotated(degrees: float, crowd: Crowd) -> None:
     rotated = transform(world, matrix, headings)
     assert_same_observation(world.observe(), rotated.observe(), np.float32(1))
 
-    kept = well_conditioned(world)
+    steady = well_conditioned(world)
     before, after = world.step(actions()), rotated.step(actions())
 
-    assert_same_step(world, rotated, before, after, matrix, kept, np.float32(1))
+    assert_same_step(world, rotated, before, after, matrix, steady, np.float32(1))
     heading = after.observation.ego[..., HEADING]
     np.testing.assert_allclose(heading, before.observation.ego[..., HEADING] @ matrix.T, atol=1e-5)
 
@@ -130,10 +130,10 @@ def test_a_mirrored_world_goes_on_mirrored() -> None:
     world = scattered(SCENARIO)
     mirrored = transform(world, matrix, -world.state.robot_heading)
     assert_same_observation(world.observe(), mirrored.observe(), np.float32(-1))
-    kept = well_conditioned(world)
+    steady = well_conditioned(world)
     before = world.step(actions())
     after = mirrored.step(actions() * np.float32([1, -1, -1]))  # lateral and turn change sides
-    assert_same_step(world, mirrored, before, after, matrix, kept, np.float32(-1))
+    assert_same_step(world, mirrored, before, after, matrix, steady, np.float32(-1))
 
 
 def test_renumbered_humans_are_seen_and_walk_renumbered() -> None:

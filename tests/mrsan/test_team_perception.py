@@ -47,23 +47,25 @@ def in_world(observation: Observation, world: World, kind: str) -> np.ndarray:
 
 def test_a_robot_knows_who_any_in_reach_sees_and_where_they_are() -> None:
     heard = 0
-    for (told, then), (alone, _) in zip(played(team()), played(NARROW), strict=True):
+    for (observation, then), (alone, _) in zip(played(team()), played(NARROW), strict=True):
         n = NARROW.robots
         anybody = alone.humans_visible.any(1, keepdims=True)
-        np.testing.assert_array_equal(told.humans_visible, anybody.repeat(n, 1))
-        np.testing.assert_array_equal(told.humans_reported, anybody & ~alone.humans_visible)
-        assert told.robots_visible.all()
-        np.testing.assert_array_equal(told.robots_reported, ~alone.robots_visible)
+        np.testing.assert_array_equal(observation.humans_visible, anybody.repeat(n, 1))
+        np.testing.assert_array_equal(observation.humans_reported, anybody & ~alone.humans_visible)
+        assert observation.robots_visible.all()
+        np.testing.assert_array_equal(observation.robots_reported, ~alone.robots_visible)
         there = np.concatenate([then.state.human_position, then.state.human_velocity], -1)
-        known = in_world(told, then, "humans")
-        rows = told.humans_reported
+        known = in_world(observation, then, "humans")
+        rows = observation.humans_reported
         heard += rows.sum()
         true = np.broadcast_to(there[:, None], known.shape)
         np.testing.assert_allclose(known[rows], true[rows], atol=2e-5)
         others = [[k for k in range(n) if k != i] for i in range(n)]
         poses = np.concatenate([then.state.robot_position, then.state.robot_velocity], -1)
-        np.testing.assert_allclose(in_world(told, then, "robots"), poses[:, others], atol=2e-5)
-        assert (told.humans[rows][:, 4] == np.float32(0.3)).all()
+        np.testing.assert_allclose(
+            in_world(observation, then, "robots"), poses[:, others], atol=2e-5
+        )
+        assert (observation.humans[rows][:, 4] == np.float32(0.3)).all()
     assert heard > 1000
 
 
@@ -79,33 +81,37 @@ def test_a_robot_knows_who_any_in_reach_sees_and_where_they_are() -> None:
 )
 def test_what_nobody_tells_changes_no_bit(scenario: Scenario) -> None:
     without = replace(scenario, team_perception=TeamPerception.none)
-    for (told, _), (alone, _) in zip(played(scenario), played(without), strict=True):
-        assert not told.humans_reported.any()
-        assert not told.robots_reported.any()
-        for mine, theirs in zip(told.agents, alone.agents, strict=True):
-            np.testing.assert_array_equal(mine, theirs)
+    for (observation, _), (alone, _) in zip(played(scenario), played(without), strict=True):
+        assert not observation.humans_reported.any()
+        assert not observation.robots_reported.any()
+        for array, theirs in zip(observation.agents, alone.agents, strict=True):
+            np.testing.assert_array_equal(array, theirs)
 
 
 def test_what_is_seen_is_not_changed_by_what_is_told() -> None:
-    for (told, _), (alone, _) in zip(played(team()), played(NARROW), strict=True):
+    for (observation, _), (alone, _) in zip(played(team()), played(NARROW), strict=True):
         seen = alone.humans_visible
-        np.testing.assert_array_equal(told.humans[seen], alone.humans[seen])
+        np.testing.assert_array_equal(observation.humans[seen], alone.humans[seen])
         np.testing.assert_array_equal(
-            told.robots[alone.robots_visible], alone.robots[alone.robots_visible]
+            observation.robots[alone.robots_visible], alone.robots[alone.robots_visible]
         )
 
 
 def test_alone_there_is_nobody_to_tell() -> None:
     one = replace(NARROW, robots=1)
-    for (told, _), (alone, _) in zip(played(team(one)), played(one), strict=True):
-        for mine, theirs in zip(told.agents, alone.agents, strict=True):
-            np.testing.assert_array_equal(mine, theirs)
+    for (observation, _), (alone, _) in zip(played(team(one)), played(one), strict=True):
+        for array, theirs in zip(observation.agents, alone.agents, strict=True):
+            np.testing.assert_array_equal(array, theirs)
 
 
 def test_out_of_reach_is_measured_between_the_robots() -> None:
-    told = dict(zip(("far", "near"), (team(team_range=30.0), team(team_range=5.0)), strict=True))
+    scenarios = dict(
+        zip(("far", "near"), (team(team_range=30.0), team(team_range=5.0)), strict=True)
+    )
     near = fewer = 0
-    for (far, then), (close, _) in zip(played(told["far"]), played(told["near"]), strict=True):
+    for (far, then), (close, _) in zip(
+        played(scenarios["far"]), played(scenarios["near"]), strict=True
+    ):
         position = then.state.robot_position
         apart = np.linalg.norm(position[:, :, None] - position[:, None], axis=-1)
         reach = (apart <= 5.0) & ~np.eye(NARROW.robots, dtype=bool)
@@ -119,20 +125,20 @@ def test_out_of_reach_is_measured_between_the_robots() -> None:
 def test_a_delayed_track_is_moved_on() -> None:
     delayed = team(team_delay=0.75)
     frames, alone = played(delayed), played(NARROW)
-    for t, (told, _) in enumerate(frames):
+    for t, (observation, _) in enumerate(frames):
         if t < 3:
-            assert not told.humans_reported.any()
+            assert not observation.humans_reported.any()
             continue
         before, then = alone[t - 3]
         seen = before.humans_visible
         others = seen.sum(1, keepdims=True) > seen  # somebody else saw it
         own = alone[t][0].humans_visible
         going = frames[t][1].state.clock == t  # the clock of a world that has ended stands still
-        np.testing.assert_array_equal(told.humans_reported[going], (others & ~own)[going])
+        np.testing.assert_array_equal(observation.humans_reported[going], (others & ~own)[going])
         s = then.state
         expected = s.human_position + 0.75 * s.human_velocity
-        known = in_world(told, frames[t][1], "humans")[..., :2]
-        rows = told.humans_reported & going[:, None, None]
+        known = in_world(observation, frames[t][1], "humans")[..., :2]
+        rows = observation.humans_reported & going[:, None, None]
         true = np.broadcast_to(expected[:, None], known.shape)
         np.testing.assert_allclose(known[rows], true[rows], atol=2e-5)
 
@@ -152,7 +158,7 @@ def test_a_restored_world_says_the_same_again() -> None:
         observation = world.step(np.full((4, 4, 3), 0.3, np.float32)).observation
     other = World(scenario, 4)
     other.restore(world.snapshot())
-    for mine, theirs in zip(
+    for array, theirs in zip(
         other.observe().arrays().values(), observation.arrays().values(), strict=True
     ):
-        np.testing.assert_array_equal(mine, theirs)
+        np.testing.assert_array_equal(array, theirs)

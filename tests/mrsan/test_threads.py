@@ -45,10 +45,10 @@ def test_kernels_never_run_on_threads_that_spin_for_long(
 
 @pytest.mark.parametrize("first", ["import mrsan, torch", "import torch, mrsan"])
 def test_kernels_leave_torch_the_threads_that_it_was_given(first: str) -> None:
-    told = f"{first}\ntorch.set_num_threads(1)\n{PLAY}"
-    told = told.replace("numba.set_num_threads(2)", "") + "print(torch.get_num_threads())"
+    program = f"{first}\ntorch.set_num_threads(1)\n{PLAY}"
+    program = program.replace("numba.set_num_threads(2)", "") + "print(torch.get_num_threads())"
     done = subprocess.run(
-        [sys.executable, "-c", told],
+        [sys.executable, "-c", program],
         env=os.environ | {"NUMBA_NUM_THREADS": "2"},
         capture_output=True,
         text=True,

@@ -71,8 +71,8 @@ def test_all_wrappers_play_a_case_alike(scenario: Scenario) -> None:
         td = batch.step(td.set(("agents", "action"), torch.from_numpy(actions[t])))["next"]
         np.testing.assert_array_equal(td["agents", "reward"][..., 0].numpy(), step.reward)
         for name, part in step.reward_parts._asdict().items():
-            found = td["agents", "reward_parts", name]
-            np.testing.assert_array_equal(found[..., 0].numpy(), part)
+            batch_part = td["agents", "reward_parts", name]
+            np.testing.assert_array_equal(batch_part[..., 0].numpy(), part)
         parts = np.stack(step.reward_parts, -1)
         np.testing.assert_array_equal(td["terminated"][:, 0].numpy(), step.terminated)
         np.testing.assert_array_equal(td["truncated"][:, 0].numpy(), step.truncated)

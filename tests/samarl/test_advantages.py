@@ -55,24 +55,24 @@ def made(
 
 def segments(data: Made, s: int, n: int) -> list[tuple[list[int], float]]:
     """The steps that count of each episode of robot n in sequence s, and what follows them."""
-    length, found, now = data.reward.shape[1], [], []
+    length, episodes, now = data.reward.shape[1], [], []
     for t in range(length):
         if not data.steps["mask"][s, t, 0]:
             continue
         now.append(t)
         if data.steps["next", "agents", "terminated"][s, t, n]:
-            found.append((now, 0.0))
+            episodes.append((now, 0.0))
             now = []
         elif data.steps["next", "done"][s, t, 0]:  # the last step is taken off
-            found.append((now[:-1], float(data.value[s, t, n])))
+            episodes.append((now[:-1], float(data.value[s, t, n])))
             now = []
-    found.append((now, float(data.value[s, length, n])))
-    return [(steps, after) for steps, after in found if steps]
+    episodes.append((now, float(data.value[s, length, n])))
+    return [(steps, after) for steps, after in episodes if steps]
 
 
 def by_steps(data: Made, discount: float, lam: float) -> dict[tuple[int, int, int], float]:
     """Advantages of the local level."""
-    found = {}
+    advantages = {}
     for s in range(data.reward.shape[0]):
         for n in range(data.reward.shape[2]):
             for steps, after in segments(data, s, n):
@@ -81,14 +81,14 @@ def by_steps(data: Made, discount: float, lam: float) -> dict[tuple[int, int, in
                     value = float(data.value[s, t, n])
                     gae *= discount * lam
                     gae += float(data.reward[s, t, n]) + discount * after - value
-                    found[s, t, n] = gae
+                    advantages[s, t, n] = gae
                     after = value
-    return found
+    return advantages
 
 
 def by_records(data: Made, discount: float, lam: float) -> dict[tuple[int, int, int], float]:
     """Advantages of the macro level, at the first step of each record."""
-    found = {}
+    advantages = {}
     for s in range(data.reward.shape[0]):
         for n in range(data.reward.shape[2]):
             for steps, after in segments(data, s, n):
@@ -108,9 +108,9 @@ def by_records(data: Made, discount: float, lam: float) -> dict[tuple[int, int, 
                         paid += discount**j * float(data.reward[s, t, n])
                     discounted = discount ** len(record)
                     gae = paid + discounted * after - value + discounted * lam * gae
-                    found[s, record[0], n] = gae
+                    advantages[s, record[0], n] = gae
                     after = value
-    return found
+    return advantages
 
 
 def check(data: Made, discount: float, lam: float) -> None:
@@ -268,9 +268,9 @@ def test_the_time_limit_and_a_team_mates_collision_bootstrap_from_the_state_befo
     assert of.counts[0].tolist() == [[True, True], [True, True], [False, True]]
     advantage, _ = step_advantages(of, data.reward, data.value, 0.5, 0.0)
     macro, _, where = macro_advantages(of, data.decided, data.reward, data.value, 0.5, 0.0)
-    for found in (advantage, macro):
-        assert found[0, :2].tolist() == [[1 + 3 - 5, 1 + 3 - 5], [1 + 3.5 - 6, 1 + 3.5 - 6]]
-        assert found[0, 2, 1].item() == -20 - 7
+    for advantages in (advantage, macro):
+        assert advantages[0, :2].tolist() == [[1 + 3 - 5, 1 + 3 - 5], [1 + 3.5 - 6, 1 + 3.5 - 6]]
+        assert advantages[0, 2, 1].item() == -20 - 7
     assert where[0].tolist() == of.counts[0].tolist()
 
 

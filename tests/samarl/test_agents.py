@@ -194,8 +194,8 @@ def test_a_custom_agent_needs_one_class() -> None:
 
 def test_a_policy_warns_about_recordings_it_was_trained_on(tmp_path: Path) -> None:
     policy, card = load_policy(find_policy("samarl_flat"))
-    made = {"configuration": {"stages": [{"scenario": {"recording": "mine/walk.txt"}}]}}
-    save_policy(tmp_path / "known.safetensors", policy, card.policy, made)
+    provenance = {"configuration": {"stages": [{"scenario": {"recording": "mine/walk.txt"}}]}}
+    save_policy(tmp_path / "known.safetensors", policy, card.policy, provenance)
     fields = {**CONFIGS["samarl_flat"], "checkpoint": str(tmp_path / "known.safetensors")}
     for recording, known in (("theirs/walk.txt", True), ("mine/run.txt", False), (None, False)):
         scenario = Scenario(crowd=Crowd.recorded, recording=recording)

@@ -30,18 +30,18 @@ ROOMS = [
 
 
 def modules() -> dict[str, Path]:
-    found = {}
+    paths = {}
     for base, folder in (("samarl", ROOT / "samarl"), ("mrsan", ROOT / "envs/mrsan")):
         for path in folder.rglob("*.py"):
             parts = [base, *path.relative_to(folder).with_suffix("").parts]
-            found[".".join(parts).removesuffix(".__init__")] = path
-    return found
+            paths[".".join(parts).removesuffix(".__init__")] = path
+    return paths
 
 
 def imports() -> dict[str, set[str]]:
     """What each module imports, at its top or inside its functions; types alone do not count."""
     known = modules()
-    found: dict[str, set[str]] = {}
+    dependencies: dict[str, set[str]] = {}
     for name, path in known.items():
         tree = ast.parse(path.read_text())
         typing_only = {
@@ -59,8 +59,8 @@ def imports() -> dict[str, set[str]]:
                 targets |= {target if target in known else node.module for target in whole}
             elif isinstance(node, ast.Import):
                 targets |= {alias.name for alias in node.names}
-        found[name] = targets & set(known) - {name}
-    return found
+        dependencies[name] = targets & set(known) - {name}
+    return dependencies
 
 
 def test_there_is_no_import_circle() -> None:

@@ -52,8 +52,8 @@ def run(text: str, folder: Path) -> str:
         command = [sys.executable, "-m", program.replace("samarl-", "samarl.commands.")]
         if program == "python":
             command = [sys.executable]
-        given = {argument.partition("=")[0] for argument in arguments}
-        small = [s for s in SMALL.get(program, []) if s.partition("=")[0] not in given]
+        argument_names = {argument.partition("=")[0] for argument in arguments}
+        small = [s for s in SMALL.get(program, []) if s.partition("=")[0] not in argument_names]
         done = subprocess.run(
             [*command, *arguments, *small],
             cwd=folder,

@@ -240,7 +240,7 @@ def test_a_recurrent_unit_is_torchs_on_the_frames_that_are_known() -> None:
             for name in ("weight", "bias"):  # ours: how much is taken in, not what stays
                 reset, stays, new = getattr(cell, f"{name}_{theirs}").chunk(3)
                 getattr(ours, name).copy_(torch.cat([-stays, reset, new]))
-        found = unit(data, known, begins, before)
+        states = unit(data, known, begins, before)
         for b in range(6):
             for m in range(5):
                 hidden = before[b, m]
@@ -249,7 +249,7 @@ def test_a_recurrent_unit_is_torchs_on_the_frames_that_are_known() -> None:
                         hidden = torch.zeros(8)
                     if known[t, b, m]:
                         hidden = cell(data[t, b, m], hidden)
-                    torch.testing.assert_close(found[t, b, m], hidden, atol=1e-5, rtol=0)
+                    torch.testing.assert_close(states[t, b, m], hidden, atol=1e-5, rtol=0)
 
 
 def test_an_edge_keeps_its_state_while_its_agent_is_not_known_and_until_an_episode_begins() -> None:
@@ -297,8 +297,8 @@ def test_social_attention_by_hand() -> None:
         encounters = [model.embed(first(other) + model.own(both)) for first, other in rows]
         mean = sum(encounters) / len(encounters)
         weights = [model.score(model.of_one(e) + model.of_all(mean)).exp() for e in encounters]
-        told = sum(w * model.tells(e) for w, e in zip(weights, encounters, strict=True))
-        expected = torch.cat([query[p], told / sum(weights)])
+        weighted_sum = sum(w * model.tells(e) for w, e in zip(weights, encounters, strict=True))
+        expected = torch.cat([query[p], weighted_sum / sum(weights)])
         torch.testing.assert_close(model.read(scene, query)[p], expected)
         share = torch.cat([robots[p][data.robots_known[p, 0]], humans[p][data.humans_known[p, 0]]])
         torch.testing.assert_close(share, torch.cat(weights) / sum(weights))
@@ -317,7 +317,7 @@ def test_in_one_block_robots_are_as_humans(change: str) -> None:
         robots=torch.cat([data.humans[:, :, :1], data.robots[:, :, 1:]], 2),
         robots_known=torch.cat([data.humans_known[:, :, :1], data.robots_known[:, :, 1:]], 2),
     )
-    one, other = (seen(model, given, some_begin()) for given in (data, others))
+    one, other = (seen(model, inputs, some_begin()) for inputs in (data, others))
     assert torch.allclose(one, other, atol=1e-5) == bool(change.partition("=")[2])
 
 

@@ -50,19 +50,19 @@ def different(
     commands: list[Command], action: np.ndarray, observation: Observation, scenario: Scenario
 ) -> list[int]:
     """The robots that would move otherwise; at full speed all ways to push on are the same."""
-    found = []
+    robots = []
     for robot, command in enumerate(commands):
-        mine, right = (
+        motion, right = (
             action_to_motion(
                 observation.ego[:, robot : robot + 1], one[None, None], kernel_parameters(scenario)
             )
             for one in (command.action, action[0, robot])
         )
         if np.abs(command.action - action[0, robot]).max() > SAME and not np.allclose(
-            mine[:2], right[:2], atol=SAME
+            motion[:2], right[:2], atol=SAME
         ):
-            found.append(robot)
-    return found
+            robots.append(robot)
+    return robots
 
 
 def remembered(agent: Agent) -> list[np.ndarray]:
@@ -102,8 +102,8 @@ def test_a_thousand_decisions_are_those_of_the_policy(name: str, tmp_path: Path)
         for commands, action in ((driven, actions[0]), (free, actions[1])):
             assert different(commands, action, observation, scenario) == []
             if name in ("samarl", "samarl_flat"):
-                given = np.stack([command.action for command in commands])
-                np.testing.assert_allclose(given, action[0], atol=SAME)
+                command_actions = np.stack([command.action for command in commands])
+                np.testing.assert_allclose(command_actions, action[0], atol=SAME)
         replaced += sum(command.shielded for command in driven)
         driving = ~world.state.arrived[0] & ~world.state.terminated[0]
         after = world.step(actions[0])
@@ -143,10 +143,10 @@ def test_every_policy_and_every_encoder_is_exported(
     """At a narrow view: people are remembered, and the route leads round the crowd."""
     scenario = Scenario(humans=4, robots=2, fov_degrees=120.0)
     if policy == "lookahead":
-        made = learning.make_policy(policy, policy_config(policy, encoder), 3)
+        model = learning.make_policy(policy, policy_config(policy, encoder), 3)
     else:
-        made = learning.policy(policy, encoder, gain=100.0)
-    agent = agent_of(made, policy, tmp_path, scenario)
+        model = learning.policy(policy, encoder, gain=100.0)
+    agent = agent_of(model, policy, tmp_path, scenario)
     export_agent(tmp_path / "policy.onnx", agent, "mine")
     team = team_of(Network(tmp_path / "policy.onnx"), 2)
     world = World(scenario, 1)
@@ -225,14 +225,14 @@ def test_the_file_says_what_it_is(tmp_path: Path) -> None:
         "policy.safetensors",
     ]
     assert onnx.load(path).opset_import[0].version == OPSET
-    told = Network(path).description
-    assert (told.agent, told.opset, told.shield) == ("mine", OPSET, None)
-    assert told.card["policy"] == "flat"
-    robot = told.make_scenario()
+    description = Network(path).description
+    assert (description.agent, description.opset, description.shield) == ("mine", OPSET, None)
+    assert description.card["policy"] == "flat"
+    robot = description.make_scenario()
     for field in ("humans", "robots", "fov_degrees", "robot_speed", "time_step", "kinematics"):
         assert getattr(robot, field) == getattr(scenario, field)
-    assert told.slots["humans"] == ["humans", 2]
-    assert told.slots["robots_known"] == ["robots", 2]
+    assert description.slots["humans"] == ["humans", 2]
+    assert description.slots["robots_known"] == ["robots", 2]
     shapes = {put.name: put.shape for put in Network(path)._session.get_inputs()}
     assert (shapes["humans"], shapes["robots"]) == ([1, 1, 6, 6], [1, 1, 3, 6])
 

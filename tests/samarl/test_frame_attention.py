@@ -19,16 +19,16 @@ P, T, M, HEADS, WIDTH = 7, 3, 5, 2, 12
 
 def both_forms(call: Callable[..., Tensor], *inputs: Tensor) -> list[tuple[Tensor, ...]]:
     """Results and gradients, compiled and by torch."""
-    found = []
+    results = []
     for is_compiled in (True, False):
         leaves = [tensor.clone().requires_grad_() for tensor in inputs]
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(module, "on_cpu", lambda _, chosen=is_compiled: chosen)
             out = call(*leaves)
         (out * torch.linspace(-1, 1, out.numel()).view_as(out)).sum().backward()
-        found.append((out.detach(), *(leaf.grad for leaf in leaves if leaf.grad is not None)))
-    assert len(found[0]) == 1 + len(inputs)
-    return found
+        results.append((out.detach(), *(leaf.grad for leaf in leaves if leaf.grad is not None)))
+    assert len(results[0]) == 1 + len(inputs)
+    return results
 
 
 def masks(share: float) -> Tensor:
@@ -43,14 +43,14 @@ def masks(share: float) -> Tensor:
 def test_both_forms_agree(share: float, threads: int) -> None:
     numba.set_num_threads(threads)
     torch.manual_seed(0)
-    query, kept = torch.randn(P, T, WIDTH), torch.randn(P, M, 2 * WIDTH)
+    query, tokens = torch.randn(P, T, WIDTH), torch.randn(P, M, 2 * WIDTH)
     known, position = masks(share), torch.randn(P, M, 2)
     score = torch.where(known, torch.randn(P, M), -1e9).unsqueeze(-1).repeat(1, 1, HEADS)
-    for found in (
-        both_forms(lambda q, k: frame_attention(q, k, score), query, kept),
-        both_forms(lambda x: proximity_convolution(x, position, known, 2.5), kept),
+    for results in (
+        both_forms(lambda q, k: frame_attention(q, k, score), query, tokens),
+        both_forms(lambda x: proximity_convolution(x, position, known, 2.5), tokens),
     ):
-        for one, other in zip(*found, strict=True):
+        for one, other in zip(*results, strict=True):
             torch.testing.assert_close(one, other, atol=1e-5, rtol=1e-5)
 
 

@@ -120,8 +120,8 @@ def test_a_full_disk(
     assert path in line or str(place) in line
     assert "cannot be written (File too large)" in line
     left = {file for file in place.rglob("*") if file.is_file() and file.stat().st_size}
-    begun = ("multirun.yaml", "events.out")  # Hydra's own, and TensorBoard's log
-    assert [file for file in left - before if not file.name.startswith(begun)] == []
+    prefixes = ("multirun.yaml", "events.out")  # Hydra's own, and TensorBoard's log
+    assert [file for file in left - before if not file.name.startswith(prefixes)] == []
     assert not list(place.rglob("*.part"))
 
 

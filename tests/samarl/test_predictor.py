@@ -91,8 +91,8 @@ def test_trained_and_simulated_network_agree() -> None:
     x, y = aside.detach().numpy()[..., 0], aside.detach().numpy()[..., 1]
     straight = ConstantVelocity(DT).predict(windows.past, known, windows.velocity, 4)
     expected = straight + np.stack([cos * x - sin * y, sin * x + cos * y], -1)
-    found = network.predictor(5, DT).predict(windows.past, known, windows.velocity, 4)
-    np.testing.assert_allclose(found, expected, atol=1e-5)
+    positions = network.predictor(5, DT).predict(windows.past, known, windows.velocity, 4)
+    np.testing.assert_allclose(positions, expected, atol=1e-5)
 
 
 def test_training_reduces_the_error_and_resumes(tmp_path: Path) -> None:
@@ -123,9 +123,9 @@ def test_saved_predictors_are_read_by_the_simulator(tmp_path: Path) -> None:
     network = Network(6)
     torch.nn.init.normal_(network.w_output)
     save_predictor(tmp_path / "mine.safetensors", network.predictor(5, DT), {"command": "mine"})
-    found = find_predictor(str(tmp_path / "mine.safetensors"), DT)
+    predictor = find_predictor(str(tmp_path / "mine.safetensors"), DT)
     windows = simulate_windows(Scenario(), np.arange(4), SMALL)
-    assert displacement(found, windows, 4) == displacement(network.predictor(5, DT), windows, 4)
+    assert displacement(predictor, windows, 4) == displacement(network.predictor(5, DT), windows, 4)
     assert json.loads((tmp_path / "mine.json").read_text())["provenance"] == {"command": "mine"}
 
 

@@ -102,8 +102,8 @@ def test_a_heading_sorts_its_column_in_every_group(page: Page, site: Path) -> No
     cells = "tbody:nth-of-type(3) tr[data-name] td:nth-of-type(4)"
     for click, reverse in enumerate((True, False)):
         heading.click()
-        found = page.eval_on_selector_all(cells, values)
-        assert found == sorted(found, reverse=reverse), click
+        numbers = page.eval_on_selector_all(cells, values)
+        assert numbers == sorted(numbers, reverse=reverse), click
     assert page.get_attribute("thead th:last-of-type", "aria-sort") == "ascending"
     assert sorted(page.eval_on_selector_all("tr[data-name]", names)) == sorted(before)
 

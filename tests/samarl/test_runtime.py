@@ -56,15 +56,17 @@ def loaded(path: Path) -> Driver:
 @pytest.fixture
 def tracks(driver: Driver, monkeypatch: pytest.MonkeyPatch) -> list[Tracks]:
     """What the policy is told, step by step."""
-    told: list[Tracks] = []
-    asked = driver._network.action
+    network_inputs: list[Tracks] = []
+    original_action = driver._network.action
 
     def spy(known: Tracks, aim: np.ndarray) -> np.ndarray:
-        told.append(Tracks.from_named({name: a.copy() for name, a in known.named().items()}))
-        return asked(known, aim)
+        network_inputs.append(
+            Tracks.from_named({name: a.copy() for name, a in known.named().items()})
+        )
+        return original_action(known, aim)
 
     monkeypatch.setattr(driver._network, "action", spy)
-    return told
+    return network_inputs
 
 
 def test_who_is_missed_goes_on_for_the_time_that_has_passed(

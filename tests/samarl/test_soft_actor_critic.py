@@ -37,16 +37,16 @@ def squashed(
 ) -> SquashedPolicy:
     torch.manual_seed(0)
     numbers = policy_numbers("squashed", encoder, **changes)
-    made = make_policy(numbers.pop("name"), numbers, action_size)
-    assert isinstance(made, SquashedPolicy)
-    return made
+    policy = make_policy(numbers.pop("name"), numbers, action_size)
+    assert isinstance(policy, SquashedPolicy)
+    return policy
 
 
 def learner(of: SquashedPolicy, **changes: Any) -> SoftActorCritic:
     numbers = {"name": "soft_actor_critic", **SOFT_NUMBERS, **changes}
-    made = ALGORITHMS["soft_actor_critic"].cls(of, ALGORITHMS.config(numbers))
-    assert isinstance(made, SoftActorCritic)
-    return made
+    algorithm = ALGORITHMS["soft_actor_critic"].cls(of, ALGORITHMS.config(numbers))
+    assert isinstance(algorithm, SoftActorCritic)
+    return algorithm
 
 
 def collected(of: SquashedPolicy, rounds: int = 3, **stage: Any) -> Rollout:
@@ -106,8 +106,8 @@ def test_it_is_deployed_with_the_tanh_of_the_mean(action_size: int) -> None:
 
 def test_its_card_says_which_robots_it_drives(tmp_path: Path) -> None:
     """Holonomic robots and unicycles both take two numbers, which mean something else."""
-    made = {"configuration": {"stages": [{"kinematics": str(Kinematics.holonomic)}]}}
-    save_policy(tmp_path / "policy.safetensors", squashed(), "squashed", made)
+    provenance = {"configuration": {"stages": [{"kinematics": str(Kinematics.holonomic)}]}}
+    save_policy(tmp_path / "policy.safetensors", squashed(), "squashed", provenance)
     agent = partial(Learned, checkpoint=str(tmp_path / "policy.safetensors"))
     agent(Scenario(kinematics=Kinematics.holonomic))
     with pytest.raises(ConfigurationError, match=r"kinematics .*unicycle.* holonomic"):
@@ -147,12 +147,12 @@ def test_attention_between_two_robots_by_hand() -> None:
     y, own, others = torch.randn(2, 5), torch.randn(2, 2), torch.randn(2, 2)
     both, none = torch.ones(2, dtype=torch.bool), torch.zeros(2, dtype=torch.bool)
     for active in (both, none):
-        found = critic(y, own, others, active)
+        q = critic(y, own, others, active)
         for i, j in ((0, 1), (1, 0)):
             of_self = critic.embed_own(torch.cat([y[i], own[i]]))
-            told = critic.value(critic.embed_other(torch.cat([y[j], others[j]])))  # a share of 1
-            expected = critic.out(torch.cat([told * active[j], of_self]))
-            torch.testing.assert_close(found[i], expected[0])
+            value = critic.value(critic.embed_other(torch.cat([y[j], others[j]])))  # a share of 1
+            expected = critic.out(torch.cat([value * active[j], of_self]))
+            torch.testing.assert_close(q[i], expected[0])
 
 
 def test_attention_among_many_by_hand() -> None:
@@ -164,14 +164,14 @@ def test_attention_among_many_by_hand() -> None:
     q = critic(y, own, others, active)
     of_self = critic.embed_own(torch.cat([y, own], -1))
     of_other = critic.embed_other(torch.cat([y, others], -1))
-    asked, keys, values = critic.query(of_self), critic.key(of_other), critic.value(of_other)
+    queries, keys, values = critic.query(of_self), critic.key(of_other), critic.value(of_other)
     for i in range(4):
-        rest, found = [j for j in (0, 1, 3) if j != i], torch.zeros(8)
+        rest, attention = [j for j in (0, 1, 3) if j != i], torch.zeros(8)
         for head in (slice(0, 4), slice(4, 8)):
-            weights = [((asked[i, head] @ keys[j, head]) / 2.0).exp() for j in rest]
-            told = sum(w * values[j, head] for w, j in zip(weights, rest, strict=True))
-            found[head] = told / sum(weights)
-        expected = critic.out(torch.cat([found, of_self[i]]))
+            weights = [((queries[i, head] @ keys[j, head]) / 2.0).exp() for j in rest]
+            weighted_sum = sum(w * values[j, head] for w, j in zip(weights, rest, strict=True))
+            attention[head] = weighted_sum / sum(weights)
+        expected = critic.out(torch.cat([attention, of_self[i]]))
         torch.testing.assert_close(q[i], expected[0])
     order = torch.tensor([3, 2, 0, 1])
     mixed = critic(y[order], own[order], others[order], active[order])
@@ -185,9 +185,9 @@ def test_concatenation_is_told_the_others_in_order() -> None:
     active = torch.tensor([True, False, True])
     q = critic(y, own, others, active)
     nobody = torch.zeros(7)
-    told = [torch.cat([y[j], others[j]]) if active[j] else nobody for j in range(3)]
+    robot_inputs = [torch.cat([y[j], others[j]]) if active[j] else nobody for j in range(3)]
     for i, (j, k) in enumerate(((1, 2), (0, 2), (0, 1))):
-        expected = critic.out(torch.cat([y[i], own[i], told[j], told[k]]))
+        expected = critic.out(torch.cat([y[i], own[i], robot_inputs[j], robot_inputs[k]]))
         torch.testing.assert_close(q[i], expected[0])
 
 
@@ -293,7 +293,7 @@ def test_targets_by_hand(team: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
         policy, "draw", lambda y: (torch.stack([drawn, 0 * drawn], -1), -1.0 - drawn)
     )
-    found = algorithm.targets(batch, features(policy, batch)[:, 1:])
+    targets = algorithm.targets(batch, features(policy, batch)[:, 1:])
     assert (seen[0][0, 1, 0] == 0.0).all()  # it has arrived, and does nothing more
     for s in range(3):
         for t in range(3):
@@ -306,7 +306,7 @@ def test_targets_by_hand(team: bool, monkeypatch: pytest.MonkeyPatch) -> None:
                 q = 99.0 + 10.0 * float(drawn[s, t, i]) * on_way + sum(ACTIVE[s][t + 1])
                 soft = q + 0.5 * (1.0 + float(drawn[s, t, i])) * on_way
                 expected = paid + (0.0 if over else 0.9 * soft)
-                assert float(found[s, t, i]) == pytest.approx(expected, rel=1e-5)
+                assert float(targets[s, t, i]) == pytest.approx(expected, rel=1e-5)
 
 
 def losses(algorithm: SoftActorCritic, batch: TensorDict) -> list[Tensor]:
@@ -363,9 +363,9 @@ def test_entropy_is_worth_more_when_there_is_too_little_of_it() -> None:
     for entropy, sign in ((-3.0, 1.0), (-1.0, -1.0)):  # it should come to -2
         algorithm = learner(squashed())
         assert float(algorithm.temperature) == pytest.approx(0.02)
-        found: Any = {}
+        statistics: Any = {}
         loss = algorithm.temperature_loss(torch.full((7,), -entropy))
-        algorithm._descend("temperature", loss, [], found)
+        algorithm._descend("temperature", loss, [], statistics)
         assert sign * float(algorithm.temperature - 0.02) > 0
 
 

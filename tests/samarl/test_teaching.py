@@ -110,8 +110,8 @@ def test_a_metre_costs_what_it_should() -> None:
         rollouts.append(learning.collector(policy, 4, 12, scenario, shaping).collect())
     free, rollout = rollouts
     key = ("next", "agents", "reward")
-    taken = (free.steps[key] - rollout.steps[key])[:, :-1].sum(1)
+    cost = (free.steps[key] - rollout.steps[key])[:, :-1].sum(1)
     speed = rollout.steps["agents", "speed"][:, 1:]  # nobody arrives, collides or runs out of time
     assert not rollout.steps["next", "done"].any()
-    torch.testing.assert_close(taken, 0.5 * 0.25 * speed.sum(1))
-    assert (taken > 0.0).all()
+    torch.testing.assert_close(cost, 0.5 * 0.25 * speed.sum(1))
+    assert (cost > 0.0).all()

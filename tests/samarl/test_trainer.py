@@ -39,8 +39,8 @@ def trainer(folder: Path, stages: list[CurriculumStage] = STAGES, **numbers: Any
         "save_every": 10**6,
         "ema_decay": 0.9,
     }
-    made = TrainerConfig(**{**config, **numbers})
-    return Trainer(folder, made, policy, algorithm, stages, "test")
+    trainer_config = TrainerConfig(**{**config, **numbers})
+    return Trainer(folder, trainer_config, policy, algorithm, stages, "test")
 
 
 def rounds(of: Trainer, number: int) -> Trainer:
@@ -94,8 +94,8 @@ def test_no_two_worlds_of_a_run_play_the_same_cases(tmp_path: Path) -> None:
     policy = policy_numbers("flat", "gru")
     cases: list[int] = []
     for seed in (0, 1):
-        made = trainer(tmp_path / str(seed), stages, seed=seed, rollout=1, policy=policy)
-        for collector in made.collectors:
+        seed_trainer = trainer(tmp_path / str(seed), stages, seed=seed, rollout=1, policy=policy)
+        for collector in seed_trainer.collectors:
             cases += collector.world.state.case.tolist()
             if collector.crowd is not None:
                 cases += collector.crowd.world.state.case.tolist()
@@ -105,10 +105,10 @@ def test_no_two_worlds_of_a_run_play_the_same_cases(tmp_path: Path) -> None:
 
 def test_fewer_worlds_than_minibatches_learn(tmp_path: Path) -> None:
     stages = [CurriculumStage(2, scenario=Scenario(humans=2, robots=2))]
-    made = trainer(tmp_path, stages, algorithm={"minibatches": 8})
-    before = {key: value.clone() for key, value in made.policy.state_dict().items()}
-    assert all(np.isfinite(value) for value in made.round().values())
-    assert any(not torch.equal(v, before[k]) for k, v in made.policy.state_dict().items())
+    small_trainer = trainer(tmp_path, stages, algorithm={"minibatches": 8})
+    before = {key: value.clone() for key, value in small_trainer.policy.state_dict().items()}
+    assert all(np.isfinite(value) for value in small_trainer.round().values())
+    assert any(not torch.equal(v, before[k]) for k, v in small_trainer.policy.state_dict().items())
 
 
 def test_two_trainings_cannot_share_a_folder(tmp_path: Path) -> None:
@@ -121,9 +121,9 @@ def test_two_trainings_cannot_share_a_folder(tmp_path: Path) -> None:
 
 
 def test_a_folder_of_another_configuration_is_refused(tmp_path: Path) -> None:
-    made = trainer(tmp_path)
-    made.save()
-    made.run_dir.release()
+    first_trainer = trainer(tmp_path)
+    first_trainer.save()
+    first_trainer.run_dir.release()
     with pytest.raises(ConfigurationError, match=r"^algorithm\.epochs .*2.*run_dir"):
         trainer(tmp_path, algorithm={"epochs": 2})
     stages = [replace(STAGES[0], worlds=7), *STAGES[1:]]
@@ -141,15 +141,16 @@ def test_a_device_that_cannot_compute_is_refused(device: str, tmp_path: Path) ->
 
 
 def test_the_saved_policy_is_the_mean_of_the_weights_after_each_update(tmp_path: Path) -> None:
-    made, weights = trainer(tmp_path, ema_decay=0.75), []
+    averaging_trainer, weights = trainer(tmp_path, ema_decay=0.75), []
     for _ in range(3):
-        made.round()
-        weights.append({k: v.clone() for k, v in made.policy.state_dict().items()})
-    for name, value in made.averaged_policy.state_dict().items():
+        averaging_trainer.round()
+        weights.append({k: v.clone() for k, v in averaging_trainer.policy.state_dict().items()})
+    for name, value in averaging_trainer.averaged_policy.state_dict().items():
         mean = weights[0][name]
         for after in weights[1:]:
             mean = 0.75 * mean + 0.25 * after[name]
         torch.testing.assert_close(value, mean)
     assert any(
-        not torch.equal(v, weights[-1][k]) for k, v in made.averaged_policy.state_dict().items()
+        not torch.equal(v, weights[-1][k])
+        for k, v in averaging_trainer.averaged_policy.state_dict().items()
     )

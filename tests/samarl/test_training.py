@@ -95,7 +95,7 @@ def test_a_killed_run_goes_on_bit_for_bit(tmp_path: Path) -> None:
         for which in ("last", "best"):
             name = f"run/{which}.safetensors"
             assert (whole / name).read_bytes() == (folder / name).read_bytes()
-            cards = [(made / name).with_suffix(".json") for made in (whole, folder)]
+            cards = [(run_folder / name).with_suffix(".json") for run_folder in (whole, folder)]
             commands = [json.loads(card.read_text())["provenance"]["command"] for card in cards]
             assert commands[0] == commands[1]
         assert [path.name for path in folder.iterdir()] == ["run"]
@@ -215,8 +215,8 @@ def test_a_loss_that_is_not_finite_stops_the_run_and_names_the_last_good_state(
     assert stopped.value.code == 2
     last = capsys.readouterr().err.splitlines()[-1]
     assert re.match(rf"error: .*step 256.*gradient.*{of}", last)
-    kept, _ = load_policy(Path("run/last.safetensors"))
-    assert all(torch.isfinite(value).all() for value in kept.state_dict().values())
+    saved_policy, _ = load_policy(Path("run/last.safetensors"))
+    assert all(torch.isfinite(value).all() for value in saved_policy.state_dict().values())
 
 
 def saved(tmp_path: Path) -> Path:
@@ -231,9 +231,11 @@ def learned(path: Path) -> dict[str, str]:
 
 def test_a_saved_policy_drives_as_the_one_that_was_saved(tmp_path: Path) -> None:
     path = saved(tmp_path)
-    found, card = load_policy(path)
+    loaded_policy, card = load_policy(path)
     original = policy().state_dict()
-    assert all(torch.equal(value, original[key]) for key, value in found.state_dict().items())
+    assert all(
+        torch.equal(value, original[key]) for key, value in loaded_policy.state_dict().items()
+    )
     assert card.provenance == {"command": "test"}
     scenario, cases = Scenario(humans=2), Evaluation(cases=5).case_numbers()
     first = run_cases(build_agent(learned(path), scenario), scenario, cases, 5)
@@ -250,15 +252,15 @@ def test_a_run_begins_with_the_weights_of_a_policy_but_explores_anew(
     with torch.no_grad():
         initial.networks[0].heads[LOCAL].log_std.fill_(-5.0)
     save_policy(tmp_path / "first.safetensors", initial, "hierarchical", {"command": "test"})
-    begun: list[Trainer] = []
-    monkeypatch.setattr(Trainer, "run", lambda trainer: begun.append(trainer))
+    trainers: list[Trainer] = []
+    monkeypatch.setattr(Trainer, "run", lambda trainer: trainers.append(trainer))
     monkeypatch.setattr(sys, "argv", ["samarl-train", *SMALL, "init_from=first.safetensors"])
     main()
-    begins, weights = begun[0].policy.state_dict(), initial.state_dict()
+    begins, weights = trainers[0].policy.state_dict(), initial.state_dict()
     anew = {f"networks.0.heads.{level}.log_std" for level in initial.levels}
     assert all(torch.equal(begins[key], weights[key]) for key in weights.keys() - anew)
     assert begins["networks.0.heads.local.log_std"].min() > -3.0
-    assert begun[0].provenance["init_from"]["command"] == "test"
+    assert trainers[0].provenance["init_from"]["command"] == "test"
 
     flat = policy("flat", hidden=8, encoder_numbers=numbers)
     save_policy(tmp_path / "flat.safetensors", flat, "flat", {})

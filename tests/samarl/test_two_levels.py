@@ -206,8 +206,8 @@ def test_commands_beyond_the_limits_cost_and_only_those() -> None:
     ]
     speed, mean = torch.tensor([c[0] for c in cases]), torch.tensor([c[1] for c in cases])
     limits = torch.tensor(action_limits(SCENARIO)).expand(len(mean), -1)
-    found = excess(mean, torch.full_like(mean, 0.3), speed, limits, slack=0.0)
-    assert found.tolist() == pytest.approx([c[2] for c in cases], abs=1e-6)
+    costs = excess(mean, torch.full_like(mean, 0.3), speed, limits, slack=0.0)
+    assert costs.tolist() == pytest.approx([c[2] for c in cases], abs=1e-6)
     forgiven = excess(mean[2:3], torch.full((1, 3), 0.2), speed[2:3], limits[2:3], slack=1.0)
     assert forgiven.item() == pytest.approx(0.1**2)
     assert not excess(mean[:, :2], mean[:, :2], speed, limits, slack=0.0).any()  # holonomic

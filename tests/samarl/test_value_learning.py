@@ -40,16 +40,16 @@ from tests.scenes import COMMANDS, blind, known, scene_of
 def lookahead(action_size: int = 3, encoder: str = "pairwise", **changes: Any) -> LookaheadPolicy:
     torch.manual_seed(0)
     numbers = policy_numbers("lookahead", encoder, **changes)
-    made = make_policy(numbers.pop("name"), numbers, action_size)
-    assert isinstance(made, LookaheadPolicy)
-    return made
+    policy = make_policy(numbers.pop("name"), numbers, action_size)
+    assert isinstance(policy, LookaheadPolicy)
+    return policy
 
 
 def learner(of: LookaheadPolicy, **changes: Any) -> ValueLearning:
     numbers = {"name": "value_learning", **VALUE_NUMBERS, **changes}
-    made = ALGORITHMS["value_learning"].cls(of, ALGORITHMS.config(numbers))
-    assert isinstance(made, ValueLearning)
-    return made
+    algorithm = ALGORITHMS["value_learning"].cls(of, ALGORITHMS.config(numbers))
+    assert isinstance(algorithm, ValueLearning)
+    return algorithm
 
 
 # The policy
@@ -283,13 +283,13 @@ def test_what_a_value_is_regressed_on() -> None:
     assert (then[:, 0] == now[:, 0] + 1).all()
     assert (then[:, 1] == now[:, 1]).all()
     assert (samples["robot"] == now[:, 1] % 2).all()
-    found = {
+    transitions = {
         (int(row) // 2, int(step), int(row) % 2): (float(r), bool(goes_on))
         for step, row, r, goes_on in zip(
             now[:, 0], now[:, 1], samples["reward"], samples["continues"], strict=True
         )
     }
-    assert found == {
+    assert transitions == {
         (0, 0, 0): (1.0, True),
         (0, 0, 1): (2.0, True),
         (0, 1, 0): (10.0, False),
@@ -309,7 +309,7 @@ def test_what_a_value_is_regressed_on() -> None:
             parameter.mul_(2.0)  # only the target network counts
     later = algorithm.target.value(Frames.from_named(samples["next"]), samples["robot"])
     expected = torch.tensor(
-        [r + 0.9 * float(v) * g for (r, g), v in zip(found.values(), later, strict=True)]
+        [r + 0.9 * float(v) * g for (r, g), v in zip(transitions.values(), later, strict=True)]
     )
     torch.testing.assert_close(algorithm.targets(samples), expected)
 
@@ -364,11 +364,11 @@ def test_scenarios_of_other_sizes_share_a_replay() -> None:
 
 def test_orca_drives_first_and_epsilon_falls_then() -> None:
     algorithm = learner(lookahead())
-    found = []
+    schedule = []
     for share in (0.0, 0.49, 0.5, 0.7, 0.9, 1.0):
         algorithm.set_progress(share)
-        found.append((algorithm.policy.imitating, round(algorithm.policy.epsilon, 6)))
-    assert found == [
+        schedule.append((algorithm.policy.imitating, round(algorithm.policy.epsilon, 6)))
+    assert schedule == [
         (True, 0.5),
         (True, 0.5),
         (False, 0.5),
@@ -401,28 +401,33 @@ def trainer(folder: Path) -> Trainer:
 
 
 def test_a_run_learns_goes_on_and_its_policy_drives(tmp_path: Path) -> None:
-    begun = trainer(tmp_path)
-    begun.algorithm.set_progress(0.0)
+    first_trainer = trainer(tmp_path)
+    first_trainer.algorithm.set_progress(0.0)
     for _ in range(10):  # past the change of stages
-        row = begun.round()
+        row = first_trainer.round()
         assert all(math.isfinite(value) for value in row.values())
         assert {"losses/value", "losses/mean_value", "losses/mean_target"} <= set(row)
-    begun.save()
-    begun.run_dir.release()
+    first_trainer.save()
+    first_trainer.run_dir.release()
     again = trainer(tmp_path)
-    assert again.steps_done == begun.steps_done
-    for module, same in ((begun.algorithm, again.algorithm), (begun.policy, again.policy)):
+    assert again.steps_done == first_trainer.steps_done
+    for module, same in (
+        (first_trainer.algorithm, again.algorithm),
+        (first_trainer.policy, again.policy),
+    ):
         for key, value in module.state_dict().items():
             assert torch.equal(value, same.state_dict()[key]), key
     assert int(again.algorithm.state_dict()["rounds"]) == 10
-    adam, other = (of.algorithm.optimisers()["adam"].state_dict()["state"] for of in (begun, again))
+    adam, other = (
+        of.algorithm.optimisers()["adam"].state_dict()["state"] for of in (first_trainer, again)
+    )
     assert torch.equal(adam[0]["exp_avg"], other[0]["exp_avg"])
     assert isinstance(again.algorithm, ValueLearning)
     assert len(again.algorithm.replay) == 0  # it is not saved
-    for of in (begun, again):  # the next steps do not depend on it
+    for of in (first_trainer, again):  # the next steps do not depend on it
         of.algorithm.set_progress(of.steps_done / of.config.steps)
     actions, random = [], torch.get_rng_state()
-    for of in (begun, again):
+    for of in (first_trainer, again):
         torch.set_rng_state(random)
         actions.append(of.collect()[0].steps["agents", "action"])
     assert torch.equal(*actions)

@@ -24,27 +24,27 @@ def inputs(share: float, p: int = 7, m: int = 5) -> tuple[Tensor, ...]:
 @pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
 def test_it_is_torchs_in_value_and_gradient(share: float, threads: int) -> None:
     numba.set_num_threads(threads)
-    query, kept, window, allowed, bias = inputs(share)
-    found = []
+    query, key_value, window, allowed, bias = inputs(share)
+    results = []
     for attend in (windowed_attention, by_torch):
-        q, k = query.clone().requires_grad_(), kept.clone().requires_grad_()
+        q, k = query.clone().requires_grad_(), key_value.clone().requires_grad_()
         out = attend(q, k, window, allowed, bias)
         (out * torch.linspace(-1, 1, out.numel()).view_as(out)).sum().backward()
-        found.append((out, q.grad, k.grad))
-    for one, other in zip(*found, strict=True):
+        results.append((out, q.grad, k.grad))
+    for one, other in zip(*results, strict=True):
         torch.testing.assert_close(one, other, atol=1e-5, rtol=1e-5)
     nobody = ~allowed.any(1)
     assert nobody.any() == (share < 1.0)
-    assert not found[0][0][nobody].any()
+    assert not results[0][0][nobody].any()
     if share == 0.0:
-        assert not any(gradient.any() for gradient in found[0][1:])
+        assert not any(gradient.any() for gradient in results[0][1:])
 
 
 @pytest.mark.parametrize(("p", "m"), [(7, 0), (0, 5), (0, 0)])
 def test_nobody_to_attend_to_and_nobody_who_does(p: int, m: int) -> None:
-    query, kept, *others = inputs(0.5, p, m)
+    query, key_value, *others = inputs(0.5, p, m)
     for attend in (windowed_attention, by_torch):
-        q, k = query.clone().requires_grad_(), kept.clone().requires_grad_()
+        q, k = query.clone().requires_grad_(), key_value.clone().requires_grad_()
         out = attend(q, k, *others)
         assert out.shape == query.shape
         out.sum().backward()

@@ -35,9 +35,9 @@ def points_of(values: Any, name: str, least: int) -> Polygon:
         points = np.zeros(0)
     if points.ndim != 2 or points.shape[1] != 2 or not np.isfinite(points).all():
         raise MapError(f"{name} must be a list of points [x, y] of finite numbers")
-    kept = np.ones(len(points), np.bool_)
-    kept[1:] = (points[1:] != points[:-1]).any(-1)
-    points = points[kept]
+    differs = np.ones(len(points), np.bool_)
+    differs[1:] = (points[1:] != points[:-1]).any(-1)
+    points = points[differs]
     if len(points) < least:
         raise MapError(f"{name} has {len(points)} different points; it must have at least {least}")
     return points

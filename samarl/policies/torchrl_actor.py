@@ -1,0 +1,66 @@
+"""The levels of a policy as TorchRL's actors. Importing this module imports TorchRL."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from tensordict.nn import TensorDictModule
+from torch import Tensor, nn
+from torchrl.modules import IndependentNormal, ProbabilisticActor
+
+from samarl.policies.heads import ModalNormal, given_previous_noise
+from samarl.policies.policy import LOCAL
+
+if TYPE_CHECKING:
+    from samarl.policies.stochastic import StochasticPolicy
+
+
+def make_actor(policy: StochasticPolicy, level: str) -> ProbabilisticActor:
+    """Return a level of a policy as a TorchRL actor.
+
+    It reads `embedding` [Q, Y] (see `StochasticPolicy.embed`) and `row` [Q] (see
+    `Policy._per_parameter_set`), for the local level also `previous_noise` [Q, A] and
+    `noise_correlation` [Q, 1]. It writes `loc` and `scale` [Q, A] of the distribution of `action`
+    given the previous noise, and `mean` and `std` [Q, A] without that condition; for a level with
+    modes also their `logits` [Q, M].
+    """
+    noise = ["previous_noise", "noise_correlation"] if level == LOCAL else []
+    has_modes = policy.has_modes(level)
+    parameters = ["logits", "loc", "scale"] if has_modes else ["loc", "scale"]
+    head = TensorDictModule(
+        LevelHead(policy, level),
+        in_keys=["embedding", "row", *noise],
+        out_keys=[*parameters, "mean", "std"],
+    )
+    return ProbabilisticActor(
+        head,
+        in_keys=parameters,
+        out_keys=["action"],
+        distribution_class=ModalNormal if has_modes else IndependentNormal,
+        distribution_kwargs={} if has_modes else {"validate_args": False},
+        return_log_prob=True,
+        log_prob_key="sample_log_prob",
+    )
+
+
+class LevelHead(nn.Module):
+    """One level of a policy as a module, see `make_actor`."""
+
+    def __init__(self, policy: StochasticPolicy, level: str) -> None:
+        super().__init__()
+        self.policy, self.level = policy, level
+
+    def forward(
+        self,
+        embedding: Tensor,
+        row: Tensor,
+        previous_noise: Tensor | None = None,
+        noise_correlation: Tensor | float = 0.0,
+    ) -> tuple[Tensor, ...]:
+        """Return the logits [Q, M] of a level with modes; loc, scale, mean and std, [Q, A] each."""
+        mean, std = self.policy.distribution(self.level, embedding, row)
+        if self.policy.has_modes(self.level):
+            return self.policy.mode_logits(embedding, row), mean, std, mean, std
+        if previous_noise is None:
+            return mean, std, mean, std
+        return *given_previous_noise(mean, std, previous_noise, noise_correlation), mean, std
