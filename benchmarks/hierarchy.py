@@ -1,11 +1,12 @@
 """Measure when a macro level pays: `python -m benchmarks.hierarchy`.
 
-Policies of one level and of two levels are trained with several seeds, all from the same policy
-that can drive, in doorways and corridors where robots must decide who goes first. They are
-evaluated on test cases without the shield: in a narrow doorway and a narrow corridor, where the
-macro actions are also replaced by random ones and by those of team-mates, and in doorways of many
-widths with different numbers of robots, with people and without. Interrupted runs are resumed, and
-finished ones are not trained again: the folder keeps them.
+Policies of one level and of two levels are trained with several seeds, all starting from the same
+policy, which drives well among walls, in doorways and corridors where robots must decide who goes
+first. They are evaluated on test cases without the shield: in a narrow doorway and a narrow
+corridor, and in doorways of many widths with different numbers of robots, with people and without.
+In the first two, the macro actions of the policies with modes are also replaced by random ones and
+by those of team-mates. Runs are kept in a folder: interrupted ones are resumed, and finished ones
+are not trained again. Use another folder for trials with `--steps`.
 """
 
 from __future__ import annotations
@@ -32,25 +33,26 @@ from samarl.policies.checkpoint import load_policy
 from samarl.policies.macro_actions import Waypoints
 
 COMMON = ["experiment=passages", "trainer.threads=1"]
-TALKING = ["curriculum=passages_team"]
+TEAM = ["curriculum=passages_team"]  # with team perception
 TWO_LEVELS = [
     "policy.local_goal=true",
-    "policy.arrival_bonus=0",
+    "policy.arrival_bonus=0",  # the local level observes the goal, and circling does not pay
     "algorithm.local_discount=0.95",
     "algorithm.discount=0.998",  # waiting for 6 s would cost a fifth of the return with 0.99
     "algorithm.macro_std=0.1",
 ]
 MODES = [*TWO_LEVELS, "policy.modes=true", "algorithm.macro_entropy_coefficient=0.05"]
 RECIPES = {  # settings, in addition to `COMMON`
-    "two levels": MODES,
-    "two levels without modes": TWO_LEVELS,
+    "two levels, modes": MODES,
+    "two levels": TWO_LEVELS,
     "flat": ["policy=flat"],
-    "two levels, intent": [*MODES, "policy.observes_intent=true", *TALKING],
-    "flat, team tracks": ["policy=flat", *TALKING],
+    "flat, long horizon": ["policy=flat", "algorithm.local_discount=0.998"],
+    "two levels, modes, intent": [*MODES, "policy.observes_intent=true", *TEAM],
+    "flat, team tracks": ["policy=flat", *TEAM],
 }
 ABLATIONS = {
-    "random waypoints": Waypoints.random,
-    "shuffled waypoints": Waypoints.shuffled,
+    "random macro actions": Waypoints.random,
+    "macro actions of team-mates": Waypoints.shuffled,
 }
 NARROW = (1.0, 1.3)  # m, the doorway and the corridor of the first table
 WIDTHS = (0.9, 1.2, 1.6, 2.0, 2.5)  # m, of doorways
@@ -69,7 +71,7 @@ class Cell(NamedTuple):
     robots: int
     people: int
 
-    def scenario(self, talking: bool) -> Scenario:
+    def scenario(self, team_perception: bool) -> Scenario:
         """Return the scenario, with or without team perception."""
         return Scenario(
             layout=self.layout,
@@ -83,7 +85,7 @@ class Cell(NamedTuple):
             humans=self.people,
             robots_visible=True,
             nearest_walls=12,
-            team_perception=TeamPerception.tracks if talking else TeamPerception.none,
+            team_perception=TeamPerception.tracks if team_perception else TeamPerception.none,
         )
 
 
@@ -128,11 +130,11 @@ def train(recipe: str, seed: int, steps: int | None, folder: Path) -> Path:
 def evaluate(recipe: str, seed: int, path: Path, cases: int) -> list[Row]:
     """Return the rows of a policy in all scenarios."""
     policy, _ = load_policy(path)
-    talking = TALKING[0] in RECIPES[recipe]
+    team_perception = TEAM[0] in RECIPES[recipe]
     numbers = Split.test.case(0) + np.arange(cases)
     rows = []
     for method, waypoints, cell in tqdm(list(_evaluations(recipe)), desc=recipe, disable=None):
-        scenario = cell.scenario(talking)
+        scenario = cell.scenario(team_perception)
         agent = DeployedPolicy(policy, scenario, waypoints)
         episodes = run_cases(agent, scenario, numbers, 128)
         finished = episodes.success
@@ -158,7 +160,7 @@ def evaluate(recipe: str, seed: int, path: Path, cases: int) -> list[Row]:
 def _evaluations(recipe: str) -> Iterator[tuple[str, Waypoints, Cell]]:
     for cell in (*PASSAGES, *DOORWAYS):
         yield recipe, Waypoints.learned, cell
-    if recipe == "two levels":
+    if recipe == "two levels, modes":
         for method, waypoints in ABLATIONS.items():
             for cell in PASSAGES:
                 yield method, waypoints, cell
@@ -213,9 +215,9 @@ def width_table(rows: list[Row]) -> str:
                 if all(of_widths):
                     cells = [
                         " / ".join(
-                            _mean([r[key] for r in found]) for key in ("success", "deadlock")
+                            _mean([row[key] for row in of_width]) for key in ("success", "deadlock")
                         )
-                        for found in of_widths
+                        for of_width in of_widths
                     ]
                     lines.append([method, str(robots), str(people), *cells])
     return markdown_table(header, lines)
@@ -227,8 +229,11 @@ def caption(result: dict[str, Any]) -> str:
     low, high = NARROW
     return (
         f"First table: a doorway and a corridor {low} to {high} m wide, 4 robots and 4 people; "
-        "success is joint, with its 95 % Wilson interval over all seeds. Second table: success % / "
-        f"deadlock % in doorways by their width. {result['cases']} test cases of each scenario, "
+        "success is joint, with a 95 % Wilson interval that pools the cases of all seeds and "
+        "ignores the variance between them; the makespan is that of successful cases. Second "
+        "table: success % / deadlock % in doorways by their width; bands in the figure span the "
+        "seeds. "
+        f"{result['cases']} test cases of each scenario, "
         f"{seeds} training seeds, without the shield, on {machine()}, commit {result['commit']}: "
         f"`{result['command']}`"
     )

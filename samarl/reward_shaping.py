@@ -1,6 +1,6 @@
-"""Reward shaping: what each level of a policy is paid in training, from the world's named terms.
+"""Reward shaping: the rewards of each level of a policy in training.
 
-It happens here alone, while experience is collected; algorithms read only the result.
+Rewards are shaped only here, while experience is collected; algorithms read only the result.
 """
 
 from __future__ import annotations
@@ -40,7 +40,8 @@ def level_rewards(
 ) -> dict[str, Floats]:
     """Return the reward of each level for one step, [E, N] each.
 
-    The top level is paid by the task. A local level below it is paid for following its waypoint.
+    The top level receives the task's reward. A local level below it is rewarded for following its
+    waypoint.
 
     Args:
         policy: which decided.
@@ -92,8 +93,9 @@ def _waypoint_reward(
 ) -> Floats:
     """Return the reward [E, N] of a local level, with progress to waypoints [E, N, 2].
 
-    A robot that should wait or yield, where `makes_way` [E, N] is true, also pays for its distance
-    from the waypoint: progress alone would cost nothing until it decides anew, elsewhere.
+    A robot that should wait or yield, where `makes_way` [E, N] is true, is also penalised for its
+    distance from the waypoint. Progress alone pays only for changes in distance: staying away would
+    cost nothing, and the next macro action would start from wherever the robot happens to be.
 
     The arrival bonus exceeds the discounted value of endless waypoint following; otherwise the
     robot would circle its waypoint.
@@ -104,7 +106,7 @@ def _waypoint_reward(
     reward = parts.collision + parts.discomfort + parts.lookahead + parts.time
     reward += np.where(parts.progress != 0.0, progress, np.float32(0.0))
     reward += parts.arrival + np.float32(config.arrival_bonus) * (parts.arrival > 0.0)
-    reward -= np.float32(config.making_way_distance) * distance * makes_way
+    reward -= np.float32(config.making_way_penalty) * distance * makes_way
     return reward
 
 

@@ -15,7 +15,7 @@ from samarl.algorithms.advantages import streams
 from samarl.algorithms.ppo import PPO
 from samarl.observations.features import empty_frames
 from samarl.policies.checkpoint import make_policy
-from samarl.policies.heads import ModalGaussian
+from samarl.policies.heads import ModeGaussian
 from samarl.policies.policy import LOCAL, Policy
 from samarl.policies.stochastic import ActionEvaluation, StochasticPolicy
 from samarl.reward_shaping import RewardShaping
@@ -167,7 +167,7 @@ def policy(
         for networks in model.networks:
             for head in networks.heads.values():
                 head.body[-1].weight.mul_(gain)
-                if isinstance(head, ModalGaussian):
+                if isinstance(head, ModeGaussian):
                     head.logits.weight.mul_(gain)
     return model
 

@@ -37,11 +37,11 @@ class Gaussian(nn.Module):
         self.log_std.clamp_(math.log(max(minimum, 1e-6)), math.log(maximum))
 
 
-class ModalGaussian(Gaussian):
+class ModeGaussian(Gaussian):
     """A mode, and a diagonal Gaussian: the macro actions of a policy with modes."""
 
-    FIRST_LOGIT = 1.5  # of the first mode at first; those of the others are 0
-    uniform_share: Tensor  # [] of the probability that all modes share equally, for exploration
+    FIRST_LOGIT = 1.5  # of the first mode at initialisation; those of the others are 0
+    uniform_share: Tensor  # [] probability of drawing the mode uniformly, for exploration
 
     def __init__(
         self, inputs: int, hidden: int, mean: Sequence[float], std: Sequence[float], modes: int
@@ -56,23 +56,24 @@ class ModalGaussian(Gaussian):
         self.register_buffer("uniform_share", torch.zeros(()))
 
     def mode_logits(self, inputs: Tensor) -> Tensor:
-        """Return the logarithms of the probabilities of the modes, [..., M]."""
+        """Return the logarithms of the probabilities of the modes (normalised logits), [..., M]."""
         probabilities = self.logits(self.body[:2](inputs)).softmax(-1)
         uniform = self.uniform_share / probabilities.shape[-1]
         return ((1.0 - self.uniform_share) * probabilities + uniform).clamp_min(1e-8).log()
 
 
-class ModalNormal(torch.distributions.Distribution):
-    """A mode, and for the first mode a diagonal Gaussian: one sample is (mode, x_1, ..., x_A).
+class ModeAndOffset(torch.distributions.Distribution):
+    """A categorical mode and, for the first mode, a Gaussian offset: (mode, x_1, ..., x_A).
 
-    The x of other modes have no effect, so that only the mode's probability counts for them.
+    "Mode" is what a robot does (go, wait, ...), not the mode of a distribution. The offsets of
+    other modes have no effect, so that only the mode's probability counts for them.
     """
 
     arg_constraints: ClassVar[dict[str, Constraint]] = {}
 
     def __init__(self, logits: Tensor, loc: Tensor, scale: Tensor) -> None:
         """Create the distribution from logits [..., M], loc and scale [..., A]."""
-        self.mode_of = torch.distributions.Categorical(logits=logits, validate_args=False)
+        self.modes = torch.distributions.Categorical(logits=logits, validate_args=False)
         self.offset = torch.distributions.Normal(loc, scale, validate_args=False)
         shape = loc.shape
         super().__init__(shape[:-1], torch.Size([1 + shape[-1]]), validate_args=False)
@@ -80,12 +81,12 @@ class ModalNormal(torch.distributions.Distribution):
     @property
     def deterministic_sample(self) -> Tensor:
         """The most probable mode and the mean, [..., 1 + A]."""
-        best = self.mode_of.logits.argmax(-1, keepdim=True)
+        best = self.modes.logits.argmax(-1, keepdim=True)
         return torch.cat([best.to(self.offset.loc), self.offset.loc], -1)
 
     def sample(self, sample_shape: Sequence[int] = ()) -> Tensor:
         """Draw samples [..., 1 + A]."""
-        mode = self.mode_of.sample(torch.Size(sample_shape)).unsqueeze(-1)
+        mode = self.modes.sample(torch.Size(sample_shape)).unsqueeze(-1)
         offset = self.offset.sample(torch.Size(sample_shape))
         return torch.cat([mode.to(offset), offset], -1)
 
@@ -93,12 +94,12 @@ class ModalNormal(torch.distributions.Distribution):
         """Return the log-probability [...] of samples [..., 1 + A]."""
         mode = value[..., 0].long()
         of_offset = self.offset.log_prob(value[..., 1:]).sum(-1)
-        return self.mode_of.log_prob(mode) + torch.where(mode == 0, of_offset, 0.0)
+        return self.modes.log_prob(mode) + torch.where(mode == 0, of_offset, 0.0)
 
     def entropy(self) -> Tensor:
         """Return the entropy [...]."""
         of_offset = self.offset.entropy().sum(-1)
-        return self.mode_of.entropy() + self.mode_of.probs[..., 0] * of_offset
+        return self.modes.entropy() + self.modes.probs[..., 0] * of_offset
 
 
 class SpreadGaussian(nn.Module):

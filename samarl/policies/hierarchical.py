@@ -28,7 +28,7 @@ from samarl.observations.frames import FeatureSizes, Frames
 from samarl.observations.tracker import TRACK_FEATURES, Tracks
 from samarl.policies.explanation import Explanation
 from samarl.policies.flat import MEAN, STD
-from samarl.policies.heads import Gaussian, ModalGaussian, ModalNormal, log_prob
+from samarl.policies.heads import Gaussian, ModeAndOffset, ModeGaussian, log_prob
 from samarl.policies.macro_actions import (
     HierarchicalConfig,
     Mode,
@@ -61,8 +61,9 @@ class HierarchicalPolicy(StochasticPolicy):
     """The macro level chooses waypoints and the local level drives to them (SAMARL, Fig. 2).
 
     Both read the same scene: the macro level with the goal in the query, the local level with the
-    waypoint. Without `local_goal` the local level knows only its surroundings and its waypoint, so
-    the macro level alone decides where the robot goes.
+    waypoint. Without `local_goal` the local level does not know the goal, so the macro level
+    decides where the robot goes; in places with walls it still sees the next corner of the route,
+    unless the policy has modes.
     """
 
     config: HierarchicalConfig
@@ -85,10 +86,18 @@ class HierarchicalPolicy(StochasticPolicy):
         n, y, hidden = self.action_size, encoder.features, self.config.hidden
         offset = y, hidden, (0.0, 0.0), (0.1, 0.1)
         heads = {
-            MACRO: ModalGaussian(*offset, len(Mode)) if self.config.modes else Gaussian(*offset),
+            MACRO: ModeGaussian(*offset, len(Mode)) if self.config.modes else Gaussian(*offset),
             LOCAL: Gaussian(y + self.waypoint_size, hidden, MEAN[n], STD[n]),
         }
         return Networks(encoder, heads)
+
+    @property
+    def _replaces_route(self) -> bool:
+        """Return whether the local level has its waypoint in place of the route round walls.
+
+        It has with modes; policies without modes were trained with the route.
+        """
+        return bool(self.config.modes) and self.observes_route
 
     @property
     def waypoint_size(self) -> int:
@@ -132,7 +141,7 @@ class HierarchicalPolicy(StochasticPolicy):
         is_init: NDArray[np.bool_],
         scenario: Scenario,
     ) -> Tracks:
-        """See `Policy._track`; team-mates report the waypoints of their last decisions."""
+        """See `Policy._track`; team-mates report the waypoints they had in the step before."""
         tracks = super()._track(observation, state, is_init, scenario)
         if not (self.config.observes_intent and scenario.team_tracks):
             return tracks
@@ -160,7 +169,7 @@ class HierarchicalPolicy(StochasticPolicy):
         state: PolicyState,
         noise: ExplorationNoise | None = None,
     ) -> tuple[PolicyStep, PolicyState]:
-        """See `StochasticPolicy.step`. A waypoint is due after K steps, or when it is reached.
+        """See `StochasticPolicy.step`. A new waypoint is due after K steps, or when it is reached.
 
         A robot that waits or yields does so for all steps of its macro action.
         """
@@ -210,18 +219,18 @@ class HierarchicalPolicy(StochasticPolicy):
     def _macro_step(
         self, scene: Any, ego: Tensor, rows: Tensor, due: Tensor, noise: ExplorationNoise | None
     ) -> LevelStep:
-        """Choose macro actions where they are due; elsewhere they are arbitrary."""
+        """Choose macro actions where they are due; the other rows must not be used."""
         # Few robots need a waypoint at a time: only their rows are computed, unless the graph is
         # traced for export or the ablation uses the choices of other robots.
-        everybody = is_tracing() or self.waypoint_source is Waypoints.shuffled
-        index = rows if everybody else due.nonzero().squeeze(1)
+        every_row = is_tracing() or self.waypoint_source is Waypoints.shuffled
+        index = rows if every_row else due.nonzero().squeeze(1)
         size = self.action_sizes()[MACRO]
         if len(index) == 0:
             return LevelStep(ego.new_zeros(len(rows), size), ego.new_zeros(len(rows)), due)
         embedding = self._embedding(samples_of(scene, index), ego[index], rows[index])
         fresh = None if noise is None else noise.fresh[MACRO][index]
         action, probability = self._sample_macro(embedding, rows[index], fresh)
-        if everybody:
+        if every_row:
             return LevelStep(action, probability, due)
         return LevelStep(
             action.new_zeros(len(rows), size).index_copy(0, index, action),
@@ -248,10 +257,10 @@ class HierarchicalPolicy(StochasticPolicy):
         if noise is None:
             mode = logits.argmax(-1, keepdim=True)
             return torch.cat([mode.to(mean.dtype), mean], -1), zero
-        share = torch.special.ndtr(noise[:, :1])  # uniform
-        mode = (share > logits.softmax(-1).cumsum(-1)[:, :-1]).sum(-1, keepdim=True)
+        quantile = torch.special.ndtr(noise[:, :1])
+        mode = (quantile > logits.softmax(-1).cumsum(-1)[:, :-1]).sum(-1, keepdim=True)
         action = torch.cat([mode.to(mean.dtype), mean + std * noise[:, 1:]], -1)
-        return action, ModalNormal(logits, mean, std).log_prob(action)
+        return action, ModeAndOffset(logits, mean, std).log_prob(action)
 
     def mode_logits(self, embedding: Tensor, rows: Tensor) -> Tensor:
         """See `StochasticPolicy.mode_logits`."""
@@ -289,14 +298,15 @@ class HierarchicalPolicy(StochasticPolicy):
         return attention._replace(waypoint=to_world(decode_waypoint(features).numpy(), ego))
 
     def _ablated(self, macro: LevelStep) -> Tensor:
-        """Return the macro actions [B, 2] that are used."""
+        """Return the macro actions [B, A] that are used."""
         action = macro.action
         if self.waypoint_source is Waypoints.shuffled:
             return action.view(-1, self.team_size, action.shape[1]).roll(-1, 1).view_as(action)
         if self.waypoint_source is Waypoints.random and macro.decided.any():
             drawn = torch.from_numpy(self._random.uniform(-1, 1, action.shape)).to(action)
             if self.config.modes:
-                drawn[:, 0] = ((drawn[:, 0] + 1) / 2 * len(Mode)).floor()
+                modes = self._random.integers(len(Mode), size=len(action))
+                drawn[:, 0] = torch.from_numpy(modes).to(drawn)
             return drawn
         return action
 
@@ -304,16 +314,20 @@ class HierarchicalPolicy(StochasticPolicy):
         """Without `local_goal` the scene, which both levels share, must not reveal the goal."""
         if self.config.local_goal:
             return features
-        return features._replace(ego=without_goal(features.ego))
+        return features._replace(ego=without_goal(features.ego, self._replaces_route))
 
     def _local_query(self, ego: Tensor, waypoint_features: Tensor) -> Tensor:
-        """Return own states [P, F_e] with the waypoint in place of the goal and of the route."""
+        """Return the own states [P, F_e] with which the local level queries the scene.
+
+        The waypoint takes the place of the goal and, with modes, of the route; with `local_goal`
+        and without modes they are unchanged.
+        """
         c = self.config
         if c.local_goal and not c.modes:
             return ego
-        query = ego.clone() if c.local_goal else without_goal(ego)
+        query = ego.clone() if c.local_goal else without_goal(ego, False)
         target = features_of_target(decode_waypoint(waypoint_features))
         query[..., EGO_TARGET] = target
-        if c.modes and self.observes_route:
+        if self._replaces_route:
             query[..., EGO_ROUTE] = target
         return query

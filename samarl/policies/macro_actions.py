@@ -12,7 +12,7 @@ from torch import Tensor
 
 from mrsan import Entities
 from mrsan.fields import number, required, setting
-from samarl.observations.features import EGO_PLACE, EGO_TARGET, EGO_TIME
+from samarl.observations.features import EGO_PLACE, EGO_ROUTE, EGO_TARGET, EGO_TIME
 from samarl.observations.tracker import Tracks
 from samarl.policies.policy import WAYPOINT_FEATURES, PolicyConfig
 from samarl.registry import needed
@@ -25,7 +25,7 @@ class Waypoints(Enum):
 
     learned = "the macro level"
     first = "the macro level, once in an episode"
-    random = "anywhere the macro level could put them"
+    random = "drawn uniformly, as is the mode"
     shuffled = "the macro level's choice for the next robot"
 
 
@@ -42,7 +42,7 @@ class Mode(IntEnum):
 class HierarchicalConfig(PolicyConfig):
     """Numbers of the two levels."""
 
-    macro_steps: int = required(1, 200, help="steps between two waypoints, K")
+    macro_steps: int = required(1, 200, help="most steps for which a waypoint is kept, K")
     waypoint_ahead: float = required(
         0.1, 100.0, unit="m", help="distance of the default waypoint along the route"
     )
@@ -63,11 +63,11 @@ class HierarchicalConfig(PolicyConfig):
         False, kw_only=True, help="the macro level chooses to go, to wait or to yield to a side"
     )
     making_way_steps: int = number(16, 1, 1000, help="steps for which a robot waits or yields")
-    making_way_distance: float = number(
+    making_way_penalty: float = number(
         0.25,
         0.0,
         100.0,
-        help="penalty of the local level per step and metre from where it should wait or yield",
+        help="penalty per step and metre from the waypoint of a robot that waits or yields",
     )
 
 
@@ -75,10 +75,11 @@ def waypoint_of(config: HierarchicalConfig, route: Tensor, macro: Tensor) -> Ten
     """Return the waypoints [B, 2] in the body frame (m) of macro actions [B, A].
 
     A robot that goes has its waypoint on the route, `waypoint_ahead` in front of it, moved by the
-    macro action in [-1, 1] times `waypoint_range`; zero means "along the route". Where less than
-    `waypoint_ahead` of the route remains, it is moved by proportionally less: a local level that
-    does not see the goal could not arrive otherwise. A robot that waits has it where it is, and one
-    that yields behind it on the route and aside.
+    macro action in [-1, 1] times `waypoint_range`; zero means "along the route". Without
+    `local_goal` it is moved by proportionally less once less than `waypoint_ahead` of the route
+    remains: a local level that does not see the goal could not reach it otherwise. The waypoint of
+    a robot that waits is its own position; that of one that yields lies straight back from the
+    direction of the route and to the side.
 
     Args:
         config: of the policy.
@@ -86,7 +87,7 @@ def waypoint_of(config: HierarchicalConfig, route: Tensor, macro: Tensor) -> Ten
         macro: [B, A] before clipping.
     """
     c = config
-    mode, offset = macro[:, 0], macro[:, -2:]  # there is no mode without `modes`
+    mode, offset = macro[:, 0], macro[:, -2:]  # without `modes` there is no mode, only the offset
     distance = route.norm(dim=-1, keepdim=True).clamp(min=1e-6)
     share = (c.waypoint_ahead / distance).clamp(max=1.0)
     reach = c.waypoint_range
@@ -113,7 +114,7 @@ def encode_macro_action(waypoint: Tensor, mode: Tensor | None) -> Tensor:
 
 
 def waypoint_size(config: HierarchicalConfig) -> int:
-    """Return the number of features of a waypoint, W."""
+    """Return the number of features of a waypoint and, with modes, of its mode, W."""
     return WAYPOINT_FEATURES + len(Mode) * config.modes
 
 
@@ -134,9 +135,9 @@ def decode_waypoint(features: Tensor) -> Tensor:
     return 2.0 * features[..., 0:2]
 
 
-def without_goal(ego: Tensor) -> Tensor:
-    """Return own states [..., F_e] without the goal, the place and the time."""
+def without_goal(ego: Tensor, hide_route: bool) -> Tensor:
+    """Return own states [..., F_e] without the goal, the place and the time, and the route."""
     blind = ego.clone()
-    for hidden in (EGO_TARGET, EGO_PLACE, EGO_TIME):
+    for hidden in (EGO_TARGET, EGO_PLACE, EGO_TIME, *[EGO_ROUTE] * hide_route):
         blind[..., hidden] = 0.0
     return blind

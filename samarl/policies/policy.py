@@ -187,7 +187,7 @@ class Policy(nn.Module, ABC):
         return 0
 
     def has_modes(self, level: str) -> bool:
-        """Return whether the actions of a level begin with a mode; see `ModalNormal`."""
+        """Return whether the actions of a level begin with a mode; see `ModeAndOffset`."""
         return False
 
     def team_waypoints(

@@ -8,7 +8,7 @@ from tensordict.nn import TensorDictModule
 from torch import Tensor, nn
 from torchrl.modules import IndependentNormal, ProbabilisticActor
 
-from samarl.policies.heads import ModalNormal, given_previous_noise
+from samarl.policies.heads import ModeAndOffset, given_previous_noise
 from samarl.policies.policy import LOCAL
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ def make_actor(policy: StochasticPolicy, level: str) -> ProbabilisticActor:
     `Policy._per_parameter_set`), for the local level also `previous_noise` [Q, A] and
     `noise_correlation` [Q, 1]. It writes `loc` and `scale` [Q, A] of the distribution of `action`
     given the previous noise, and `mean` and `std` [Q, A] without that condition; for a level with
-    modes also their `logits` [Q, M].
+    modes also their `logits` [Q, M]; its `action` is [Q, 1 + A], the mode first.
     """
     noise = ["previous_noise", "noise_correlation"] if level == LOCAL else []
     has_modes = policy.has_modes(level)
@@ -36,7 +36,7 @@ def make_actor(policy: StochasticPolicy, level: str) -> ProbabilisticActor:
         head,
         in_keys=parameters,
         out_keys=["action"],
-        distribution_class=ModalNormal if has_modes else IndependentNormal,
+        distribution_class=ModeAndOffset if has_modes else IndependentNormal,
         distribution_kwargs={} if has_modes else {"validate_args": False},
         return_log_prob=True,
         log_prob_key="sample_log_prob",
