@@ -82,6 +82,7 @@ def test_every_decision_counts_the_same_whatever_its_level() -> None:
         critic_coefficient=0.0,
         action_limit_penalty=0.0,
         entropy_coefficient=0.0,
+        macro_entropy_coefficient=0.0,
         clip_epsilon=0.5,
     )
     rollout = learning.collector(policy, 6, 12).collect()
