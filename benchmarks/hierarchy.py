@@ -33,7 +33,7 @@ from samarl.policies.checkpoint import load_policy
 from samarl.policies.macro_actions import Waypoints
 
 COMMON = ["experiment=passages", "trainer.threads=1"]
-TEAM = ["curriculum=passages_team"]  # with team perception
+TEAM = [f"curriculum.stages.{stage}.scenario.team_perception=tracks" for stage in range(4)]
 TWO_LEVELS = [
     "policy.local_goal=true",
     "policy.arrival_bonus=0",  # the local level observes the goal, and circling does not pay

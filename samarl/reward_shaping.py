@@ -56,10 +56,10 @@ def level_rewards(
     rewards = {LOCAL: task}
     if isinstance(policy, HierarchicalPolicy):
         waypoint = state["waypoint"].view(*task.shape, 2).cpu().numpy()
-        makes_way = np.zeros(task.shape, np.bool_)
+        local = _waypoint_reward(policy.config, waypoint, before, step)
         if policy.has_modes(MACRO):
             makes_way = (state["mode"] != Mode.go).view(task.shape).cpu().numpy() & active
-        local = _waypoint_reward(policy.config, waypoint, makes_way, before, step)
+            local -= _making_way_penalty(policy.config, waypoint, step) * makes_way
         rewards = {MACRO: task, LOCAL: local}
     if shaping.path_penalty > 0.0:
         per_speed = np.float32(shaping.path_penalty * scenario.time_step)
@@ -85,29 +85,28 @@ def _task_reward(
 
 
 def _waypoint_reward(
-    config: HierarchicalConfig,
-    waypoint: Floats,
-    makes_way: NDArray[np.bool_],
-    before: Observation,
-    step: Step,
+    config: HierarchicalConfig, waypoint: Floats, before: Observation, step: Step
 ) -> Floats:
     """Return the reward [E, N] of a local level, with progress to waypoints [E, N, 2].
-
-    A robot that should wait or yield, where `makes_way` [E, N] is true, is also penalised for its
-    distance from the waypoint. Progress alone pays only for changes in distance: staying away would
-    cost nothing, and the next macro action would start from wherever the robot happens to be.
 
     The arrival bonus exceeds the discounted value of endless waypoint following; otherwise the
     robot would circle its waypoint.
     """
     parts = step.reward_parts
     progress = np.float32(config.waypoint_progress) * progress_to(waypoint, before, step)
-    distance = distance_to(waypoint, step.observation)
     reward = parts.collision + parts.discomfort + parts.lookahead + parts.time
     reward += np.where(parts.progress != 0.0, progress, np.float32(0.0))
     reward += parts.arrival + np.float32(config.arrival_bonus) * (parts.arrival > 0.0)
-    reward -= np.float32(config.making_way_penalty) * distance * makes_way
     return reward
+
+
+def _making_way_penalty(config: HierarchicalConfig, waypoint: Floats, step: Step) -> Floats:
+    """Return the penalty [E, N] of robots that should wait or yield at waypoints [E, N, 2].
+
+    Progress alone pays only for changes in distance: staying away would cost nothing, and the next
+    macro action would start from wherever the robot happens to be.
+    """
+    return np.float32(config.making_way_penalty) * distance_to(waypoint, step.observation)
 
 
 def progress_to(target: Floats, before: Observation, step: Step) -> Floats:

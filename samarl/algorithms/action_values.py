@@ -9,6 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from samarl.encoders.windowed_attention import MASKED
+from samarl.observations.features import team_mates
 
 
 class Aggregation(Enum):
@@ -83,7 +84,6 @@ class ConcatenationCritic(TeamCritic):
         """See `TeamCritic.forward`."""
         n = y.shape[-2]
         inputs = torch.cat([y, others], -1) * active.unsqueeze(-1)
-        other_indices = [[k for k in range(n) if k != i] for i in range(n)]
-        other_inputs = inputs[..., torch.tensor(other_indices, dtype=torch.long).view(n, n - 1), :]
+        other_inputs = inputs[..., torch.from_numpy(team_mates(n)), :]
         q: Tensor = self.out(torch.cat([y, own, other_inputs.flatten(-2)], -1)).squeeze(-1)
         return q

@@ -126,7 +126,7 @@ def true_state(world: World, waypoints: NDArray[np.float32] | None = None) -> Tr
     """
     state, n = world.state, world.scenario.robots
     observation = world.observe(all_seeing=True)
-    others = np.array([[k for k in range(n) if k != i] for i in range(n)], int).reshape(n, n - 1)
+    others = team_mates(n)
     human_goals = np.repeat(state.human_goal[:, None], n, 1)  # [E, N, M, 2]
     goals_and_arrivals = {
         "humans": (human_goals, np.zeros(human_goals.shape[:3], np.bool_)),
@@ -141,6 +141,12 @@ def true_state(world: World, waypoints: NDArray[np.float32] | None = None) -> Tr
             extended.append(waypoints)
         entities[name] = Entities(np.concatenate(extended, -1, dtype=np.float32), mask)
     return Tracks(observation.ego, entities, observation.sensors)
+
+
+def team_mates(robots: int) -> NDArray[np.int64]:
+    """Return the indices of the other robots of every robot, [N, N - 1]."""
+    others = [[k for k in range(robots) if k != i] for i in range(robots)]
+    return np.array(others, np.int64).reshape(robots, robots - 1)
 
 
 def state_features(state: Tracks, scenario: Scenario) -> Frames:

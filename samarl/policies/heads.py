@@ -86,8 +86,14 @@ class ModeAndOffset(torch.distributions.Distribution):
 
     def sample(self, sample_shape: Sequence[int] = ()) -> Tensor:
         """Draw samples [..., 1 + A]."""
-        mode = self.modes.sample(torch.Size(sample_shape)).unsqueeze(-1)
-        offset = self.offset.sample(torch.Size(sample_shape))
+        shape = self._extended_shape(torch.Size(sample_shape))
+        return self.from_noise(torch.randn(shape, device=self.offset.loc.device))
+
+    def from_noise(self, noise: Tensor) -> Tensor:
+        """Return the samples [..., 1 + A] that standard normal noise [..., 1 + A] draws."""
+        quantile = torch.special.ndtr(noise[..., :1])
+        mode = (quantile > self.modes.probs.cumsum(-1)[..., :-1]).sum(-1, keepdim=True)
+        offset = self.offset.loc + self.offset.scale * noise[..., 1:]
         return torch.cat([mode.to(offset), offset], -1)
 
     def log_prob(self, value: Tensor) -> Tensor:

@@ -21,6 +21,7 @@ from samarl.observations.features import (
     EGO_TARGET,
     NETWORK_OTHER_FEATURES,
     features_of_target,
+    team_mates,
     to_body,
     to_world,
 )
@@ -152,12 +153,12 @@ class HierarchicalPolicy(StochasticPolicy):
     def team_waypoints(self, state: PolicyState, ego: NDArray[np.float32]) -> NDArray[np.float32]:
         """See `Policy.team_waypoints`."""
         worlds, n = ego.shape[:2]
-        others = np.array([[j for j in range(n) if j != i] for i in range(n)], int)
+        others = team_mates(n)
         waypoint = state["waypoint"].view(worlds, n, 2).cpu().numpy()
-        in_body = to_body(waypoint[:, others.reshape(n, n - 1)], ego[:, :, None])
+        in_body = to_body(waypoint[:, others], ego[:, :, None])
         mode = None
         if self.config.modes:
-            mode = state["mode"].view(worlds, n)[:, others.reshape(n, n - 1)].cpu()
+            mode = state["mode"].view(worlds, n)[:, others].cpu()
         return encode_macro_action(torch.from_numpy(in_body), mode).numpy()
 
     def step(
@@ -253,25 +254,11 @@ class HierarchicalPolicy(StochasticPolicy):
                 return mean, zero
             action = mean + std * noise
             return action, log_prob(action, mean, std)
-        logits = self.mode_logits(embedding, rows)
+        distribution = ModeAndOffset(self.mode_logits(MACRO, embedding, rows), mean, std)
         if noise is None:
-            mode = logits.argmax(-1, keepdim=True)
-            return torch.cat([mode.to(mean.dtype), mean], -1), zero
-        quantile = torch.special.ndtr(noise[:, :1])
-        mode = (quantile > logits.softmax(-1).cumsum(-1)[:, :-1]).sum(-1, keepdim=True)
-        action = torch.cat([mode.to(mean.dtype), mean + std * noise[:, 1:]], -1)
-        return action, ModeAndOffset(logits, mean, std).log_prob(action)
-
-    def mode_logits(self, embedding: Tensor, rows: Tensor) -> Tensor:
-        """See `StochasticPolicy.mode_logits`."""
-
-        def head(net: Any, index: int, samples: Any) -> Tensor:
-            logits: Tensor = net.heads[MACRO].mode_logits(embedding[samples])
-            return logits
-
-        with self._precision():
-            logits = self._per_parameter_set(rows, head)
-        return logits.float()
+            return distribution.deterministic_sample, zero
+        action = distribution.from_noise(noise)
+        return action, distribution.log_prob(action)
 
     def _embeddings(
         self,
@@ -325,7 +312,7 @@ class HierarchicalPolicy(StochasticPolicy):
         c = self.config
         if c.local_goal and not c.modes:
             return ego
-        query = ego.clone() if c.local_goal else without_goal(ego, False)
+        query = ego.clone() if c.local_goal else without_goal(ego, self._replaces_route)
         target = features_of_target(decode_waypoint(waypoint_features))
         query[..., EGO_TARGET] = target
         if self._replaces_route:

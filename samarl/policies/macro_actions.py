@@ -136,8 +136,8 @@ def decode_waypoint(features: Tensor) -> Tensor:
 
 
 def without_goal(ego: Tensor, hide_route: bool) -> Tensor:
-    """Return own states [..., F_e] without the goal, the place and the time, and the route."""
+    """Return own states [..., F_e] without goal, place, time and, with `hide_route`, the route."""
     blind = ego.clone()
-    for hidden in (EGO_TARGET, EGO_PLACE, EGO_TIME, *[EGO_ROUTE] * hide_route):
+    for hidden in (EGO_TARGET, EGO_PLACE, EGO_TIME, *([EGO_ROUTE] if hide_route else [])):
         blind[..., hidden] = 0.0
     return blind

@@ -82,9 +82,7 @@ class PolicyStep(NamedTuple):
     mean: Tensor  # [B, A] the local level's action without noise
     levels: dict[str, LevelStep]
     previous_noise: Tensor | None = None  # [B, A] of the local level, in standard deviations
-    waypoint_features: Tensor | None = (
-        None  # [B, W], see `Policy.waypoint_size`; None without a macro level
-    )
+    waypoint_features: Tensor | None = None  # [B, W]; None without a macro level
     scene: Any = None  # [B, ...] what the encoder made of the features, for explanations
 
 

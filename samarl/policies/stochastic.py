@@ -116,10 +116,6 @@ class StochasticPolicy(Policy):
         """Return how many numbers an action of each level has."""
         return {LOCAL: self.action_size}
 
-    def mode_logits(self, embedding: Tensor, rows: Tensor) -> Tensor:
-        """Return the logits [P, M] of the modes for embeddings [P, Y] of a level that has modes."""
-        raise NotImplementedError
-
     def initial_policy_state(self, rows: int, scenario: Scenario) -> PolicyState:
         """Return the memory of B robots before their first step.
 
@@ -337,6 +333,17 @@ class StochasticPolicy(Policy):
         with self._precision():
             mean, std = self._per_parameter_set(rows, head)
         return Distribution(mean.float(), std.float())
+
+    def mode_logits(self, level: str, embedding: Tensor, rows: Tensor) -> Tensor:
+        """Return the logits [P, M] of the modes for embeddings [P, Y] of a level that has modes."""
+
+        def head(net: Any, index: int, samples: Any) -> Tensor:
+            logits: Tensor = net.heads[level].mode_logits(embedding[samples])
+            return logits
+
+        with self._precision():
+            logits: Tensor = self._per_parameter_set(rows, head)
+        return logits.float()
 
     def _sample_local(
         self,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 from tensordict.nn import TensorDictModule
 from torch import Tensor, nn
@@ -11,11 +11,21 @@ from torchrl.modules import IndependentNormal, ProbabilisticActor
 from samarl.policies.heads import ModeAndOffset, given_previous_noise
 from samarl.policies.policy import LOCAL
 
-if TYPE_CHECKING:
-    from samarl.policies.stochastic import StochasticPolicy
+
+class Levels(Protocol):
+    """What the actors need of a policy, see `StochasticPolicy`."""
+
+    def has_modes(self, level: str) -> bool:
+        """Return whether the actions of a level begin with a mode."""
+
+    def distribution(self, level: str, embedding: Tensor, rows: Tensor) -> tuple[Tensor, Tensor]:
+        """Return mean and standard deviation of a level's actions, [P, A] each."""
+
+    def mode_logits(self, level: str, embedding: Tensor, rows: Tensor) -> Tensor:
+        """Return the logits of the modes of a level that has modes, [P, M]."""
 
 
-def make_actor(policy: StochasticPolicy, level: str) -> ProbabilisticActor:
+def make_actor(policy: Levels, level: str) -> ProbabilisticActor:
     """Return a level of a policy as a TorchRL actor.
 
     It reads `embedding` [Q, Y] (see `StochasticPolicy.embed`) and `row` [Q] (see
@@ -46,7 +56,7 @@ def make_actor(policy: StochasticPolicy, level: str) -> ProbabilisticActor:
 class LevelHead(nn.Module):
     """One level of a policy as a module, see `make_actor`."""
 
-    def __init__(self, policy: StochasticPolicy, level: str) -> None:
+    def __init__(self, policy: Levels, level: str) -> None:
         super().__init__()
         self.policy, self.level = policy, level
 
@@ -60,7 +70,7 @@ class LevelHead(nn.Module):
         """Return the logits [Q, M] of a level with modes; loc, scale, mean and std, [Q, A] each."""
         mean, std = self.policy.distribution(self.level, embedding, row)
         if self.policy.has_modes(self.level):
-            return self.policy.mode_logits(embedding, row), mean, std, mean, std
+            return self.policy.mode_logits(self.level, embedding, row), mean, std, mean, std
         if previous_noise is None:
             return mean, std, mean, std
         return *given_previous_noise(mean, std, previous_noise, noise_correlation), mean, std
