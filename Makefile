@@ -14,8 +14,9 @@ help: python ## List all targets
 setup: python ## Install the project and its dependencies into .venv, unless they are up to date
 	@$(PYTHON) -m tools.setup_venv
 
-bench: setup ## Evaluate Table I (or TABLE=table2, MSA3C's) and compare with results/ (minutes)
-	@$(BIN)/samarl-bench $(if $(TABLE),table=$(TABLE)) $(if $(CASES),evaluation.cases=$(CASES)) \
+bench: setup ## Evaluate the README's rows of Table I, 100 cases each (5 minutes); FULL=1: all rows and cases
+	@$(BIN)/samarl-bench $(if $(TABLE),table=$(TABLE),$(if $(FULL),,agents=headline)) \
+	  $(if $(CASES)$(FULL),$(if $(CASES),evaluation.cases=$(CASES)),evaluation.cases=100) \
 	  $(if $(LEARNED_CASES),learned_cases=$(LEARNED_CASES))
 
 test: setup ## Run the tests on all cores
@@ -53,8 +54,8 @@ docs: setup ## Build the documentation, with the Python API, in outputs/docs/
 latency: setup ## Measure how long one decision takes
 	@$(BIN)/python -m benchmarks.latency
 
-throughput: setup ## Measure world-steps per second (a minute)
-	@$(BIN)/python -m benchmarks.throughput --compile
+throughput: setup ## Measure world-steps per second and first starts (3 minutes)
+	@$(BIN)/python -m benchmarks.throughput --cold
 
 soak: setup ## Step worlds with random actions 1e9 times, or resume an interrupted run (an hour)
 	@$(BIN)/python -m benchmarks.soak

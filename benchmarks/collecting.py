@@ -20,7 +20,6 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 from torchrl.collectors import Collector
 from torchrl.envs import InitTracker, TransformedEnv
-from tqdm import trange
 
 from benchmarks.training import default_trainer
 from benchmarks.workload import add_output, interruptible, positive_whole_number, provenance
@@ -34,6 +33,7 @@ from samarl.observations.features import empty_frames
 from samarl.observations.frames import Frames
 from samarl.policies.policy import LOCAL
 from samarl.policies.stochastic import StochasticPolicy
+from samarl.progress import progress_bar
 from samarl.rollout import Rollout
 from samarl.training.collector import RolloutCollector
 from samarl.training.curriculum import CurriculumStage
@@ -61,7 +61,7 @@ def main() -> None:
     )
     seconds: dict[str, list[float]] = {"samarl": [], "torchrl": []}
     with interruptible():
-        for number in trange(arguments.rounds + 1, desc="collecting", unit="round", disable=None):
+        for number in progress_bar(range(arguments.rounds + 1), desc="collecting", unit="round"):
             for name, collect in collectors:
                 start = time.perf_counter()
                 collect()

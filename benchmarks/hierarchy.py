@@ -19,7 +19,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from tqdm import tqdm
 
 from benchmarks.workload import add_output, interruptible, positive_whole_number, provenance
 from mrsan import Layout, Scenario, Split, TeamPerception
@@ -31,6 +30,7 @@ from samarl.evaluation.table import markdown_table
 from samarl.files import machine, write_json, write_text
 from samarl.policies.checkpoint import load_policy
 from samarl.policies.macro_actions import Waypoints
+from samarl.progress import progress_bar
 
 COMMON = ["experiment=passages", "trainer.threads=1"]
 TEAM = [f"curriculum.stages.{stage}.scenario.team_perception=tracks" for stage in range(4)]
@@ -133,7 +133,9 @@ def evaluate(recipe: str, seed: int, path: Path, cases: int) -> list[Row]:
     team_perception = TEAM[0] in RECIPES[recipe]
     numbers = Split.test.case(0) + np.arange(cases)
     rows = []
-    for method, waypoints, cell in tqdm(list(_evaluations(recipe)), desc=recipe, disable=None):
+    for method, waypoints, cell in progress_bar(
+        list(_evaluations(recipe)), desc=recipe, unit="cell"
+    ):
         scenario = cell.scenario(team_perception)
         agent = DeployedPolicy(policy, scenario, waypoints)
         episodes = run_cases(agent, scenario, numbers, 128)

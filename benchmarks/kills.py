@@ -23,11 +23,11 @@ from typing import Any
 from tensorboard.backend.event_processing.event_accumulator import (  # type: ignore[import-untyped]
     EventAccumulator,
 )
-from tqdm import tqdm
 
 from benchmarks.workload import add_output, interruptible, provenance
 from mrsan import ConfigurationError
 from samarl.files import check_writable, write_json
+from samarl.progress import progress_bar
 from samarl.training.run_dir import BEST, LAST, RunDir
 
 SAVE_EVERY = 32  # environment steps
@@ -221,7 +221,7 @@ def kill_repeatedly(
             reference.folder.mkdir()
             first_save, duration = run_uninterrupted(reference)
         expected = reference.output()
-        bar = tqdm(total=kills, desc=kind.__name__.lower(), unit="kill", disable=None)
+        bar = progress_bar(total=kills, desc=kind.__name__.lower(), unit="kill")
         while counts["kills"] < kills or not counts["finished"]:
             task = kind(Path(name) / str(counts["finished"]))
             task.folder.mkdir()

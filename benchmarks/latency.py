@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from tqdm import tqdm
 
 from benchmarks.workload import add_output, interruptible, positive_number, provenance
 from mrsan import ConfigurationError, Scenario, World
@@ -26,6 +25,7 @@ from samarl.configuration import available_agents, load_agent, load_scenario
 from samarl.evaluation.table import markdown_table
 from samarl.export import export_agent
 from samarl.files import machine, write_json
+from samarl.progress import progress_bar
 from samarl.runtime import Driver
 from samarl.runtime.simulation import as_seen
 
@@ -48,7 +48,7 @@ def main() -> None:
         agents["checkpoint"] = {"_target_": target, "checkpoint": str(arguments.checkpoint)}
     rows: list[dict[str, Any]] = []
     with interruptible():
-        for name, config in tqdm(agents.items(), desc="latency", unit="agent", disable=None):
+        for name, config in progress_bar(agents.items(), desc="latency", unit="agent"):
             one = decision_times(config, 1, arguments.seconds)
             exported = exported_times(config, name, arguments.seconds)
             batch = decision_times(config, BATCH, arguments.seconds)

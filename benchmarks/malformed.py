@@ -31,6 +31,7 @@ from benchmarks.workload import add_output, interruptible, positive_whole_number
 from mrsan import ActionError, ConfigurationError
 from mrsan.recording import RecordingError
 from samarl.files import check_writable, write_json
+from samarl.progress import progress_bar
 
 REFUSED, ACCEPTED = "refused", "accepted"
 SECONDS = 60.0  # time limit of one input; on an idle machine it takes milliseconds
@@ -118,7 +119,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name, interruptible():
         valid = ValidInputs(Path(name))
         numbers = arguments.only or range(arguments.number)
-        for number in tqdm(numbers, "malformed", unit="input", disable=None):
+        for number in progress_bar(numbers, desc="malformed", unit="input"):
             item = make_input(number, valid, arguments.seed)
             loading_start = time.perf_counter()
             item_outcome = outcome(item)

@@ -14,7 +14,6 @@ from typing import Any
 import numba
 import numpy as np
 import shapely
-from tqdm import tqdm
 
 from benchmarks.workload import add_output, interruptible, positive_whole_number, provenance
 from mrsan import Layout, Scenario, World
@@ -24,6 +23,7 @@ from mrsan.place_shapes import polygons_of, route_of
 from mrsan.state import State
 from samarl.evaluation.table import markdown_table
 from samarl.files import write_json
+from samarl.progress import progress_bar
 
 HUMANS, ROBOTS, WORLDS = 8, 3, 512
 FEWER_HUMANS = {Layout.corner: 4}  # where more have no room
@@ -67,7 +67,7 @@ def certify(layout: Layout, cases: int) -> dict[str, Any]:
     """Return how many cases are feasible, and how many starts and goals were drawn again."""
     world = World(scenario_of(layout), min(cases, WORLDS))
     feasible, redraws, shortest = 0, 0.0, np.inf
-    with tqdm(total=cases, desc=f"{layout.name}: cases", disable=None) as bar:
+    with progress_bar(total=cases, desc=f"{layout.name}: cases") as bar:
         for first in range(0, cases, world.worlds):
             world.reset(first + np.arange(world.worlds))
             number = min(world.worlds, cases - first)
@@ -117,7 +117,7 @@ def walk(layout: Layout, person_steps: int) -> dict[str, Any]:
     most = round(DEADLOCK / scenario.time_step)
     standing = np.zeros(state.human_present.shape, np.int32)
     overlaps = passages = deadlocks = done = 0
-    with tqdm(total=person_steps, desc=f"{layout.name}: person-steps", disable=None) as bar:
+    with progress_bar(total=person_steps, desc=f"{layout.name}: person-steps") as bar:
         while done < person_steps:
             before, episode = state.human_position.copy(), state.episode.copy()
             world.step(actions)

@@ -31,6 +31,7 @@ from benchmarks.workload import (
 from mrsan import ConfigurationError, Step, World
 from mrsan.state import State
 from samarl.files import atomic_write, check_writable, code_version, write_json
+from samarl.progress import progress_bar
 
 LARGEST_GROWTH = 20.0  # of the memory of one process, MB
 SAVE_SECONDS = 60.0
@@ -75,14 +76,8 @@ class Soak:
     def run(self, world_steps: int) -> None:
         """Step until `world_steps` are reached or a check fails, and save regularly."""
         self.save()
-        layout = "{l_bar}{bar}| {n_fmt}/{total_fmt} [{elapsed}<{remaining}{postfix}]"
-        with tqdm(
-            total=world_steps,
-            initial=self.world_steps,
-            desc="soak",
-            unit_scale=True,
-            bar_format=layout,
-            disable=None,
+        with progress_bar(
+            total=world_steps, initial=self.world_steps, desc="soak", unit="step", unit_scale=True
         ) as bar:
             while self.world_steps < world_steps and self.failure is None:
                 step = self.stepper.step()

@@ -20,7 +20,6 @@ from typing import Any
 
 import numba
 import numpy as np
-from tqdm import tqdm
 
 from benchmarks.workload import (
     RandomStepper,
@@ -32,6 +31,7 @@ from benchmarks.workload import (
 from mrsan.pettingzoo_env import PettingZooEnv
 from samarl.evaluation.table import markdown_table
 from samarl.files import write_json
+from samarl.progress import progress_bar
 
 WORLDS, HUMANS, ROBOTS = 512, 10, 3
 BY_WORLDS = (1, 64, 512, 4096)
@@ -50,6 +50,10 @@ world = World(Scenario(humans={HUMANS}, robots={ROBOTS}), {WORLDS})
 world.reset()
 world.step(np.zeros(({WORLDS}, {ROBOTS}, world.scenario.action_size), np.float32))
 """
+_FIRST_COMMAND = [
+    *(sys.executable, "-m", "samarl.commands.evaluate"),
+    *("agent=samarl", "evaluation.cases=20"),
+]
 
 Point = dict[str, Any]
 
@@ -58,22 +62,22 @@ def main() -> None:
     """Measure, print the tables and write the JSON file."""
     arguments = _parse()
     with interruptible():
-        result = measure(arguments.seconds, arguments.compile)
+        result = measure(arguments.seconds, arguments.cold)
     print(format_tables(result))
     output: Path = arguments.output
     write_json(output, result)
     print(f"\nwritten to {output}")
 
 
-def measure(seconds: float, with_compile: bool) -> dict[str, Any]:
+def measure(seconds: float, cold: bool) -> dict[str, Any]:
     """Return the content of `results/throughput.json`.
 
     Args:
         seconds: the duration of the measurement of each point.
-        with_compile: also time a first start without compiled kernels (a minute).
+        cold: also time first starts, without compiled kernels (two minutes).
     """
     points = len(BY_WORLDS) + len(BY_HUMANS) + len(BY_ROBOTS) + len(BY_PLACE) + 3
-    with tqdm(total=points, desc="throughput", unit="point", disable=None) as bar:
+    with progress_bar(total=points, desc="throughput", unit="point") as bar:
 
         def point(worlds: int, humans: int, robots: int) -> Point:
             bar.set_postfix_str(f"{worlds} worlds, {humans} humans, {robots} robots")
@@ -96,10 +100,15 @@ def measure(seconds: float, with_compile: bool) -> dict[str, Any]:
         pettingzoo = _point(1, HUMANS, ROBOTS, steps_per_second(_pettingzoo_step(), seconds))
         bar.update()
         bar.set_postfix_str("start")
-        start = {"from_cache_seconds": _start_from_cache(), "compile_seconds": None}
-        if with_compile:
+        start: dict[str, float | None] = {
+            "from_cache_seconds": _start_from_cache(),
+            "compile_seconds": None,
+            "first_command_seconds": None,
+        }
+        if cold:
             bar.set_postfix_str("first compilation")
-            start["compile_seconds"] = _start_without_cache()
+            start["compile_seconds"] = _seconds_without_cache([sys.executable, "-c", _FIRST_STEP])
+            start["first_command_seconds"] = _seconds_without_cache(_FIRST_COMMAND)
         bar.update()
     return {
         "full_step": full_step,
@@ -134,7 +143,6 @@ def growth_exponent(sizes: Sequence[float], costs: Sequence[float]) -> float:
 def format_tables(result: dict[str, Any]) -> str:
     """Return the tables as text."""
     full, pettingzoo, start = result["full_step"], result["pettingzoo"], result["start"]
-    compile_seconds = start["compile_seconds"]
     scaling_laws = {
         "worlds": "time of one step of all worlds ~ worlds",
         "humans": "time of one world-step ~ humans",
@@ -152,7 +160,10 @@ def format_tables(result: dict[str, Any]) -> str:
             for p in result["by_place"]
         ],
     )
-    compiled = "not measured (--compile)" if compile_seconds is None else f"{compile_seconds} s"
+    compiled, first_command = (
+        "not measured (--cold)" if start[name] is None else f"{start[name]} s"
+        for name in ("compile_seconds", "first_command_seconds")
+    )
     return "\n\n".join(
         [
             f"Full step, {WORLDS} worlds, {HUMANS} humans, {ROBOTS} robots: "
@@ -161,7 +172,8 @@ def format_tables(result: dict[str, Any]) -> str:
             places,
             f"PettingZoo, one world: {_range(pettingzoo)} steps/s\n"
             "From process start to the first step, with cached kernels: "
-            f"{start['from_cache_seconds']} s\nThe same without cached kernels: {compiled}",
+            f"{start['from_cache_seconds']} s\nThe same without cached kernels: {compiled}\n"
+            f"First command (20 cases of samarl), without cached kernels: {first_command}",
             f"Median of {_REPETITIONS} repetitions [smallest, largest], "
             f"{result['threads']} threads, {result['machine']}, commit {result['commit']}",
         ]
@@ -237,20 +249,22 @@ def _pettingzoo_step() -> Callable[[], None]:
 
 
 def _start_from_cache() -> float:
-    _run_first_step({})  # fills the cache
-    return round(statistics.median(_run_first_step({}) for _ in range(_STARTS)), 2)
-
-
-def _start_without_cache() -> float:
-    with tempfile.TemporaryDirectory() as folder:
-        return round(_run_first_step({"NUMBA_CACHE_DIR": folder}), 2)
-
-
-def _run_first_step(environment: dict[str, str]) -> float:
-    """Return the seconds from the start of a Python process to the end of its first step."""
-    start = time.perf_counter()
     command = [sys.executable, "-c", _FIRST_STEP]
-    subprocess.run(command, env=os.environ | environment, check=True, capture_output=True)
+    _seconds(command, {})  # fills the cache
+    return round(statistics.median(_seconds(command, {}) for _ in range(_STARTS)), 2)
+
+
+def _seconds_without_cache(command: list[str]) -> float:
+    """Return how long a command takes that has to compile all kernels."""
+    with tempfile.TemporaryDirectory() as folder:
+        return round(_seconds(command, {"NUMBA_CACHE_DIR": folder}, folder), 2)
+
+
+def _seconds(command: list[str], environment: dict[str, str], folder: str | None = None) -> float:
+    """Return how long a command takes, run in a folder."""
+    start = time.perf_counter()
+    variables = os.environ | environment
+    subprocess.run(command, env=variables, cwd=folder, check=True, capture_output=True)
     return time.perf_counter() - start
 
 
@@ -267,9 +281,9 @@ def _parse() -> argparse.Namespace:
         help="duration of the measurement of each of the 25 points (default: 2)",
     )
     parser.add_argument(
-        "--compile",
+        "--cold",
         action="store_true",
-        help="also time a first start, which compiles all kernels (half a minute)",
+        help="also time a first step and a first command, which compile all kernels (two minutes)",
     )
     add_output(parser, "throughput")
     return parser.parse_args()

@@ -19,7 +19,6 @@ from typing import Any
 
 from hydra import compose, initialize_config_dir
 from hydra.core.config_store import ConfigStore
-from tqdm import trange
 
 from benchmarks.workload import add_output, interruptible, positive_whole_number, provenance
 from samarl.commands.train import Train, build_trainer
@@ -28,6 +27,7 @@ from samarl.distributed import stop_requested
 from samarl.evaluation.table import markdown_table
 from samarl.files import find_folder, machine, write_json
 from samarl.launch import rank, world_size
+from samarl.progress import progress_bar
 from samarl.training.trainer import Trainer
 
 # The functions that make up each part of a round: end of the file's path, name.
@@ -55,10 +55,11 @@ def main() -> None:
     with interruptible(), tempfile.TemporaryDirectory() as folder:
         trainer = default_trainer([*arguments.settings, f"run_dir={folder}"])
         seconds, steps = [], 0
-        hide_progress = None if rank() == 0 else True
         profiler = cProfile.Profile()
         rounds = arguments.rounds
-        for number in trange(1 + 2 * rounds, desc="training", unit="round", disable=hide_progress):
+        for number in progress_bar(
+            range(1 + 2 * rounds), desc="training", unit="round", disable=rank() != 0
+        ):
             if number == 1 + rounds:
                 profiler.enable()
             start = time.perf_counter()

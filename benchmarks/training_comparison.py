@@ -17,13 +17,13 @@ from contextlib import ExitStack
 from typing import Any
 
 import numpy as np
-from tqdm import trange
 
 from benchmarks.training import default_trainer
 from benchmarks.workload import add_output, interruptible, positive_whole_number, provenance
 from mrsan.threads import use_threads
 from samarl.evaluation.table import markdown_table
 from samarl.files import machine, write_json
+from samarl.progress import progress_bar
 from samarl.training.trainer import Trainer
 
 VARIANTS = ("without", "with")
@@ -82,7 +82,7 @@ def alternate(trainers: list[Trainer], rounds: int) -> np.ndarray:
         The seconds of each round by each of `CLOCKS`, [R, V, 2].
     """
     seconds = np.empty((rounds, len(trainers), len(CLOCKS)))
-    for number in trange(rounds, desc="training", unit="pair"):
+    for number in progress_bar(range(rounds), desc="training", unit="pair"):
         order = range(len(trainers))
         for index in order if number % 2 else reversed(order):
             use_threads(trainers[index].config.threads)

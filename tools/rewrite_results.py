@@ -43,7 +43,7 @@ def measure_tables(scripts: Path, recordings: str | None) -> None:
 def measure_speed(scripts: Path) -> None:
     """Run the benchmarks of throughput, latency and training."""
     python = str(scripts / "python")
-    run([python, "-m", "benchmarks.throughput", "--compile", *_output("throughput")])
+    run([python, "-m", "benchmarks.throughput", "--cold", *_output("throughput")])
     run([python, "-m", "benchmarks.latency", *_output("latency")])
     run([python, "-m", "benchmarks.training", *_output("training_throughput")])
     run([python, "-m", "benchmarks.places", *_output("places_check")])

@@ -13,6 +13,8 @@ import numba
 from numba import config
 from numba.core import event
 
+_NOTICE_PRINTED = "MRSAN_COMPILE_NOTICE_PRINTED"  # environment variable
+
 
 def ensure_compile_cache() -> None:
     """Let Numba cache kernels in a temporary folder if it can cache them nowhere else.
@@ -48,24 +50,20 @@ def _temporary_folder() -> Path:
     return Path(tempfile.mkdtemp(prefix="mrsan-kernels-"))
 
 
-class _CompilationNotice(event.Listener):
-    """Print what is being compiled, once each, to explain the pause."""
+def print_compile_notice() -> None:
+    """Explain the pause, once in this process and those that it starts."""
+    if _NOTICE_PRINTED not in os.environ:
+        os.environ[_NOTICE_PRINTED] = "1"
+        print("Compiling (only the first time, up to a minute) ...", file=sys.stderr, flush=True)
 
-    def __init__(self) -> None:
-        self.printed: set[str] = set()
+
+class _CompilationNotice(event.Listener):
+    """Print the notice when a kernel of this project is compiled."""
 
     def on_start(self, event: Any) -> None:
-        """Print a notice; Numba does not call this for kernels that it loads from the cache."""
-        function = event.data["dispatcher"].py_func
-        package, _, module = str(function.__module__).rpartition(".")
-        if package.startswith("mrsan"):
-            parallel = function.__qualname__.endswith("_parallel")
-            subject = f"the simulator of {'many worlds' if parallel else 'one world'}"
-        else:
-            subject = module.replace("_", " ")
-        if package.startswith(("mrsan", "samarl")) and subject not in self.printed:
-            self.printed.add(subject)
-            print(f"Compiling {subject} (once) ...", file=sys.stderr, flush=True)
+        """Print the notice; Numba does not call this for kernels that it loads from the cache."""
+        if event.data["dispatcher"].py_func.__module__.startswith(("mrsan", "samarl")):
+            print_compile_notice()
 
     def on_end(self, event: Any) -> None:
         """Do nothing; the interface requires this method."""

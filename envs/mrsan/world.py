@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from mrsan.crowds import crowd_model, step_kernel
 from mrsan.features import OTHER_FEATURES
 from mrsan.fields import ConfigurationError
+from mrsan.kernels import kernel
 from mrsan.kernels.places import MOST_ZONES
 from mrsan.kernels.routes import CORNER_ROWS
 from mrsan.kernels.spawn import NO_ROOM_FOR_ROBOTS, begin_episodes
@@ -156,6 +157,11 @@ class World:
                 self.scenario.describe_shortage(robots, int(self.state.case[world]))
             )
 
+    @property
+    def kernels(self) -> dict[str, kernel]:
+        """The kernels that take the longest to compile, see `mrsan.compile_ahead`."""
+        return {"begin": self._begin_episodes, "step": self._advance}
+
     def snapshot(self) -> State:
         """Return a copy of the state of all worlds, for `restore`.
 
@@ -215,21 +221,8 @@ class World:
         if (state.episode < 0).any():
             number = int(np.flatnonzero(state.episode < 0)[0])
             raise RuntimeError(f"world {number} has not been reset; call reset() before step()")
-        action = self._checked_actions(actions)
-        reward = np.empty(action.shape[:2], np.float32)
-        terms = np.zeros((len(RewardParts._fields), *reward.shape), np.float32)
         running = ~state.done
-        self._advance(
-            self.worlds,
-            state,
-            action,
-            self._parameters,
-            self._crowd_settings,
-            self._recording,
-            reward,
-            terms,
-        )
-        parts = RewardParts(*terms)
+        reward, parts = self._move(self._checked_actions(actions))
         observation = self.observe()
         if self._lookahead:
             self._add_lookahead(self._lookahead, observation, running, reward, parts)
@@ -243,6 +236,22 @@ class World:
         self._begin(done)
         self._sensors.observe(state, done, observation)
         return Step(observation, reward, parts, terminated, truncated, final, finished)
+
+    def _move(self, action: Floats) -> tuple[Floats, RewardParts]:
+        """Move every world that has not ended; return the reward [E, N] and its terms."""
+        reward = np.empty(action.shape[:2], np.float32)
+        terms = np.zeros((len(RewardParts._fields), *reward.shape), np.float32)
+        self._advance(
+            self.worlds,
+            self.state,
+            action,
+            self._parameters,
+            self._crowd_settings,
+            self._recording,
+            reward,
+            terms,
+        )
+        return reward, RewardParts(*terms)
 
     def _add_lookahead(
         self,

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Mapping
+from typing import Any
 
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-from mrsan import ConfigurationError
+from mrsan import ConfigurationError, Scenario
+from mrsan.compile_ahead import compile_ahead
 from samarl.agents import Agent, build_agent
 from samarl.configuration import load_agent, scenario_in
+from samarl.evaluation.runner import warm_up
 
 _AGENTS = {  # one agent per kind of policy
     "flat": "samarl_flat",
@@ -38,6 +42,12 @@ def selected_agent(config: DictConfig) -> DictConfig:
     if config.checkpoint is not None or any("agent.checkpoint=" in word for word in overrides):
         _check_policy_kind(str(HydraConfig.get().runtime.choices.agent), str(agent.checkpoint))
     return agent
+
+
+def compile_for(agent: Mapping[str, Any], scenario: Scenario) -> None:
+    """Compile what evaluating an agent needs, side by side, unless it is cached."""
+    with compile_ahead(scenario):
+        warm_up(build_agent(agent, scenario), scenario)
 
 
 def _check_policy_kind(name: str, checkpoint: str) -> None:

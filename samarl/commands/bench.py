@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import shlex
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -14,6 +14,7 @@ from omegaconf import MISSING, DictConfig, OmegaConf
 from tqdm import tqdm
 
 from mrsan import ActionError, ConfigurationError, Scenario
+from mrsan.compile_ahead import compile_ahead
 from samarl.agents import build_agent
 from samarl.commands.cli import run_command
 from samarl.commands.recordings import recordings_in
@@ -50,6 +51,7 @@ from samarl.files import (
     write_json,
     write_text,
 )
+from samarl.progress import progress_bar, shared_counts, shared_progress
 
 STATUS = """\
 (same: equal to the committed row; close: within its 95 % intervals, since processors round
@@ -63,7 +65,7 @@ class Bench:
 
     name: str = MISSING
     about: str = MISSING
-    agents: list[str] | None = None
+    agents: Any = None
     leave_out: list[str] = field(default_factory=list)
     headline: list[str] = field(default_factory=list)
     improvement_of: list[str] = field(default_factory=list)
@@ -96,14 +98,12 @@ def bench(config: DictConfig) -> None:
         warnings = "; ".join(scope_warnings.values())
         raise ConfigurationError(f"columns has no column that an agent can play: {warnings}")
     earlier = _earlier_rows(config, path, tasks)
-    rows = _run(tasks, config)
     committed_path = find_folder("results") / path.name
     committed = (read_rows(committed_path) if committed_path.exists() else None) or []
-    print(grids_as_markdown(rows), "\n")
+    rows = _run(tasks, config, committed)
+    print(f"\n{STATUS}\n")
     print(rows_as_markdown(rows), "\n")
-    for row in rows:
-        print(compare(row, committed))
-    print(STATUS)
+    print(grids_as_markdown(rows), "\n")
     if scope_warnings:
         print("not evaluated in every column:")
         for name, warning in scope_warnings.items():
@@ -150,12 +150,7 @@ def _tasks(config: DictConfig, scenarios: Sequence[Scenario]) -> tuple[list[_Tas
     evaluation = evaluation_in(config)
     cases = evaluation.cases if config.learned_cases is None else config.learned_cases
     learned_evaluation = replace(evaluation, cases=min(cases, evaluation.cases))
-    names = config.agents
-    if names is None:
-        names = [name for name in available_agents() if name not in config.leave_out]
-    if not names:
-        raise ConfigurationError("agents is empty; it must name at least one")
-    agents = {str(name): load_agent(name, "agents") for name in names}
+    agents = {str(name): load_agent(name, "agents") for name in _agent_names(config)}
     tasks: list[_Task] = []
     scope_warnings: dict[str, str] = {}
     for scenario in scenarios:
@@ -172,19 +167,62 @@ def _tasks(config: DictConfig, scenarios: Sequence[Scenario]) -> tuple[list[_Tas
     return tasks, scope_warnings
 
 
-def _run(tasks: Sequence[_Task], config: DictConfig) -> list[Row]:
-    """Evaluate all tasks in parallel processes."""
+def _agent_names(config: DictConfig) -> Sequence[str]:
+    """Return the agents to evaluate.
+
+    Raises:
+        ConfigurationError: there are none, or `agents` is not a list of names.
+    """
+    if config.agents is None:
+        return [name for name in available_agents() if name not in config.leave_out]
+    names = config.headline if config.agents == "headline" else config.agents
+    if isinstance(names, str):
+        raise ConfigurationError(
+            f"agents is {names!r}; it must be a list of names, headline, or null for all"
+        )
+    if not names:
+        raise ConfigurationError("agents is empty; it must name at least one")
+    return list(names)
+
+
+def _run(tasks: Sequence[_Task], config: DictConfig, committed: Sequence[Row]) -> list[Row]:
+    """Evaluate all tasks in parallel processes; print how each row compares when it is done."""
     commit, plugins = code_version(), list(config.plugins)
-    jobs = [
-        delayed(_row)(task, load_scenario(task.scenario.name), commit, plugins) for task in tasks
-    ]
+    total = sum(len(task.variants) * task.evaluation.cases for task in tasks)
     os.environ.setdefault("PYTHONWARNINGS", "ignore:resource_tracker")  # printed on interrupts
-    with parallel_config("loky", n_jobs=config.jobs, inner_max_num_threads=1):
-        rows = Parallel(return_as="generator")(jobs)
+    rows: dict[int, Row] = {}
+    with compile_ahead(tasks[0].scenario):
+        pass  # once, rather than in every process
+    with (
+        progress_bar(total=total, desc=config.name, unit="case") as bar,
+        shared_progress(bar, len(tasks)) as counts,
+        parallel_config("loky", n_jobs=config.jobs, inner_max_num_threads=1),
+    ):
+        jobs = [
+            delayed(_numbered_row)(
+                k, task, load_scenario(task.scenario.name), commit, plugins, counts
+            )
+            for k, task in enumerate(tasks)
+        ]
         try:
-            return list(tqdm(rows, config.name, len(jobs), unit="row", disable=None))
+            for k, row in Parallel(return_as="generator_unordered")(jobs):
+                rows[k] = row
+                tqdm.write(compare(row, committed))
         except ActionError as error:
             raise error from None  # without the traceback of the other process
+    return [rows[k] for k in range(len(tasks))]
+
+
+def _numbered_row(
+    k: int, task: _Task, named: Scenario, commit: str, plugins: list[str], counts: Path
+) -> tuple[int, Row]:
+    """Evaluate task `k`, see `_row`; count its cases in entry `k` of the shared counts."""
+    shared = shared_counts(counts)
+
+    def advance(cases: int) -> None:
+        shared[k] += cases
+
+    return k, _row(task, named, commit, plugins, advance)
 
 
 def _check_numbers(config: DictConfig) -> None:
@@ -211,7 +249,13 @@ def _recorded_columns(config: DictConfig) -> list[dict[str, Any]]:
     ]
 
 
-def _row(task: _Task, named: Scenario, commit: str, plugins: list[str]) -> Row:
+def _row(
+    task: _Task,
+    named: Scenario,
+    commit: str,
+    plugins: list[str],
+    advance: Callable[[int], None] | None = None,
+) -> Row:
     """Evaluate one agent in one column.
 
     The row is that of the first variant; the others differ in their training seed.
@@ -222,7 +266,9 @@ def _row(task: _Task, named: Scenario, commit: str, plugins: list[str]) -> Row:
     command = _command(method, scenario, named, evaluation, plugins)
     rows = []
     for agent in variants:
-        episodes = run_cases(build_agent(agent, scenario), scenario, cases, evaluation.batch)
+        episodes = run_cases(
+            build_agent(agent, scenario), scenario, cases, evaluation.batch, advance
+        )
         rows.append(summarise(episodes, scenario, method, command, commit, int(cases[0]), named))
     if "checkpoint" not in variants[0]:
         return rows[0]

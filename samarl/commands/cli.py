@@ -27,6 +27,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 import samarl
 from mrsan import ActionError, ConfigurationError
+from mrsan.kernels import kernel
 from samarl.commands.composition import COMPOSITION_ERRORS, compose_cells, unreadable
 from samarl.commands.errors import explain
 from samarl.commands.help import help_text
@@ -61,6 +62,7 @@ def run_command(
         print(f"samarl {samarl.__version__}")
         return
     _prepare_process(words)
+    kernel.always_parallel = True  # commands that simulate one world use the version of the others
     for name, schema in schemas.items():
         ConfigStore.instance().store(name=name, node=schema)
     folder = None

@@ -13,7 +13,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from mrsan import Episodes, Outcome, social_score
 from samarl.agents import build_agent
-from samarl.commands.agents import check_agent, print_scope_warning, selected_agent
+from samarl.commands.agents import check_agent, compile_for, print_scope_warning, selected_agent
 from samarl.commands.cli import command_line, run_command
 from samarl.configuration import evaluation_in, load_scenario, scenario_in
 from samarl.evaluation.runner import run_cases
@@ -21,6 +21,7 @@ from samarl.evaluation.summary import Row, summarise
 from samarl.evaluation.sweep import read_cell
 from samarl.evaluation.table import rows_as_markdown
 from samarl.files import code_version, write_json, write_text
+from samarl.progress import progress_bar
 
 _PER_EPISODE = ("case", "episode", "duration", "outcome", "steps", "deadlock")
 _PER_ROBOT = [name for name in Episodes._fields if name not in _PER_EPISODE]
@@ -49,11 +50,13 @@ def evaluate(config: DictConfig) -> Row:
         return finished_row
     print_scope_warning(agent)
     name = str(hydra.runtime.choices.agent)
-    episodes = run_cases(agent, scenario, evaluation.case_numbers(), evaluation.batch, name)
+    cases = evaluation.case_numbers()
+    compile_for(config.agent, scenario)
+    with progress_bar(total=len(cases), desc=name, unit="case", leave=False) as bar:
+        episodes = run_cases(agent, scenario, cases, evaluation.batch, bar.update)
     command = command_line("samarl-evaluate")
-    seed = int(evaluation.case_numbers()[0])
     named = load_scenario(scenario.name)
-    row = summarise(episodes, scenario, name, command, marker["commit"], seed, named)
+    row = summarise(episodes, scenario, name, command, marker["commit"], int(cases[0]), named)
     write_text(folder / "episodes.jsonl", episodes_as_jsonl(episodes))
     write_json(row_path, {"row": row, **marker})  # last: it marks the cell as finished
     print(rows_as_markdown([row]))

@@ -14,7 +14,7 @@ from mrsan import ConfigurationError, Split
 from mrsan.cases import CASES_PER_SPLIT
 from mrsan.fields import check_numbers, number
 from samarl.agents import build_agent
-from samarl.commands.agents import check_agent, print_scope_warning, selected_agent
+from samarl.commands.agents import check_agent, compile_for, print_scope_warning, selected_agent
 from samarl.commands.cli import run_command
 from samarl.configuration import load_agent, scenario_in
 from samarl.evaluation.trajectory import Trajectory, record_episode
@@ -56,6 +56,7 @@ def render(config: DictConfig) -> None:
     if config.against is not None:
         agents.append((config.against, load_agent(config.against, "against")))
     trajectories = []
+    compile_for(agents[0][1], scenario)
     for name, agent_config in agents:
         agent = build_agent(agent_config, scenario)
         print_scope_warning(agent)

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 from omegaconf import MISSING, DictConfig, OmegaConf
-from tqdm import tqdm
 
 from mrsan import ConfigurationError, Scenario, Split
 from samarl.agents import Agent, build_agent
@@ -17,6 +16,7 @@ from samarl.configuration import available_agents, load_agent, scenario_of
 from samarl.evaluation.seeds import without_seed
 from samarl.evaluation.trajectory import Trajectory, record_episode
 from samarl.files import check_writable, find_folder
+from samarl.progress import progress_bar
 
 
 @dataclass
@@ -55,7 +55,7 @@ def report(config: DictConfig) -> None:
     runs = [(*agent, case) for agent in agents for case in config.cases]
     trajectories: list[tuple[str, int, Trajectory]] = [
         (name, case, record_episode(agent, scenario, config.split.case(case)))
-        for name, agent, scenario, case in tqdm(runs, "episodes", unit="episode", disable=None)
+        for name, agent, scenario, case in progress_bar(runs, desc="episodes", unit="episode")
     ]
     files = build_site(
         output, results, trajectories, config.split.name, command_line("samarl-report")

@@ -15,6 +15,7 @@ from hydra.types import RunMode
 from omegaconf import MISSING, DictConfig, OmegaConf
 
 from mrsan import ConfigurationError
+from mrsan.compile_ahead import compile_ahead
 from mrsan.fields import check_numbers
 from samarl.commands.cli import command_line, run_command
 from samarl.launch import copies, launcher, rank
@@ -71,6 +72,9 @@ def train(config: DictConfig) -> None:
 def _run(config: DictConfig) -> None:
     """Train in this process, of possibly several."""
     trainer = build_trainer(config, command_line("samarl-train"))
+    if rank() == 0:
+        with compile_ahead(trainer.stages[0].scenario):
+            pass
     logging.getLogger("torchrl").setLevel(logging.WARNING)  # it logs every replay buffer
     resume_command = shlex.join([*launcher(), "samarl-train", f"resume={trainer.run_dir.folder}"])
     if rank() > 0:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from tqdm import tqdm
 
 from mrsan import Episodes, Observation, Scenario, Split, World
 from mrsan.fields import check_numbers, number, setting
@@ -38,6 +38,13 @@ class Evaluation:
         return self.split.case(self.first_case) + np.arange(self.cases, dtype=np.int64)
 
 
+def warm_up(agent: Controller, scenario: Scenario) -> None:
+    """Let an agent act once, so that its kernels are compiled; it cannot be used afterwards."""
+    world = World(scenario, 2)
+    agent.reset(np.ones(2, np.bool_))
+    agent.act(world.observe())
+
+
 class Controller(Protocol):
     """The methods of an agent that `run_cases` calls."""
 
@@ -49,7 +56,11 @@ class Controller(Protocol):
 
 
 def run_cases(
-    agent: Controller, scenario: Scenario, cases: NDArray[np.int64], batch: int, title: str = ""
+    agent: Controller,
+    scenario: Scenario,
+    cases: NDArray[np.int64],
+    batch: int,
+    advance: Callable[[int], Any] | None = None,
 ) -> Episodes:
     """Run every case and return its record, in the order of `cases`.
 
@@ -60,7 +71,7 @@ def run_cases(
         scenario: the task.
         cases: [B] case numbers, all different.
         batch: number of worlds simulated in parallel.
-        title: title of the progress bar; empty: no progress bar.
+        advance: called with the number of episodes that have just ended, to show progress.
     """
     worlds = min(batch, len(cases))
     world = World(scenario, worlds)
@@ -69,30 +80,28 @@ def run_cases(
     observation = world.reset(current)
     started, remaining = worlds, len(cases)
     records: list[Episodes] = []
-    with tqdm(
-        total=len(cases), desc=title, unit="case", leave=False, disable=None if title else True
-    ) as bar:
-        while True:
-            if is_init.any():
-                agent.reset(is_init)
-            step = world.step(agent.act(observation))
-            observation = step.observation
-            ended = (step.terminated | step.truncated) & (current >= 0)
-            is_init = np.zeros(worlds, np.bool_)
-            if not ended.any():
-                continue
-            records.append(episodes_of(world.state, scenario, ended))
-            bar.update(int(ended.sum()))
-            remaining -= int(ended.sum())
-            if not remaining:
-                break
-            current[ended] = -1
-            slots = np.flatnonzero(ended)[: len(cases) - started]
-            if len(slots):
-                current[slots] = cases[started : started + len(slots)]
-                started += len(slots)
-                is_init[slots] = True
-                observation = world.reset(np.maximum(current, 0), is_init)
+    while True:
+        if is_init.any():
+            agent.reset(is_init)
+        step = world.step(agent.act(observation))
+        observation = step.observation
+        ended = (step.terminated | step.truncated) & (current >= 0)
+        is_init = np.zeros(worlds, np.bool_)
+        if not ended.any():
+            continue
+        records.append(episodes_of(world.state, scenario, ended))
+        if advance is not None:
+            advance(int(ended.sum()))
+        remaining -= int(ended.sum())
+        if not remaining:
+            break
+        current[ended] = -1
+        slots = np.flatnonzero(ended)[: len(cases) - started]
+        if len(slots):
+            current[slots] = cases[started : started + len(slots)]
+            started += len(slots)
+            is_init[slots] = True
+            observation = world.reset(np.maximum(current, 0), is_init)
     episodes = Episodes(*(np.concatenate(parts) for parts in zip(*records, strict=True)))
     row_of_case = {case: row for row, case in enumerate(episodes.case.tolist())}
     order = np.array([row_of_case[case] for case in cases.tolist()])

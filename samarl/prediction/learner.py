@@ -15,7 +15,6 @@ import numpy as np
 import torch
 from safetensors import safe_open
 from torch import Tensor, nn
-from tqdm import tqdm
 
 from mrsan import ConfigurationError, Scenario, Split
 from mrsan.prediction import (
@@ -30,6 +29,7 @@ from samarl.files import write_json
 from samarl.policies.checkpoint import attribute_errors_to, check_finite, write_tensors
 from samarl.prediction.training import Training
 from samarl.prediction.windows import Windows, simulate_windows
+from samarl.progress import progress_bar
 
 ROUNDING = 1e-4  # m^2; keeps the gradient of a distance finite at zero
 
@@ -109,7 +109,9 @@ class Learner:
     def learn(self) -> None:
         """Run the remaining rounds; the state is saved after every tenth."""
         rounds = range(self.round, self.training.rounds)
-        bar = tqdm(rounds, "rounds", self.training.rounds, initial=self.round, disable=None)
+        bar = progress_bar(
+            rounds, total=self.training.rounds, initial=self.round, desc="training", unit="round"
+        )
         for self.round in bar:
             bar.set_postfix_str(f"mean error {self._one_round():.3f} m")
             if (self.round + 1) % 10 == 0 or self.round + 1 == self.training.rounds:

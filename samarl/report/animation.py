@@ -17,11 +17,11 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Wedge
 from numpy.typing import NDArray
 from PIL import Image, ImageColor
-from tqdm import tqdm
 
 from mrsan import ConfigurationError
 from samarl.evaluation.trajectory import Trajectory
 from samarl.files import atomic_write
+from samarl.progress import progress_bar
 from samarl.report.style import COLOURS, CONTACT, INK, MUTED, STYLE
 from samarl.report.trajectories import HITS, draw_walls
 
@@ -47,12 +47,8 @@ def save_animation(trajectories: Sequence[tuple[Trajectory, str]], path: Path) -
     steps = max(len(trajectory.robot_position) for trajectory, _ in trajectories) - 1
     time_step = trajectories[0][0].scenario.time_step
     times, seconds = frame_times(steps, time_step, _FRAMES_PER_SECOND[kind])
-    images = tqdm(
-        _frames(figure, trajectories, times),
-        total=len(times),
-        desc=path.name,
-        unit="frame",
-        disable=None,
+    images = progress_bar(
+        _frames(figure, trajectories, times), total=len(times), desc=path.name, unit="frame"
     )
     with atomic_write(path) as part:
         write(part, iter(images), seconds)

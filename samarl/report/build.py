@@ -12,7 +12,6 @@ from typing import Any
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from matplotlib.figure import Figure
-from tqdm import tqdm
 
 from mrsan import ConfigurationError
 from samarl.configuration import load_scenario
@@ -31,6 +30,7 @@ from samarl.evaluation.table import (
 )
 from samarl.evaluation.trajectory import Trajectory
 from samarl.files import atomic_write, code_version, write_text
+from samarl.progress import progress_bar
 from samarl.report.figures import (
     Curve,
     baselines,
@@ -233,7 +233,7 @@ def _draw_runs(
     """Draw the figures of all columns, grouped by `KINDS`."""
     columns = list(dict.fromkeys(c for curves in runs.values() for curve in curves for c in curve))
     figures: dict[str, list[SavedFigure]] = {kind: [] for kind in KINDS}
-    for column in tqdm(columns, "curves", unit="figure", disable=None):
+    for column in progress_bar(columns, desc="curves", unit="figure"):
         kind = next(kind for kind, pattern in KINDS.items() if re.search(pattern, column))
         figure = draw_curves(runs, column, baselines(rows, column))
         figures[kind].append(_save(figure, f"curve-{column}", curve_title(column), site))

@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from torch.utils.tensorboard import SummaryWriter
-from tqdm import tqdm
 
 from mrsan import ConfigurationError
 from samarl.launch import rank
+from samarl.progress import progress_bar
 
 
 class Logger(contextlib.AbstractContextManager["Logger"]):
@@ -49,12 +49,13 @@ class Logger(contextlib.AbstractContextManager["Logger"]):
             threading.excepthook = _ignore_write_errors
             with self._report_write_errors():
                 self._writer = SummaryWriter(str(self._folder), purge_step=steps_done + 1)
-        self._bar = tqdm(
+        self._bar = progress_bar(
             total=total_steps,
             initial=steps_done,
+            desc="training",
             unit="step",
             unit_scale=True,
-            disable=None if rank() == 0 else True,
+            disable=rank() != 0,
         )
 
     def log(self, row: Mapping[str, float], steps_done: int) -> None:

@@ -45,7 +45,7 @@ def validate(
         if f"validation/success_{name}" in row:
             continue
         agent = DeployedPolicy(policy, scenario)
-        episodes = run_cases(agent, scenario, cases, len(cases), "validation")
+        episodes = run_cases(agent, scenario, cases, len(cases))
         success_rates.append(float(episodes.success.mean()))
         row[f"validation/success_{name}"] = round(success_rates[-1], 4)
         row[f"validation/social_score_{name}"] = round(float(social_score(episodes).mean()), 2)

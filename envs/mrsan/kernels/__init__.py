@@ -26,7 +26,13 @@ import numba
 from mrsan.threads import kernel_threads, parallel_kernels
 
 # IEEE arithmetic (no fastmath): results do not depend on the number of worlds or threads.
-_inlined = partial(numba.njit, error_model="numpy", forceinline=True)
+_inlined = partial(
+    numba.njit,
+    error_model="numpy",
+    forceinline=True,
+    no_cpython_wrapper=True,
+    no_cfunc_wrapper=True,
+)
 allocating = _inlined()
 function = _inlined(_nrt=False)
 separate = numba.njit(error_model="numpy", _nrt=False)
@@ -43,10 +49,14 @@ _CORE_SOURCES = [
 class kernel:
     """Compile a loop over worlds in a serial and a parallel version and pick by the batch.
 
-    One world runs serially, which is faster. So do all worlds in a process that was forked after
-    parallel kernels had run; elsewhere any thread may call kernels, and they take turns. The first
-    argument of a kernel is the number of pieces its parallel loop is cut into.
+    One world runs serially, which is faster, unless `always_parallel` is set: programs that
+    simulate both one and many worlds then compile one version only. All worlds run serially in a
+    process that was forked after parallel kernels had run; elsewhere any thread may call kernels,
+    and they take turns. The first argument of a kernel is the number of pieces its parallel loop
+    is cut into.
     """
+
+    always_parallel = False
 
     def __init__(self, source: Callable[..., Any]) -> None:
         self.__doc__ = source.__doc__
@@ -57,10 +67,16 @@ class kernel:
     def __call__(self, worlds: int, *arguments: Any) -> Any:
         """Run over `worlds` worlds, the other arguments as the kernel's source declares them."""
         lock = parallel_kernels()
-        if worlds == 1 or lock is None:
+        if lock is None or (worlds == 1 and not kernel.always_parallel):
             return self.serial(1, *arguments)
         with lock:
             return self.parallel(min(worlds, 8 * kernel_threads()), *arguments)
+
+    @property
+    def is_cached(self) -> bool:
+        """Whether the parallel version was compiled before, by this or an earlier process."""
+        cache = getattr(self.parallel, "_cache", None)
+        return bool(self.parallel.signatures) or bool(cache and cache._cache_file._load_index())
 
     def variant(self, name: str, **functions: Any) -> kernel:
         """Return this kernel with other functions in the place of globals that it calls.

@@ -1,0 +1,92 @@
+"""Progress bars, which are readable in log files as well."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+import tempfile
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, TextIO
+
+import numpy as np
+from numpy.typing import NDArray
+from tqdm import tqdm
+
+LOG_SECONDS = 10.0  # between two lines of a bar that is written to a file
+_LOG_FORMAT = "{desc}: {n_fmt} of {total_fmt} {unit}s, {elapsed} elapsed, {remaining} left"
+_POLL_SECONDS = 0.5
+
+
+class _Lines:
+    """Write each update of a bar as a line of its own."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+
+    def write(self, text: str) -> None:
+        """Write the text without carriage returns, unless nothing is left of it."""
+        if line := text.replace("\r", "").strip():
+            self._stream.write(f"{line}\n")
+
+    def flush(self) -> None:
+        """Flush the stream."""
+        self._stream.flush()
+
+
+def progress_bar(iterable: Any = None, **settings: Any) -> tqdm:
+    """Return a tqdm bar on standard error.
+
+    Where standard error is not a terminal, a plain line is printed at most every 10 seconds.
+
+    Args:
+        iterable: what to iterate over, if anything.
+        **settings: settings of tqdm.
+    """
+    if not sys.stderr.isatty():
+        settings |= {
+            "file": _Lines(sys.stderr),
+            "mininterval": LOG_SECONDS,
+            "delay": LOG_SECONDS,
+            "bar_format": _LOG_FORMAT,
+        }
+    return tqdm(iterable, **settings)
+
+
+@contextlib.contextmanager
+def shared_progress(bar: tqdm, workers: int) -> Iterator[Path]:
+    """Let worker processes advance a bar.
+
+    Args:
+        bar: the bar, which shows the sum of the counts of all workers.
+        workers: number of counts.
+
+    Yields:
+        The path of the file of counts, see `shared_counts`.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "counts"
+        counts = np.memmap(path, np.int64, "w+", shape=(workers,))
+        finished = threading.Event()
+        thread = threading.Thread(target=_follow, args=(bar, counts, finished), daemon=True)
+        thread.start()
+        try:
+            yield path
+        finally:
+            finished.set()
+            thread.join()
+            del counts  # Windows does not delete open files
+
+
+def shared_counts(path: Path) -> NDArray[np.int64]:
+    """Open the counts of `shared_progress`, [workers]; writing to them advances the bar."""
+    return np.memmap(path, np.int64, "r+")
+
+
+def _follow(bar: tqdm, counts: NDArray[np.int64], finished: threading.Event) -> None:
+    """Show the sum of the counts until `finished` is set."""
+    seconds = _POLL_SECONDS if sys.stderr.isatty() else LOG_SECONDS
+    while not finished.wait(seconds):
+        bar.n = int(counts.sum())
+        bar.refresh()
