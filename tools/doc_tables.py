@@ -130,12 +130,9 @@ def places() -> str:
 @table
 def ablations() -> str:
     """Return success and social score of the ablations."""
-    names = {360.0: "°, "}
     return _grid(
         result_rows("ablations"),
-        lambda r: (
-            f"{r['robots']} robots" if r["fov_degrees"] in names else column_name(column_of(r))
-        ),
+        lambda row: f"{row['robots']} robots",
         "both",
         "success % / social score",
     )
