@@ -62,3 +62,29 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
 
     text = without_marks(fill(markdown))
     return re.sub(r"(?<!!)\[([^\]]+)\]\(([^)\s]+)\)", resolve, text)
+
+
+def on_page_content(html: str, page: Any, **_: Any) -> str:
+    """Wrap the wide rows that commands print in a notebook, so that no cell is cut off."""
+    if not page.file.src_path.endswith(".ipynb"):
+        return html
+    return re.sub(
+        r"(?:^|(?<=<pre>))\|.*\n\|-.*\n(?:\|.*\n)+", _wrapped_rows, html, flags=re.MULTILINE
+    )
+
+
+def _wrapped_rows(table: re.Match[str]) -> str:
+    """Return a printed Markdown table as one group of named cells per row."""
+    header, _, *rows = [
+        [cell.strip() for cell in line.strip("|").split("|")] for line in table[0].splitlines()
+    ]
+    return "".join(
+        '<span class="printed-row">'
+        + "".join(
+            f"<span><b>{name}</b>{value}</span>"
+            for name, value in zip(header, row, strict=True)
+            if value
+        )
+        + "</span>"
+        for row in rows
+    )
