@@ -49,19 +49,21 @@ def find_row(name: str, method: str, column: str, conditions: Sequence[str] = ()
     fields |= dict(condition.split("=", 1) for condition in conditions)
 
     def matches(row: Row) -> bool:
-        values = column_of(row)._asdict() | {"method": row["method"]}
-        return row["method"] == method and all(
-            f"{values[key]:g}" == value
-            if isinstance(values[key], float)
-            else str(values[key] or "") == value
-            for key, value in fields.items()
-        )
+        values = column_of(row)._asdict()
+        return all(_text(values[key]) == value for key, value in fields.items())
 
-    rows = [row for row in result_rows(name) if matches(row)]
+    rows = [row for row in result_rows(name) if row["method"] == method and matches(row)]
     if len(rows) != 1:
         given = " ".join([column, *conditions])
         raise ValueError(f"results/{name}.json has {len(rows)} rows of {method} in {given}; need 1")
     return rows[0]
+
+
+def _text(value: Any) -> str:
+    """Return a field of a column as the words of a figure have it."""
+    if value is None:
+        return ""
+    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def print_row(row: Row, kind: str) -> str:
