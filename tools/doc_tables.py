@@ -147,7 +147,7 @@ def robustness() -> str:
     for row in result_rows("robustness"):
         setting = setting_name(column_of(row)) or "as in Table I"
         settings.setdefault(setting, {})[row["method"]] = print_row(row, "success")
-    lines = [[setting, *(cells[m] for m in methods)] for setting, cells in settings.items()]
+    lines = [[setting, *(cells.get(m, NONE) for m in methods)] for setting, cells in settings.items()]
     return markdown_table(["success %", *(f"`{m}`" for m in methods)], lines)
 
 
