@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
+from statistics import fmean
 
 from samarl.evaluation.papers import PAPER_SUCCESS
 from samarl.evaluation.summary import Column, Row, column_of
@@ -118,7 +119,12 @@ def _grid(rows: Iterable[Row], heading: Callable[[Row], str], kind: str, corner:
 def recorded() -> str:
     """Return success and social score among recorded people."""
     rows = [row for row in result_rows("transfer") if row.get("recording")]
-    return _grid(rows, lambda r: Path(r["recording"]).stem, "both", "success % / social score")
+    return _grid(
+        rows,
+        lambda r: Path(r["recording"]).stem.replace("_", " "),
+        "both",
+        "success % / social score",
+    )
 
 
 @table
@@ -141,14 +147,24 @@ def ablations() -> str:
 @table
 def robustness() -> str:
     """Return the success rate by changed setting and method."""
-    methods = ["samarl", "samarl_unshielded", "samarl_general", "samarl_planned", "cadrl"]
-    methods += ["model_predictive", "perimeter_shielded", "orca"]
+    methods = {
+        "samarl": "SAMARL",
+        "samarl_unshielded": "SAMARL, no shield",
+        "samarl_general": "SAMARL, general",
+        "samarl_planned": "SAMARL, planned",
+        "cadrl": "CADRL",
+        "model_predictive": "sampling planner",
+        "perimeter_shielded": "perimeter, shielded",
+        "orca": "ORCA",
+    }
     settings: dict[str, dict[str, str]] = {}
     for row in result_rows("robustness"):
         setting = setting_name(column_of(row)) or "as in Table I"
         settings.setdefault(setting, {})[row["method"]] = print_row(row, "success")
-    lines = [[setting, *(cells.get(m, NONE) for m in methods)] for setting, cells in settings.items()]
-    return markdown_table(["success %", *(f"`{m}`" for m in methods)], lines)
+    lines = [
+        [setting, *(cells.get(m, NONE) for m in methods)] for setting, cells in settings.items()
+    ]
+    return markdown_table(["success %", *methods.values()], lines)
 
 
 @table
@@ -184,9 +200,34 @@ def team() -> str:
 
 @table
 def learning_speed() -> str:
-    """Return the table of `results/learning_speed.md`."""
-    text = (RESULTS / "learning_speed.md").read_text(encoding="utf-8")
-    return "\n".join(line for line in text.splitlines() if line.startswith("|"))
+    """Return minutes and steps to success rates, as means over training seeds [range]."""
+    lines = []
+    for recipe, runs in find_value("learning_speed", "recipes").items():
+        minutes = [_mean_and_range(runs[f"seconds_to_{rate}"], 60, ".1f") for rate in (80, 90, 95)]
+        steps = _mean_and_range(runs["steps_to_90"], 1000, ",.0f")
+        success = [100 * fmean(runs[f"final_success_{n}_robots"]) for n in (3, 5)]
+        total = f"{fmean(runs['seconds']) / 60:.1f}"
+        lines.append([recipe, *minutes, steps, total, "{:.1f} / {:.1f}".format(*success)])
+    return markdown_table(
+        [
+            "recipe",
+            "80 %, min",
+            "90 %, min",
+            "95 %, min",
+            "90 %, 1000 steps",
+            "end, min",
+            "success at the end, 3 / 5 robots",
+        ],
+        lines,
+    )
+
+
+def _mean_and_range(values: Sequence[float | None], unit: float, form: str) -> str:
+    """Return `mean [smallest, largest]` in a unit, or `not reached` if a value is missing."""
+    numbers = [value / unit for value in values if value is not None]
+    if len(numbers) < len(values):
+        return "not reached"
+    return f"{fmean(numbers):{form}} [{min(numbers):{form}}, {max(numbers):{form}}]"
 
 
 @table
