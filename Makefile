@@ -32,14 +32,14 @@ lint: setup ## Check style and types
 train: setup ## Train SAMARL's two levels on two cores, or resume an interrupted training (20 minutes)
 	@$(BIN)/samarl-train trainer.processes=2 trainer.threads=1
 
-results: setup ## Rewrite results/ and the README's tables and pictures (RECORDINGS=folder of recordings)
+results: setup ## Rewrite results/ and the figures in the documentation (RECORDINGS=folder of recordings)
 	@$(BIN)/python -m tools.rewrite_results $(if $(RECORDINGS),--recordings $(RECORDINGS))
 	@$(MAKE) --no-print-directory pictures
 
 sweeps: setup ## Evaluate the sweeps of results/sweeps/, or resume them (hours)
 	@$(BIN)/python -m tools.run_sweeps
 
-pictures: report ## Draw the README's pictures: an animated case and the tables as figures
+pictures: report ## Draw the pictures of the documentation: an animated case and the tables as figures
 	@$(BIN)/samarl-render agent=samarl against=orca case=$(PICTURE_CASE) output=docs/images/case.gif
 	@cp results/report/figures/table-1.png docs/images/table1.png
 	@cp results/report/figures/transfer-recorded-people.png docs/images/recorded.png

@@ -1,4 +1,4 @@
-"""What the pages of `make docs` need besides the files of this folder."""
+"""Pages of `make docs` that come from other folders, and the figures of `results/` in all pages."""
 
 import re
 from pathlib import Path
@@ -7,32 +7,84 @@ from typing import Any
 from mkdocs.plugins import event_priority
 from mkdocs.structure.files import File, Files
 
+from tools.update_docs import fill, without_marks
+
 ROOT = Path(__file__).parents[1]
-TABLES = [f"../results/{name}.md" for name in ("table1", "ablations", "transfer", "prediction")]
-PAGES = (*TABLES, "../examples/first_ten_minutes.ipynb")  # from elsewhere
+RESULTS = ("table1", "table2", "transfer", "places", "robustness", "ablations", "prediction")
+# Pages from other folders: the file in the repository, and the page that shows it.
+PAGES = {f"results/{name}.md": f"tables/{name}.md" for name in RESULTS} | {
+    "examples/README.md": "examples.md",
+    "examples/first_ten_minutes.ipynb": "first_ten_minutes.ipynb",
+}
 
 
 @event_priority(100)  # before notebooks are looked for
 def on_files(files: Files, config: Any) -> Files:
-    """The committed tables and the notebook are pages too."""
-    examples, site = str(ROOT / "examples"), config.site_dir
-    files.append(File("first_ten_minutes.ipynb", examples, site, config.use_directory_urls))
-    for table in TABLES:
-        content = (ROOT / "docs" / table).read_text(encoding="utf-8")
-        files.append(File.generated(config, Path(table).name, content=content))
+    """Add the pages from other folders."""
+    for source, page in PAGES.items():
+        path = ROOT / source
+        if path.suffix == ".ipynb":
+            folder, site = str(path.parent), config.site_dir
+            files.append(File(path.name, folder, site, config.use_directory_urls))
+        else:
+            content = path.read_text(encoding="utf-8")
+            files.append(File.generated(config, page, content=content))
     return files
 
 
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
-    """What lies outside of the pages is named, not linked to; it must be there."""
+    """Fill in the figures, and replace links to files that are not pages by their names.
 
-    def named(match: re.Match[str]) -> str:
-        text, target = match[1], match[2].partition("#")[0]
-        if target in PAGES:
-            return f"[{text}]({Path(target).name})"
-        if not (ROOT / "docs" / target).exists():
-            raise FileNotFoundError(f"{page.file.src_path} links to {target}, which is not there")
-        path = (ROOT / "docs" / target).resolve().relative_to(ROOT)
+    Raises:
+        FileNotFoundError: the target of a link does not exist.
+    """
+    here = page.file.src_path
+    source = next((s for s, target in PAGES.items() if target == here), f"docs/{here}")
+    folder = (ROOT / source).parent
+
+    def resolve(match: re.Match[str]) -> str:
+        text, (target, _, anchor) = match[1], match[2].partition("#")
+        if not target or "://" in target:
+            return match[0]
+        path = (folder / target).resolve()
+        if not path.exists():
+            raise FileNotFoundError(f"{source} links to {target}, which does not exist")
+        path = path.relative_to(ROOT)
+        if path.is_relative_to("docs"):
+            return match[0] if source.startswith("docs/") else _link(text, path.name, anchor)
+        if str(path) in PAGES:
+            return _link(text, PAGES[str(path)], anchor)
         return f"`{path}`" if text.strip("`") == str(path) else f"{text} (`{path}`)"
 
-    return re.sub(r"\[([^\]]+)\]\((\.\./[^)]+)\)", named, markdown)
+    def _link(text: str, target: str, anchor: str) -> str:
+        up = "../" * here.count("/")
+        return f"[{text}]({up}{target}{'#' + anchor if anchor else ''})"
+
+    text = without_marks(fill(markdown))
+    return re.sub(r"(?<!!)\[([^\]]+)\]\(([^)\s]+)\)", resolve, text)
+
+
+def on_page_content(html: str, page: Any, **_: Any) -> str:
+    """Wrap the wide rows that commands print in a notebook, so that no cell is cut off."""
+    if not page.file.src_path.endswith(".ipynb"):
+        return html
+    return re.sub(
+        r"(?:^|(?<=<pre>))\|.*\n\|-.*\n(?:\|.*\n)+", _wrapped_rows, html, flags=re.MULTILINE
+    )
+
+
+def _wrapped_rows(table: re.Match[str]) -> str:
+    """Return a printed Markdown table as one group of named cells per row."""
+    header, _, *rows = [
+        [cell.strip() for cell in line.strip("|").split("|")] for line in table[0].splitlines()
+    ]
+    return "".join(
+        '<span class="printed-row">'
+        + "".join(
+            f"<span><b>{name}</b>{value}</span>"
+            for name, value in zip(header, row, strict=True)
+            if value
+        )
+        + "</span>"
+        for row in rows
+    )

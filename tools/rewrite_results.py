@@ -1,6 +1,6 @@
 """Measure everything in `results/` again (hours): `python -m tools.rewrite_results`.
 
-Only the sweeps are left out (`tools.run_sweeps`). The README's tables are updated as well.
+Only the sweeps are left out (`tools.run_sweeps`). The figures in the documentation are updated.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import os
 import sys
 from pathlib import Path
 
-from tools import update_readme_tables
+from tools import update_docs
 from tools.process import run
 
 # Two stages, so that two processes have as many worlds each as one process alone has in a stage.
@@ -59,7 +59,7 @@ def _output(name: str) -> list[str]:
 
 
 def main() -> None:
-    """Rewrite the tables, the speed measurements and the README's tables."""
+    """Rewrite the tables, the speed measurements and the figures in the documentation."""
     parser = argparse.ArgumentParser(
         prog="python -m tools.rewrite_results", description=(__doc__ or "").partition("\n")[0]
     )
@@ -68,7 +68,7 @@ def main() -> None:
     scripts = Path(sys.executable).parent
     measure_tables(scripts, recordings)
     measure_speed(scripts)
-    update_readme_tables.main()
+    update_docs.main()
 
 
 if __name__ == "__main__":

@@ -11,7 +11,10 @@ from typing import Any
 import pytest
 import yaml
 
-from mrsan import Scenario
+from mrsan import Layout, Scenario
+from mrsan.choices import ACTION_SIZE
+from mrsan.features import EGO_FEATURES, OTHER_FEATURES
+from samarl.configuration import available_agents
 from samarl.evaluation.metrics import metric_fields
 from samarl.evaluation.summary import read_rows
 from samarl.files import find_folder
@@ -151,10 +154,8 @@ def test_an_algorithm_of_your_own(tmp_path: Path) -> None:
     assert "| my_ppo " in output
 
 
-@pytest.mark.parametrize("page", ["docs/runtime.md", "README.md"])
-def test_an_exported_policy_drives(page: str, exported: Path) -> None:
-    text = (DOCS.parent / page).read_text().split("# On a robot\n")[1]
-    code = block(text, "python")
+def test_an_exported_policy_drives(exported: Path) -> None:
+    code = block((DOCS / "runtime.md").read_text().split("## Drive\n")[1], "python")
     done = subprocess.run(
         [sys.executable, "-c", code], cwd=exported, capture_output=True, text=True, timeout=240
     )
@@ -173,10 +174,56 @@ def exported(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("page", sorted(DOCS.glob("*.md")), ids=lambda page: page.stem)
+def anchors(page: Path) -> set[str]:
+    """The anchors of the headings of a page."""
+    headings = re.findall(r"^#+ (.+)$", page.read_text(), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", text.lower()).strip().replace(" ", "-") for text in headings}
+
+
+@pytest.mark.parametrize(
+    "page", [DOCS.parent / "README.md", *sorted(DOCS.glob("*.md"))], ids=lambda page: page.stem
+)
 def test_links_have_targets(page: Path) -> None:
-    for target in re.findall(r"\]\(([^)#]+)", page.read_text()):
-        assert (page.parent / target).exists(), target
+    for target, _, anchor in re.findall(r"\]\(([^)#\s]*)(#?)([^)\s]*)\)", page.read_text()):
+        if "://" in target:
+            continue
+        path = page.parent / target if target else page
+        assert path.exists(), target
+        assert not anchor or anchor in anchors(path), f"{target}#{anchor}"
+
+
+def test_the_environment_is_made_as_printed() -> None:
+    """The quick starts of the three libraries run, on the page and in the README."""
+    page = (DOCS / "quickstart.md").read_text().split("## Make the environment\n")[1]
+    readme = (DOCS.parent / "README.md").read_text()
+    codes = [part.split("```")[0] for part in page.split("## ")[0].split("```python\n")[1:]]
+    assert len(codes) == 3
+    for code in (*codes, block(readme, "python")):
+        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+
+
+def test_the_readme_is_short() -> None:
+    text = (DOCS.parent / "README.md").read_text()
+    assert len(text.split()) <= 1000
+    assert len(text.splitlines()) <= 130
+
+
+def test_every_feature_of_an_observation_is_described() -> None:
+    """The table of actions and observations has the sizes of the simulator."""
+    text = (DOCS / "environment.md").read_text()
+    for kinematics, size in ACTION_SIZE.items():
+        assert re.search(rf"\| `{kinematics.name}`[^|]*\| {size} \|", text), kinematics
+    assert f"| `ego` | {len(EGO_FEATURES)} |" in text
+    assert f"| `humans` | M x {len(OTHER_FEATURES)} |" in text
+
+
+def test_every_agent_and_layout_is_described() -> None:
+    pages = "".join((DOCS / name).read_text() for name in ("agents.md", "models.md"))
+    shielded = {name for name in available_agents() if name.endswith(("_shielded", "_unshielded"))}
+    assert [n for n in available_agents() if n not in shielded and f"`{n}`" not in pages] == []
+    environment = (DOCS / "environment.md").read_text()
+    assert [layout.name for layout in Layout if f"`{layout.name}`" not in environment] == []
 
 
 def test_every_metric_is_defined() -> None:
@@ -214,7 +261,8 @@ RADII = [config(f"scenario/{name}.yaml")["circle_radius"] for name in ("5p3r", "
             [MACRO_STEPS, MACRO_SECONDS],
         ),
         ("concepts.md", r"in \[-1, 1\], every ([\d.]+) s", [Scenario().time_step]),
-        ("concepts.md", r"radius (\d+), (\d+) and (\d+) m", RADII),
+        ("environment.md", r"in \[-1, 1\], every ([\d.]+) s", [Scenario().time_step]),
+        ("environment.md", r"radius (\d+), (\d+) and (\d+) m", RADII),
         ("concepts.md", r"(\d+) directions, at full speed", [DIRECTIONS]),
         ("concepts.md", r"for (\w+) seconds of everybody the robot sees", [Shield().horizon]),
     ],
@@ -241,10 +289,10 @@ def test_seed_means_and_ranges_in_the_docs_are_those_of_the_table() -> None:
     }
     quoted = [
         text
-        for page in (DOCS / "models.md", DOCS.parent / "README.md")
-        for line in page.read_text().splitlines()
-        if "mean [range]" in line
-        for text in re.findall(r"\d+\.\d \[\d+\.\d, \d+\.\d\]", line)
+        for page in (DOCS / "models.md", DOCS / "limitations.md", DOCS / "results.md")
+        for text in re.findall(
+            r"\d+\.\d \[\d+\.\d, \d+\.\d\]", page.read_text().split("## Learning speed")[0]
+        )
     ]
-    assert len(quoted) > 20
+    assert len(quoted) > 50
     assert set(quoted) <= committed

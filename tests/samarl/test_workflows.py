@@ -402,8 +402,9 @@ def test_every_command_is_installed(command: str) -> None:
     assert shutil.which(f"samarl-{command}", path=folder) is not None
 
 
-def test_the_planner_in_the_readme_runs(tmp_path: Path) -> None:
-    text = (Path(__file__).parents[2] / "README.md").read_text().split("## Your own planner")[1]
+def test_the_planner_in_the_docs_runs(tmp_path: Path) -> None:
+    page = Path(__file__).parents[2] / "docs/extending.md"
+    text = page.read_text().split("## A planner\n")[1]
     python = text.split("```python\n")[1].split("```")[0]
     yaml = text.split("```yaml\n")[1].split("```")[0]
     assert python.count("\n") <= 25

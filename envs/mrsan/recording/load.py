@@ -29,7 +29,7 @@ def load_recording(
     """Read a recording, check that it is plausible and resample it to the simulator's time step.
 
     Args:
-        path: a file of a format that docs/concepts.md lists. None: the included synthetic one.
+        path: a file of a format that docs/recordings.md lists. None: the included synthetic one.
         frame_seconds: time between frame numbers, s. None: the value that the file states, or 0.04
             as in ETH and UCY.
         time_step: of the simulator, s. Positions between rows are interpolated linearly.

@@ -1,0 +1,76 @@
+"""Every command line in the documentation can be composed."""
+
+import re
+import shlex
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from hydra.core.config_store import ConfigStore
+from omegaconf import OmegaConf
+
+from samarl.commands.bench import Bench
+from samarl.commands.composition import compose_cells
+from samarl.commands.export import Export
+from samarl.commands.overrides import CommandLine
+from samarl.commands.predictor import Predictor
+from samarl.commands.render import Render
+from samarl.commands.report import Report
+from samarl.commands.train import Train
+from samarl.configuration import first, register_schemas
+
+ROOT = Path(__file__).parents[2]
+# `test_docs.py` runs those of extending.md.
+PAGES = [ROOT / "README.md", *(p for p in (ROOT / "docs").glob("*.md") if p.stem != "extending")]
+SCHEMAS = {
+    "bench": Bench,
+    "export": Export,
+    "predictor": Predictor,
+    "render": Render,
+    "report": Report,
+    "train": Train,
+}
+# Placeholders; options instead of settings; `samarl-train scenario=...` selects its own curriculum.
+OTHER_SYNTAX = r"\.\.\.|NAME|RECORDINGS=|--help|samarl-recor|samarl-train .*\bscenario[.=]"
+
+
+def command_lines() -> Iterator[tuple[str, str]]:
+    """Page and command line, also of tables and running text."""
+    for page in PAGES:
+        text = page.read_text().replace("\\\n", " ")
+        text = re.sub(r"^\$ [^\n]*\nerror: .*$", "", text, flags=re.MULTILINE)
+        for line in re.findall(r"(?:^\$ |`)(samarl-\w+ [^`\n]+)", text, re.MULTILINE):
+            if not re.search(OTHER_SYNTAX, line):
+                yield page.name, line.partition("  #")[0].strip()
+
+
+@pytest.fixture(scope="module")
+def my_conf(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder that own_scenario.md describes; schemas are registered."""
+    folder = tmp_path_factory.mktemp("own")
+    text = (ROOT / "docs/own_scenario.md").read_text()
+    (folder / "my_conf/scenario").mkdir(parents=True)
+    scenario = text.split("```yaml\n")[1].split("```")[0]
+    (folder / "my_conf/scenario/mine.yaml").write_text(scenario)
+    OmegaConf.register_new_resolver("first", first, replace=True)
+    register_schemas()
+    for name, schema in SCHEMAS.items():
+        ConfigStore.instance().store(name=f"{name}_schema", node=schema)
+    return folder
+
+
+def test_many_command_lines_are_found() -> None:
+    assert len(set(command_lines())) > 80
+
+
+@pytest.mark.parametrize(("page", "line"), sorted(set(command_lines())))
+def test_a_command_line_is_valid(
+    page: str, line: str, my_conf: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(my_conf)
+    monkeypatch.setenv("SAMARL_SWEEP", "sweep")
+    monkeypatch.setenv("RECORDINGS", "recordings")
+    program, *words = shlex.split(line)
+    name = program.removeprefix("samarl-").replace("evaluate", "config")
+    command = CommandLine.parse(words).quoted()
+    assert list(compose_cells(name, command))  # raises if a group, a choice or a key is unknown

@@ -1,0 +1,96 @@
+"""The documentation shows the figures of `results/`."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from samarl.evaluation.summary import read_rows
+from tools.doc_tables import TABLES
+from tools.figures import figure
+from tools.update_docs import fill, pages, update_docs, without_marks
+
+ROOT = Path(__file__).parents[2]
+
+
+def samarl_at_360_degrees() -> dict[str, float]:
+    rows = read_rows(ROOT / "results/table1.json") or []
+    (row,) = [
+        r for r in rows if (r["method"], r["fov_degrees"], r["robots"]) == ("samarl", 360.0, 3)
+    ]
+    return row
+
+
+def test_a_figure_is_the_field_of_a_row() -> None:
+    row = samarl_at_360_degrees()
+    words = "table1 samarl 360/10/3"
+    assert figure(f"{words} success".split()) == f"{row['success_rate']:.1f}"
+    assert figure(f"{words} path_length .1f".split()) == f"{row['path_length']:.1f}"
+    seeds = [row[f"success_seed_{key}"] for key in ("mean", "min", "max")]
+    assert figure(f"{words} seeds".split()) == "{:.1f} [{:.1f}, {:.1f}]".format(*seeds)
+
+
+def test_a_figure_is_a_value_of_a_file() -> None:
+    recipes = json.loads((ROOT / "results/learning_speed.json").read_text())["recipes"]
+    minutes = sum(recipes["flat"]["seconds_to_90"]) / 3 / 60
+    words = "learning_speed recipes.flat.seconds_to_90 mean /60 .2f"
+    assert figure(words.split()) == f"{minutes:.2f}"
+
+
+@pytest.mark.parametrize(
+    ("words", "problem"),
+    [
+        ("table1 nobody 360/10/3 both", "0 rows of nobody"),
+        ("transfer samarl 360/10/3 both", "rows of samarl in 360/10/3; need 1"),
+        ("throughput full_step.speed .1f", "has no full_step.speed"),
+        ("throughput full_step.min half .1f", "operation is 'half'"),
+    ],
+)
+def test_a_figure_that_does_not_exist(words: str, problem: str) -> None:
+    with pytest.raises(ValueError, match=problem.replace("[", r"\[")):
+        figure(words.split())
+
+
+def test_only_the_text_between_marks_changes() -> None:
+    text = "a <!--fig table1 samarl 360/10/3 success-->0<!--/--> b\n"
+    success = figure(["table1", "samarl", "360/10/3", "success"])
+    assert without_marks(fill(text)) == f"a {success} b\n"
+    table = "x\n<!-- table headline -->\nold\n<!-- /table -->\ny\n"
+    assert without_marks(fill(table)) == f"x\n{TABLES['headline']()}\ny\n"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "<!-- table headline -->\n| a |\n",
+        "| a |\n<!-- /table -->\n",
+        "<!--fig table1 samarl 360/10/3 success-->1.0",
+        "<!-- table nothing -->\n<!-- /table -->\n",
+    ],
+)
+def test_a_wrong_mark_leaves_every_page_unchanged(tmp_path: Path, text: str) -> None:
+    (tmp_path / "docs").mkdir()
+    good = "<!--fig table1 samarl 360/10/3 success-->0<!--/-->\n"
+    (tmp_path / "README.md").write_text(good)
+    (tmp_path / "docs/page.md").write_text(text)
+    with pytest.raises(ValueError, match=r"page\.md"):
+        update_docs(tmp_path)
+    assert (tmp_path / "README.md").read_text() == good
+    assert (tmp_path / "docs/page.md").read_text() == text
+
+
+@pytest.mark.parametrize("page", pages(ROOT), ids=lambda page: page.name)
+def test_the_committed_pages_show_the_committed_results(page: Path) -> None:
+    assert fill(page.read_text()) == page.read_text()
+
+
+def test_the_headline_table_has_eight_rows_without_empty_cells() -> None:
+    lines = [
+        [cell.strip() for cell in line.strip("|").split("|")]
+        for line in TABLES["headline"]().splitlines()
+    ]
+    assert len(lines) == 2 + 8
+    assert all(len(line) == 5 and all(line) and "-" not in line for line in lines)
+    narrow, wide = lines[-1][1], lines[-1][4]  # SAMARL: 90° and 360°, three robots
+    assert wide == figure(["table1", "samarl", "360/10/3", "both"])
+    assert narrow == figure(["table1", "samarl_narrow", "90/10/3", "both"])

@@ -1,0 +1,278 @@
+"""Tables of the documentation, built from `results/`; `TABLES` has their names."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from statistics import fmean
+
+from samarl.evaluation.papers import PAPER_SUCCESS
+from samarl.evaluation.summary import Column, Row, column_of
+from samarl.evaluation.table import markdown_table, setting_name
+from tools.figures import RESULTS, find_row, find_value, print_row, result_rows
+
+NONE = "-"  # in cells without a value
+TABLES: dict[str, Callable[[], str]] = {}
+COLUMNS = [Column(90.0, 10, 3), Column(90.0, 10, 5), Column(360.0, 10, 5), Column(360.0, 10, 3)]
+# Rows of the README: name, agent with a view of 90°, agent with a view of 360°.
+METHODS = (
+    ("ORCA", "orca", "orca"),
+    ("Sampling planner (`model_predictive`)", "model_predictive", "model_predictive"),
+    ("Around the crowd (`perimeter`)", "perimeter", "perimeter"),
+    ("Around the crowd, shielded", "perimeter_shielded", "perimeter_shielded"),
+    ("CADRL", "cadrl_narrow", "cadrl"),
+    ("CADRL, shielded", "cadrl_narrow_shielded", "cadrl_shielded"),
+    ("SAMARL without its shield", "samarl_narrow_unshielded", "samarl_unshielded"),
+    ("SAMARL", "samarl_narrow", "samarl"),
+)
+# Their rivals without a policy for 90°.
+WIDE_METHODS = (
+    ("SAMARL-PPO", "samarl_ppo"),
+    ("SAMARL-PPO without its shield", "samarl_ppo_unshielded"),
+    ("SAMARL-SRNN", "samarl_srnn"),
+    ("SAMARL-SRNN without its shield", "samarl_srnn_unshielded"),
+    ("One level (`samarl_flat`)", "samarl_flat"),
+    ("One level without its shield", "samarl_flat_unshielded"),
+)
+
+
+def table(build: Callable[[], str]) -> Callable[[], str]:
+    """Register a table under the name of its function."""
+    TABLES[build.__name__] = build
+    return build
+
+
+def _cell(name: str, method: str, column: Column) -> str:
+    key = f"{column.fov_degrees:g}/{column.humans}/{column.robots}"
+    return print_row(find_row(name, method, key), "both")
+
+
+def _method_lines() -> list[list[str]]:
+    return [
+        [label, *(_cell("table1", narrow if c.fov_degrees == 90.0 else wide, c) for c in COLUMNS)]
+        for label, narrow, wide in METHODS
+    ]
+
+
+def _table1_header() -> list[str]:
+    names = [f"{c.fov_degrees:g}°, {c.robots} robots" for c in COLUMNS]
+    return ["success % / social score", *names]
+
+
+@table
+def headline() -> str:
+    """Return Table I with a row for each method and no empty cells."""
+    return markdown_table(_table1_header(), _method_lines())
+
+
+@table
+def table1_with_paper() -> str:
+    """Return Table I with methods for the full view only, and with the paper's success rates."""
+    lines = _method_lines()
+    for label, method in WIDE_METHODS:
+        cells = [_cell("table1", method, c) if c.fov_degrees == 360.0 else NONE for c in COLUMNS]
+        lines.append([label, *cells])
+    for method in next(iter(PAPER_SUCCESS.values())):
+        rates = [PAPER_SUCCESS.get(column, {}).get(method) for column in COLUMNS]
+        lines.append([f"*paper: {method}*", *(NONE if r is None else f"*{r}*" for r in rates)])
+    return markdown_table(_table1_header(), lines)
+
+
+def _seeds_table(agents: Sequence[str], columns: Sequence[str], heads: Sequence[str]) -> str:
+    lines = []
+    for agent in agents:
+        rows = [find_row("table1", agent, column) for column in columns]
+        lines.append([f"`{agent}`", *(print_row(row, "seeds") for row in rows)])
+    return markdown_table(["success %, mean [range]", *heads], lines)
+
+
+@table
+def seeds_wide() -> str:
+    """Return success over training seeds of the policies with a full view."""
+    names = ("samarl", "samarl_flat", "samarl_ppo", "samarl_srnn", "samarl_general")
+    agents = [agent for n in (*names, "samarl_planned") for agent in (n, f"{n}_unshielded")]
+    agents += ["cadrl_shielded", "cadrl"]
+    return _seeds_table(agents, ["360/10/3", "360/10/5"], ["3 robots", "5 robots"])
+
+
+@table
+def seeds_narrow() -> str:
+    """Return success over training seeds of the policies with a view of 90°."""
+    names = ("cadrl_narrow", "cadrl_narrow_shielded", "samarl_narrow", "samarl_narrow_unshielded")
+    agents = (*names, "samarl_general", "samarl_planned")
+    return _seeds_table(agents, ["90/10/3", "90/10/5"], ["3 robots", "5 robots"])
+
+
+def _grid(rows: Iterable[Row], heading: Callable[[Row], str], kind: str, corner: str) -> str:
+    """Return methods by columns, in order of appearance."""
+    cells: dict[str, dict[str, str]] = {}
+    heads: dict[str, None] = {}
+    for row in rows:
+        heads[heading(row)] = None
+        cells.setdefault(row["method"], {})[heading(row)] = print_row(row, kind)
+    lines = [[f"`{m}`", *(line.get(head, NONE) for head in heads)] for m, line in cells.items()]
+    return markdown_table([corner, *heads], lines)
+
+
+@table
+def recorded() -> str:
+    """Return success and social score among recorded people."""
+    rows = [row for row in result_rows("transfer") if row.get("recording")]
+    return _grid(
+        rows,
+        lambda r: Path(r["recording"]).stem.replace("_", " "),
+        "both",
+        "success % / social score",
+    )
+
+
+@table
+def places() -> str:
+    """Return success and social score in places with walls."""
+    return _grid(result_rows("places"), lambda r: r["layout"], "both", "success % / social score")
+
+
+@table
+def ablations() -> str:
+    """Return success and social score of the ablations."""
+    return _grid(
+        result_rows("ablations"),
+        lambda row: f"{row['robots']} robots",
+        "both",
+        "success % / social score",
+    )
+
+
+@table
+def robustness() -> str:
+    """Return the success rate by changed setting and method."""
+    methods = {
+        "samarl": "SAMARL",
+        "samarl_unshielded": "SAMARL, no shield",
+        "samarl_general": "SAMARL, general",
+        "samarl_planned": "SAMARL, planned",
+        "cadrl": "CADRL",
+        "model_predictive": "sampling planner",
+        "perimeter_shielded": "perimeter, shielded",
+        "orca": "ORCA",
+    }
+    settings: dict[str, dict[str, str]] = {}
+    for row in result_rows("robustness"):
+        setting = setting_name(column_of(row)) or "as in Table I"
+        settings.setdefault(setting, {})[row["method"]] = print_row(row, "success")
+    lines = [
+        [setting, *(cells.get(m, NONE) for m in methods)] for setting, cells in settings.items()
+    ]
+    return markdown_table(["success %", *methods.values()], lines)
+
+
+@table
+def co_planning() -> str:
+    """Return CSR and CR of all methods in MSA3C's scenarios at the full sensing range."""
+    scenarios = ("5p3r", "10p3r", "20p3r")
+    cells: dict[str, dict[str, str]] = {}
+    for row in result_rows("table2"):
+        column = column_of(row)
+        if not column.changes:
+            text = f"{row['csr']:.1f} / {row['cr']:.1f}"
+            cells.setdefault(row["method"], {})[column.scenario] = text
+    lines = [[f"`{m}`", *(line.get(s, NONE) for s in scenarios)] for m, line in cells.items()]
+    return markdown_table(["CSR % / CR %", *scenarios], lines)
+
+
+@table
+def team() -> str:
+    """Return success with and without shared perception by the size of the team."""
+    lines = []
+    for robots in sorted({row["robots"] for row in result_rows("sweeps/team_size")}):
+        column = f"90/10/{robots}"
+        rates = [
+            print_row(
+                find_row("sweeps/team_size", "samarl_planned", column, [f"team_perception={mode}"]),
+                "success",
+            )
+            for mode in ("none", "tracks")
+        ]
+        lines.append([str(robots), *rates])
+    return markdown_table(["robots", "alone, success %", "sharing, success %"], lines)
+
+
+@table
+def learning_speed() -> str:
+    """Return minutes and steps to success rates, as means over training seeds [range]."""
+    lines = []
+    for recipe, runs in find_value("learning_speed", "recipes").items():
+        minutes = [_mean_and_range(runs[f"seconds_to_{rate}"], 60, ".1f") for rate in (80, 90, 95)]
+        steps = _mean_and_range(runs["steps_to_90"], 1000, ",.0f")
+        success = [100 * fmean(runs[f"final_success_{n}_robots"]) for n in (3, 5)]
+        total = f"{fmean(runs['seconds']) / 60:.1f}"
+        lines.append([recipe, *minutes, steps, total, "{:.1f} / {:.1f}".format(*success)])
+    return markdown_table(
+        [
+            "recipe",
+            "80 %, min",
+            "90 %, min",
+            "95 %, min",
+            "90 %, 1000 steps",
+            "end, min",
+            "success at the end, 3 / 5 robots",
+        ],
+        lines,
+    )
+
+
+def _mean_and_range(values: Sequence[float | None], unit: float, form: str) -> str:
+    """Return `mean [smallest, largest]` in a unit, or `not reached` if a value is missing."""
+    numbers = [value / unit for value in values if value is not None]
+    if len(numbers) < len(values):
+        return "not reached"
+    return f"{fmean(numbers):{form}} [{min(numbers):{form}}, {max(numbers):{form}}]"
+
+
+@table
+def policies() -> str:
+    """Return steps and training time of every included policy, over its training seeds."""
+    groups: dict[str, list[dict[str, object]]] = {}
+    for path in sorted((RESULTS / "checkpoints").glob("*.json")):
+        card = json.loads(path.read_text(encoding="utf-8"))
+        name, _, seed = path.stem.rpartition("_seed")
+        groups.setdefault(name if seed.isdigit() else path.stem, []).append(card)
+    lines = []
+    for name, cards in groups.items():
+        provenance = [card["provenance"] for card in cards]
+        minutes = sorted(round(p["seconds"] / 60) for p in provenance)  # type: ignore[index]
+        low, high = minutes[0], minutes[-1]
+        steps = provenance[0]["steps"] / 1e6  # type: ignore[index]
+        duration = str(low) if low == high else f"{low} to {high}"
+        kind = f"`{cards[0]['policy']}`"
+        lines.append([f"`{name}`", kind, str(len(cards)), f"{steps:.1f}", duration])
+    header = ["name", "`policy=`", "seeds", "million steps", "minutes"]
+    return markdown_table(header, lines)
+
+
+@table
+def latency() -> str:
+    """Return the duration of a decision of the main agents."""
+    lines = []
+    for agent in ("orca", "perimeter_shielded", "model_predictive", "samarl_flat", "samarl",
+                  "samarl_general", "cadrl", "samarl_planned"):  # fmt: skip
+        entry = find_value("latency", f"agents.{agent}")
+        exported = entry["exported_ms"]
+        lines.append(
+            [
+                f"`{agent}`",
+                f"{entry['one_robot_ms']['median']:.2f}",
+                f"{exported['median']:.2f}" if exported else NONE,
+                f"{entry['batch_of_512_ms']['median']:.1f}",
+            ]
+        )
+    return markdown_table(["agent", "one robot, ms", "exported, ms", "512 robots, ms"], lines)
+
+
+@table
+def throughput() -> str:
+    """Return the speed of the simulator by the number of people."""
+    rows = find_value("throughput", "by_humans")
+    lines = [[str(r["humans"]), f"{r['world_steps_per_second']:,}"] for r in rows]
+    return markdown_table(["people", "world-steps per second"], lines)
