@@ -23,6 +23,7 @@ from samarl.configuration import (
     import_plugins,
     load_agent,
     load_scenario,
+    open_mapping,
     scenario_of,
 )
 from samarl.evaluation.page import page
@@ -69,8 +70,8 @@ class Bench:
     improvement_of: list[str] = field(default_factory=list)
     columns: list[dict[str, Any]] = field(default_factory=list)
     recordings: str | None = None
-    recorded: dict[str, Any] = field(default_factory=dict)
-    frame_seconds: dict[str, float] = field(default_factory=dict)
+    recorded: dict[str, Any] = open_mapping()
+    frame_seconds: dict[str, float] = open_mapping(float)
     plugins: list[str] = field(default_factory=list)
     seeds: bool = False
     learned_cases: int | None = None
@@ -155,7 +156,7 @@ def _tasks(config: DictConfig, scenarios: Sequence[Scenario]) -> tuple[list[_Tas
         names = [name for name in available_agents() if name not in config.leave_out]
     if not names:
         raise ConfigurationError("agents is empty; it must name at least one")
-    agents = {str(name): load_agent(name, "agents") for name in names}
+    agents = {str(name): load_agent(str(name), "agents") for name in names}
     tasks: list[_Task] = []
     scope_warnings: dict[str, str] = {}
     for scenario in scenarios:
