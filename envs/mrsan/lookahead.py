@@ -28,7 +28,7 @@ class LookaheadReward:
         self.predictor = find_predictor(reward.lookahead_predictor, scenario.time_step, field)
         self.distance = np.float32(reward.lookahead_distance)
         steps = range(1, reward.lookahead_steps + 1)
-        self._penalty = np.float32([-reward.lookahead * math.exp(-k) for k in steps])
+        self._penalty = np.array([-reward.lookahead * math.exp(-k) for k in steps], np.float32)
         self.steps = np.arange(1, reward.lookahead_steps + 1, dtype=np.float32)[:, None]
         self.time_step = np.float32(scenario.time_step)
 

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 from numba.extending import register_jitable
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 _callable_from_kernels = partial(register_jitable, forceinline=True)
 
@@ -58,7 +58,7 @@ def unrotate_vectors(vectors: NDArray[Any], direction: NDArray[Any]) -> NDArray[
     return np.stack(unrotate(cos, sin, x, y), -1)
 
 
-def unit_vectors(angles: ArrayLike) -> NDArray[np.float64]:
+def unit_vectors(angles: NDArray[Any]) -> NDArray[np.float64]:
     """Return the unit vectors (cos, sin), [L, 2], of angles [L] in rad."""
-    angles = np.asarray(angles, np.float64).tolist()
-    return np.array([(math.cos(angle), math.sin(angle)) for angle in angles]).reshape(-1, 2)
+    vectors = [(math.cos(angle), math.sin(angle)) for angle in angles.tolist()]
+    return np.array(vectors, np.float64).reshape(-1, 2)
