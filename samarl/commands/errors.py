@@ -16,7 +16,7 @@ from mrsan.suggestions import choice_hint
 from samarl.messages import describe
 
 _JARGON = re.compile(r"(full_key|object_type|reference_type)\b|See https://hydra\.cc|\^$")
-# Messages of Hydra about `+`, `~` and `@`, and their replacements.
+# Messages of Hydra and OmegaConf, and their replacements.
 _REWORDED = {
     r"Could not append to config\. An item is already at '(.+?)'": (
         r"\1 already exists; write it without +"
@@ -28,6 +28,12 @@ _REWORDED = {
         r"~\1 has the value \3; it must be \2 or omitted"
     ),
     r"Error merging override ~([^=\n]+)": r"~\1 deletes a required field; set it instead",
+    r"force-add of config groups is not supported: '\+\+([^=]+)=.*": (
+        r"\1 is a group; write \1=NAME without +"
+    ),
+    r"Invalid loaded object type: (\w+)": (
+        r"a configuration file holds only a single value (\1); it must map names to values"
+    ),
     r"Multiple values for (.+?)\. ": r"\1 is already selected; write \1=NAME without +",
     r"Could not override '(.+?)'\. No match in the defaults list": (
         r"\1 is not a group of this command; see --help"
@@ -57,10 +63,10 @@ def explain(error: BaseException, folder: Path | None = None) -> str:
         return f"{mark.name} is not YAML: line {mark.line + 1}: {error.problem}"
     if isinstance(error, UnicodeDecodeError):
         return _not_utf8(error, folder)
+    for pattern, replacement in _REWORDED.items():
+        if match := re.match(pattern, str(error)):
+            return match.expand(replacement)
     if isinstance(error, HydraException | OmegaConfBaseException):
-        for pattern, replacement in _REWORDED.items():
-            if match := re.match(pattern, str(error)):
-                return match.expand(replacement)
         for cause in _chain(error):
             if isinstance(cause, OmegaConfBaseException):
                 return _describe_setting(cause, str(error))
@@ -87,6 +93,8 @@ def _describe_setting(cause: OmegaConfBaseException, message: str) -> str:
             return describe(cause, value=value)
         return describe(cause, f"{key}: " if cause.full_key else key, value)
     if file := re.match(r"In '([^']+)':", message):
+        if not cause.full_key:
+            return f"{file[1]}.yaml is not a mapping from names to values"
         return describe(cause, f"{file[1]}.yaml: ")
     return describe(cause)
 

@@ -26,7 +26,7 @@ from mrsan.suggestions import choice_hint, closest_names
 from samarl import main
 from samarl.agents.learned import Learned
 from samarl.agents.planners.model_predictive import ModelPredictive
-from samarl.commands import evaluate
+from samarl.commands import bench, evaluate
 from samarl.commands.bench import Bench
 from samarl.commands.composition import composed, config_loader
 from samarl.commands.errors import explain
@@ -258,6 +258,7 @@ def test_names_of_other_simulators_are_understood(name: str, field: str) -> None
             "curriculum.stages=[{scenario: {human: 5}}]",
             "curriculum.stages: scenario.human is not known; did you mean scenario.humans?",
         ),
+        ("train", "++encoder=gru", "encoder is a group; write encoder=NAME without +"),
         ("train", "scenario=5p3r", "scenario is not a group of this command; see --help"),
         ("config", "scenario.reward={1: 2}", "scenario.reward.1 is not known; "),
     ],
@@ -309,3 +310,31 @@ def test_the_command_samarl_lists_and_runs_the_others(
         run()
         row = json.loads(Path("here/row.json").read_text())["row"]
         assert row["command"] == "samarl-evaluate agent=straight evaluation.cases=2"
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("defaults: [nobody]\n", "agent/mine.yaml: agent is 'nobody', which does not exist"),
+        ("- a\n- b\n", "agent/mine.yaml is not a mapping from names to values"),
+        ("5\n", "a configuration file holds only a single value (int); it must map"),
+        ("a: [\n", "mine.yaml is not YAML: line 2: "),
+    ],
+)
+def test_files_that_a_running_command_composes_are_named_in_one_line(
+    content: str,
+    message: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    (tmp_path / "own/agent").mkdir(parents=True)
+    (tmp_path / "own/agent/mine.yaml").write_text(content)
+    monkeypatch.setattr(sys, "argv", ["samarl-bench", "--config-dir=own", "agents=[mine]"])
+    with pytest.raises(SystemExit) as stopped:
+        bench.main()
+    error = capsys.readouterr().err
+    assert (stopped.value.code, error.count("\n")) == (2, 1)
+    assert message in error
