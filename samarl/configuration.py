@@ -19,13 +19,23 @@ from omegaconf import MISSING, DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from mrsan import ConfigurationError, Scenario
+from mrsan.suggestions import choice_hint
 from samarl.evaluation.runner import Evaluation
 from samarl.files import find_folder
-from samarl.messages import choice_hint, describe
+from samarl.messages import describe
 
 T = TypeVar("T")
 
 MAX_VALUES = 100_000  # in a YAML file with its aliases expanded; typical files have some hundred
+
+
+def open_mapping(element_type: Any = Any) -> Any:
+    """Declare a mapping to which `name.key=value` may add keys; whoever reads it checks them."""
+    return field(
+        default_factory=lambda: DictConfig(
+            {}, element_type=element_type, key_type=str, flags={"struct": False}
+        )
+    )
 
 
 @dataclass
@@ -33,7 +43,7 @@ class Config:
     """Schema of `conf/config.yaml`: one evaluation."""
 
     scenario: Any = MISSING
-    agent: Any = MISSING
+    agent: Any = open_mapping()  # a subclass of Agent; files may leave fields at their defaults
     evaluation: Any = MISSING
     checkpoint: str | None = None
     plugins: list[str] = field(default_factory=list)
@@ -124,7 +134,7 @@ def import_plugins(modules: Sequence[str]) -> None:
     """
     for name in modules:
         try:
-            importlib.import_module(name)
+            importlib.import_module(str(name))
         except Exception as error:
             raise ConfigurationError(
                 f"plugins has {name!r}; it must be an importable module ({error})"

@@ -6,8 +6,22 @@ import sys
 from functools import partial
 from importlib import import_module
 
+import samarl
 
-def _run(command: str) -> None:
+COMMANDS = {
+    "evaluate": "evaluate an agent on fixed cases, or run a sweep of evaluations",
+    "bench": "evaluate the agents of a table and compare it with the committed results",
+    "render": "draw one case as a picture or a video",
+    "train": "train a policy, or resume a training",
+    "report": "build web pages with tables, curves and replays",
+    "predictor": "train and evaluate a predictor of people",
+    "export": "export a policy as an ONNX file that runs without torch",
+    "recording": "summarise, check, draw and convert a recording of people",
+}
+
+
+def run(command: str) -> None:
+    """Run a command with the words of `sys.argv`."""
     try:
         import_module(f"samarl.commands.{command}").main()
     except KeyboardInterrupt:
@@ -16,15 +30,38 @@ def _run(command: str) -> None:
 
 
 evaluate, bench, render, train, report, predictor, export, recording = (
-    partial(_run, command)
-    for command in (
-        "evaluate",
-        "bench",
-        "render",
-        "train",
-        "report",
-        "predictor",
-        "export",
-        "recording",
-    )
+    partial(run, command) for command in COMMANDS
 )
+
+
+def main() -> None:
+    """List the commands, or run one: `samarl evaluate ...` is `samarl-evaluate ...`."""
+    command, *words = sys.argv[1:] or ["--help"]
+    if command in COMMANDS:
+        sys.argv = [f"samarl-{command}", *words]
+        run(command)
+    elif command == "--version":
+        print(f"samarl {samarl.__version__}")
+    elif command in ("--help", "-h"):
+        print(_overview())
+    else:
+        from mrsan.suggestions import choice_hint  # imports the simulator, which takes a second
+
+        hint = choice_hint(command, COMMANDS)
+        print(f"error: {command!r:.60} is not a command; {hint}", file=sys.stderr)
+        sys.exit(2)
+
+
+def _overview() -> str:
+    """Return the list of commands, one a line."""
+    lines = [f"  samarl {name:<10} {about}" for name, about in COMMANDS.items()]
+    return "\n".join(
+        [
+            "Usage: samarl COMMAND [setting=value ...], which is the same as samarl-COMMAND ...",
+            "",
+            *lines,
+            "",
+            "samarl COMMAND --help lists the settings of a command; samarl --version prints the "
+            "version.",
+        ]
+    )

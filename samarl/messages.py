@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import difflib
 import re
 from collections.abc import Iterable
 from typing import Any, get_type_hints
@@ -20,22 +19,9 @@ from omegaconf.errors import (
 
 from mrsan import ConfigurationError
 from mrsan.fields import check_numbers
+from mrsan.suggestions import choice_hint, closest_names
 
-_MAX_LISTED = 12  # names in an error message
-_SYNONYMS = {
-    "delta_t": "time_step",
-    "dt": "time_step",
-    "duration": "time_limit",
-    "gamma": "discount",
-    "n_humans": "humans",
-    "n_robots": "robots",
-    "num_humans": "humans",
-    "num_robots": "robots",
-    "pedestrians": "humans",
-    "people": "humans",
-    "agents": "robots",
-    "max_steps": "time_limit",
-}
+_LIST, _MAPPING = "a list such as [a,b]", "a mapping such as {name: value}"
 # Patterns in OmegaConf's messages about wrong types, and what the value must be.
 _REQUIREMENTS = (
     (r"converted to Integer", "a whole number"),
@@ -43,36 +29,10 @@ _REQUIREMENTS = (
     (r"valid bool", "true or false"),
     (r"to string", "a string"),
     (r"is not Optional", "other than null"),
-    (r"not a ListConfig|merge ListConfig", "a list such as [a,b]"),
-    (r"not a subclass|to Dict\[|merge DictConfig", "a mapping such as {name: value}"),
+    (r"not a ListConfig", _LIST),
+    (r"not a subclass|to Dict\[", _MAPPING),
+    (r"^Key .* is incompatible", "a mapping whose names are strings"),
 )
-
-
-def closest_names(name: str, names: Iterable[str], count: int = 3) -> list[str]:
-    """Return the names most similar to `name`, best first."""
-    ordered = sorted(set(names), key=lambda other: (len(other), other))
-    close = difflib.get_close_matches(name, ordered, count, 0.8)
-    synonym = [other for other in ordered if other == _SYNONYMS.get(name)]
-    longer = [other for other in ordered if other.startswith(name)]
-    initials = [
-        other for other in ordered if "".join(word[:1] for word in other.split("_")) == name
-    ]
-    similar = difflib.get_close_matches(name, ordered, count)
-    return list(dict.fromkeys([*close, *synonym, *longer, *initials, *similar]))[:count]
-
-
-def choice_hint(name: str, names: Iterable[str], rest: str = "see --help") -> str:
-    """Return a hint which of `names` is meant by an unknown name.
-
-    Args:
-        name: the unknown name.
-        names: the valid names.
-        rest: the hint if none is similar and there are too many to list.
-    """
-    options = sorted(names)
-    if close := closest_names(name, options):
-        return f"did you mean {' or '.join(', '.join(close).rsplit(', ', 1))}?"
-    return f"it must be one of {', '.join(options)}" if 0 < len(options) <= _MAX_LISTED else rest
 
 
 def unknown_field(path: str, key: str, fields: Iterable[str]) -> str:
@@ -105,7 +65,20 @@ def describe(error: OmegaConfBaseException, path: str = "", value: Any = None) -
     if "not Optional" in reason:
         return f"{name} is null; {_range_of(error, None) or 'it must have a value'}"
     value = value if error.value is None else error.value
-    return f"{name} is {value!r:.60}; {_range_of(error, value) or _requirement(reason)}"
+    if match := re.match(r"Merge error: \w+ is not a subclass of (\w+)\. value: (.*)", reason):
+        separator = "" if not name or name.endswith(" ") else "."
+        name, value = f"{name}{separator}{_field_of_type(error.object_type, match[1])}", match[2]
+    if reason.startswith("Cannot merge"):  # a list with a mapping, or the reverse
+        requirement = f"it must be {_LIST if error.object_type is list else _MAPPING}"
+    else:
+        requirement = _range_of(error, value) or _requirement(reason)
+    return f"{name} is {value!r:.60}; {requirement}"
+
+
+def _field_of_type(owner: Any, type_name: str) -> str:
+    """Return the name of the field of a dataclass that holds a dataclass."""
+    hints = get_type_hints(owner)
+    return next(name for name in hints if getattr(hints[name], "__name__", "") == type_name)
 
 
 def _unknown_field(error: OmegaConfBaseException, name: str) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Generic, TypeVar
@@ -76,6 +77,8 @@ class Registry(Generic[T]):
 
     def register(self, name: str, config: type) -> Callable[[C], C]:
         """Return a decorator that registers a class and its configuration under `name`."""
+        if not dataclasses.is_dataclass(config):
+            raise TypeError(f"the configuration of {name} is {config!r}; it must be a dataclass")
 
         def add(cls: C) -> C:
             self._entries[name] = Entry(cls, config)

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import field
 from enum import Enum
 from operator import attrgetter
-from typing import Any, get_type_hints
+from typing import Any, TypeVar, get_type_hints
 
 import numpy as np
+
+from mrsan.suggestions import choice_hint
+
+T = TypeVar("T")
 
 
 class ConfigurationError(ValueError):
@@ -70,6 +74,31 @@ def kernel_form(hint: Any) -> Callable[[Any], Any] | None:
     if isinstance(hint, type) and issubclass(hint, Enum):
         return attrgetter("value")
     return _KERNEL_FORMS.get(hint)
+
+
+def from_mapping(cls: type[T], value: Any, path: str) -> T:
+    """Return an instance of a dataclass, or the one whose fields a mapping names.
+
+    Args:
+        cls: the dataclass.
+        value: an instance, or a mapping from some names of its fields to values.
+        path: of the setting in messages, such as `scenario.reward`.
+
+    Raises:
+        ConfigurationError: it is neither, or a field is unknown.
+    """
+    if isinstance(value, cls):
+        return value
+    if not isinstance(value, Mapping):
+        raise ConfigurationError(
+            f"{path} is {value!r:.60}; it must be a {cls.__name__} or a mapping with fields of it"
+        )
+    names = [f.name for f in dataclasses.fields(cls)]  # type: ignore[arg-type]
+    for name in value:
+        if name not in names:
+            hint = choice_hint(str(name), names, f"{cls.__name__} has no such field")
+            raise ConfigurationError(f"{path}.{name} is not known; {hint}")
+    return cls(**value)
 
 
 def check_numbers(config: Any, path: str) -> None:

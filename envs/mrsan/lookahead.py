@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from mrsan.prediction import find_predictor
@@ -25,7 +27,8 @@ class LookaheadReward:
         field = "scenario.reward.lookahead_predictor"
         self.predictor = find_predictor(reward.lookahead_predictor, scenario.time_step, field)
         self.distance = np.float32(reward.lookahead_distance)
-        self.weight = reward.lookahead
+        steps = range(1, reward.lookahead_steps + 1)
+        self._penalty = np.array([-reward.lookahead * math.exp(-k) for k in steps], np.float32)
         self.steps = np.arange(1, reward.lookahead_steps + 1, dtype=np.float32)[:, None]
         self.time_step = np.float32(scenario.time_step)
 
@@ -66,6 +69,5 @@ class LookaheadReward:
         at_step = too_close.any(2)  # [E, N, K]
         touching = (state.last_contact == state.clock[:, None, None]).any(-1)
         driving = ~state.arrived & ~touching
-        penalty = (-self.weight * np.exp(-self.steps[:, 0])).astype(np.float32)
-        first = penalty[at_step.argmax(-1)]
+        first = self._penalty[at_step.argmax(-1)]
         return np.where(at_step.any(-1) & driving, first, np.float32(0.0))

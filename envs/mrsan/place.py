@@ -64,14 +64,12 @@ class Place:
     )
 
 
-def check_place(place: Any) -> None:
+def check_place(place: Place) -> None:
     """Check the numbers of a place.
 
     Raises:
         ConfigurationError: a number is out of range, or a smallest one exceeds the largest one.
     """
-    if not isinstance(place, Place):
-        raise ConfigurationError(f"scenario.place is {place!r}; it must be a Place")
     check_numbers(place, "scenario.place")
     for field in fields(Place):
         largest = field.name.removesuffix("_min") + "_max"

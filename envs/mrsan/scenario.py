@@ -12,12 +12,20 @@ import numpy as np
 from mrsan.choices import ACTION_SIZE, Crowd, Kinematics, Layout, LidarSees, TeamPerception
 from mrsan.consistency import check_consistency
 from mrsan.crowds import check_crowd
-from mrsan.fields import ConfigurationError, UnknownFieldError, check_numbers, number, setting
+from mrsan.fields import (
+    ConfigurationError,
+    UnknownFieldError,
+    check_numbers,
+    from_mapping,
+    number,
+    setting,
+)
 from mrsan.fixed_map import FixedMap, fixed_map
 from mrsan.place import Place, check_place, half_size, largest_place
 from mrsan.recording import NOBODY, Recording, RecordingError, load_recording
 from mrsan.reward import Reward
 from mrsan.sensors.sensor import check_sensors
+from mrsan.suggestions import choice_hint
 
 DEFAULT_NEAREST_WALLS = 12  # that robots see in places with walls
 
@@ -26,7 +34,9 @@ DEFAULT_NEAREST_WALLS = 12  # that robots see in places with walls
 class Scenario:
     """One multi-robot socially-aware navigation task; the defaults are SAMARL's.
 
-    Construct it, or change fields with `dataclasses.replace`; both check every number.
+    Construct it, or change fields with `dataclasses.replace`; both check every number. `reward` and
+    `place` may be mappings, as in `Scenario(reward={"collision": -5.0})`; their other fields then
+    have their defaults.
     """
 
     name: str = setting("samarl", help="file in conf/scenario/ that it is, or is a variant of")
@@ -257,9 +267,9 @@ class Scenario:
             ConfigurationError: names the field, its value and what would be right.
         """
         check_numbers(self, "scenario")
-        if not isinstance(self.reward, Reward):
-            raise ConfigurationError(f"scenario.reward is {self.reward!r}; it must be a Reward")
+        self.reward = from_mapping(Reward, self.reward, "scenario.reward")
         check_numbers(self.reward, "scenario.reward")
+        self.place = from_mapping(Place, self.place, "scenario.place")
         check_place(self.place)
         check_crowd(self.crowd, self.crowd_settings)
         self.crowd = str(self.crowd)
@@ -421,8 +431,6 @@ def overridden(scenario: Scenario | None, overrides: dict[str, Any]) -> Scenario
     fields = [f.name for f in dataclasses.fields(Scenario)]
     for name, value in overrides.items():
         if name not in fields:
-            raise UnknownFieldError(
-                f"unexpected keyword argument '{name}' ({value!r}); it must be a field of "
-                f"Scenario: {', '.join(fields)}"
-            )
+            hint = choice_hint(name, fields, "it must be a field of Scenario")
+            raise UnknownFieldError(f"unexpected keyword argument '{name}' ({value!r}); {hint}")
     return dataclasses.replace(scenario or Scenario(), **overrides)

@@ -3,10 +3,15 @@
 The x axis of a body frame points along the heading and its y axis to the left; `cos` and `sin` are
 those of the heading in the world frame. The arithmetic works on floats, NumPy arrays and tensors,
 and compiled kernels call the same functions.
+
+NumPy's own sin, cos, arctan2, exp and the like differ in the last bit between processors with and
+without AVX-512. Simulation and planning therefore call those of the C library, from compiled
+kernels or from `math`, so that episodes are the same bit for bit on every x86-64 processor.
 """
 
 from __future__ import annotations
 
+import math
 from functools import partial
 from typing import Any
 
@@ -51,3 +56,9 @@ def unrotate_vectors(vectors: NDArray[Any], direction: NDArray[Any]) -> NDArray[
     """Rotate vectors [..., 2] back by the angles of directions [..., 2], which are (cos, sin)."""
     x, y, cos, sin = vectors[..., 0], vectors[..., 1], direction[..., 0], direction[..., 1]
     return np.stack(unrotate(cos, sin, x, y), -1)
+
+
+def unit_vectors(angles: NDArray[Any]) -> NDArray[np.float64]:
+    """Return the unit vectors (cos, sin), [L, 2], of angles [L] in rad."""
+    vectors = [(math.cos(angle), math.sin(angle)) for angle in angles.tolist()]
+    return np.array(vectors, np.float64).reshape(-1, 2)

@@ -35,11 +35,20 @@ def build_agent(config: Mapping[str, Any], scenario: Scenario) -> Agent:
     values = dict(config)
     shield = _shield(values.pop("shield", False))
     target = values.pop("_target_", None)
+    if target is None:
+        raise ConfigurationError("agent has no _target_; it must be the import path of an Agent")
     agent_class = find_class(target)
     if not (isinstance(agent_class, type) and issubclass(agent_class, Agent)):
         raise ConfigurationError(f"agent._target_ is {target!r}; it must be a subclass of Agent")
     if inspect.isabstract(agent_class):
         raise ConfigurationError(f"agent._target_ is {target!r}; it must define `act`")
+    own = vars(agent_class)
+    has_settings = inspect.get_annotations(agent_class) or (values and "__init__" in own)
+    if has_settings and "__dataclass_fields__" not in own:
+        raise ConfigurationError(
+            f"agent._target_ is {target!r}; it must be a dataclass: write @dataclass above "
+            f"`class {agent_class.__name__}`"
+        )
     hints = get_type_hints(agent_class)
     settings = [f for f in dataclasses.fields(agent_class) if f.init and f.name != "scenario"]
     schema = dataclasses.make_dataclass(

@@ -116,7 +116,8 @@ class Learned(Agent):
                 raise ConfigurationError(
                     f"scenario.kinematics is {kinematics}; it must be "
                     f"{' or '.join(sorted(trained))}, which {self.checkpoint} was trained with, or "
-                    "agent.track_velocity must be true, so that the robots track its velocities"
+                    "the agent's file must have track_velocity: true (where one agent is selected: "
+                    "agent.track_velocity=true), so that the robots track its velocities"
                 )
             self._policy_scenario = replace(self.scenario, kinematics=Kinematics[min(trained)])
         self._deployed = DeployedPolicy(self.policy, self._policy_scenario, self.waypoints)

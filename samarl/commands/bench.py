@@ -24,6 +24,7 @@ from samarl.configuration import (
     import_plugins,
     load_agent,
     load_scenario,
+    open_mapping,
     scenario_of,
 )
 from samarl.evaluation.page import page
@@ -71,8 +72,8 @@ class Bench:
     improvement_of: list[str] = field(default_factory=list)
     columns: list[dict[str, Any]] = field(default_factory=list)
     recordings: str | None = None
-    recorded: dict[str, Any] = field(default_factory=dict)
-    frame_seconds: dict[str, float] = field(default_factory=dict)
+    recorded: dict[str, Any] = open_mapping()
+    frame_seconds: dict[str, float] = open_mapping(float)
     plugins: list[str] = field(default_factory=list)
     seeds: bool = False
     learned_cases: int | None = None
@@ -150,7 +151,7 @@ def _tasks(config: DictConfig, scenarios: Sequence[Scenario]) -> tuple[list[_Tas
     evaluation = evaluation_in(config)
     cases = evaluation.cases if config.learned_cases is None else config.learned_cases
     learned_evaluation = replace(evaluation, cases=min(cases, evaluation.cases))
-    agents = {str(name): load_agent(name, "agents") for name in _agent_names(config)}
+    agents = {str(name): load_agent(str(name), "agents") for name in _agent_names(config)}
     tasks: list[_Task] = []
     scope_warnings: dict[str, str] = {}
     for scenario in scenarios:

@@ -21,9 +21,11 @@ import hydra
 import numba
 from hydra.core.config_store import ConfigStore
 from hydra.core.hydra_config import HydraConfig
+from hydra.errors import HydraException
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
+from yaml import YAMLError
 
 import samarl
 from mrsan import ActionError, ConfigurationError
@@ -131,7 +133,7 @@ def _run_hydra(task: Callable[[DictConfig], Any], config_name: str, folder: Path
             return result
         except BrokenPipeError:
             _exit_on_broken_pipe()
-        except _USER_ERRORS as error:
+        except (*_USER_ERRORS, HydraException, YAMLError) as error:  # files may be composed here
             _remove_empty_folder()
             _fail(error, folder)
         except KeyboardInterrupt:

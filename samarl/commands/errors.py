@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-import dataclasses
 import os
 import re
 from collections.abc import Iterator
 from pathlib import Path
 
 from hydra.errors import HydraException, MissingConfigException
-from omegaconf import DictConfig
 from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
 from yaml import MarkedYAMLError
 
 from mrsan import ConfigurationError
-from samarl.agents.build import find_class
-from samarl.messages import choice_hint, describe
+from mrsan.suggestions import choice_hint
+from samarl.messages import describe
 
 _JARGON = re.compile(r"(full_key|object_type|reference_type)\b|See https://hydra\.cc|\^$")
-# Messages of Hydra about `+`, `~` and `@`, and their replacements.
+# Messages of Hydra and OmegaConf, and their replacements.
 _REWORDED = {
     r"Could not append to config\. An item is already at '(.+?)'": (
         r"\1 already exists; write it without +"
@@ -30,7 +28,16 @@ _REWORDED = {
         r"~\1 has the value \3; it must be \2 or omitted"
     ),
     r"Error merging override ~([^=\n]+)": r"~\1 deletes a required field; set it instead",
+    r"force-add of config groups is not supported: '\+\+([^=]+)=.*": (
+        r"\1 is a group; write \1=NAME without +"
+    ),
+    r"Invalid loaded object type: (\w+)": (
+        r"a configuration file holds only a single value (\1); it must map names to values"
+    ),
     r"Multiple values for (.+?)\. ": r"\1 is already selected; write \1=NAME without +",
+    r"Could not override '(.+?)'\. No match in the defaults list": (
+        r"\1 is not a group of this command; see --help"
+    ),
     r"Could not override '(.+?)'\.\nDid you mean to override (.+?)\?": (
         r"\1 is not known; did you mean \2?"
     ),
@@ -46,6 +53,7 @@ def explain(error: BaseException, folder: Path | None = None) -> str:
     """
     if isinstance(error, MissingConfigException) and error.missing_cfg_file:
         group, _, name = error.missing_cfg_file.rpartition("/")
+        group = group or "--config-name"
         names = [option for option in error.options or () if option != "schema"]
         file = re.match(r"In '(.+/.+)':", str(error))
         where = f"{file[1]}.yaml: " if file else ""
@@ -55,10 +63,10 @@ def explain(error: BaseException, folder: Path | None = None) -> str:
         return f"{mark.name} is not YAML: line {mark.line + 1}: {error.problem}"
     if isinstance(error, UnicodeDecodeError):
         return _not_utf8(error, folder)
+    for pattern, replacement in _REWORDED.items():
+        if match := re.match(pattern, str(error)):
+            return match.expand(replacement)
     if isinstance(error, HydraException | OmegaConfBaseException):
-        for pattern, replacement in _REWORDED.items():
-            if match := re.match(pattern, str(error)):
-                return match.expand(replacement)
         for cause in _chain(error):
             if isinstance(cause, OmegaConfBaseException):
                 return _describe_setting(cause, str(error))
@@ -73,32 +81,22 @@ def explain(error: BaseException, folder: Path | None = None) -> str:
 
 def _describe_setting(cause: OmegaConfBaseException, message: str) -> str:
     """Describe OmegaConf's error in the setting or file named by Hydra's message."""
-    if isinstance(cause, ConfigKeyError | ConfigAttributeError) and _is_agent_field(cause):
-        return (
-            f"{cause.full_key} is not in the agent's file; write ++{cause.full_key}=... to add it"
-        )
-    if override := re.match(r"Error merging override \+*([^=]+)=(.*)", message, re.DOTALL):
+    override = re.match(r"Error merging override \+*([^=]+)=(.*)", message, re.DOTALL)
+    override = override or re.match(r"Could not override '([^'@]+)'()", message)
+    if override:
         key, value = override.groups()
         if key.startswith(f"{cause.full_key}."):
+            if isinstance(cause, ConfigKeyError | ConfigAttributeError):
+                return describe(cause)
             return f"{key} is not known; {cause.full_key} has a single value"
         if str(cause.full_key).startswith(key):
             return describe(cause, value=value)
         return describe(cause, f"{key}: " if cause.full_key else key, value)
     if file := re.match(r"In '([^']+)':", message):
+        if not cause.full_key:
+            return f"{file[1]}.yaml is not a mapping from names to values"
         return describe(cause, f"{file[1]}.yaml: ")
     return describe(cause)
-
-
-def _is_agent_field(error: OmegaConfBaseException) -> bool:
-    """Return whether the class of an agent has a field that is missing in its file."""
-    parent = error.parent_node
-    if not isinstance(parent, DictConfig) or "_target_" not in parent:
-        return False
-    try:
-        fields = dataclasses.fields(find_class(parent["_target_"]))
-    except (ConfigurationError, TypeError):
-        return False
-    return error.key in {"shield", *(field.name for field in fields if field.init)} - {"scenario"}
 
 
 def _chain(error: BaseException | None) -> Iterator[BaseException]:

@@ -14,7 +14,7 @@ from mrsan import ConfigurationError
 from samarl.agents import build_agent
 from samarl.commands.agents import check_agent, print_scope_warning, selected_agent
 from samarl.commands.cli import run_command
-from samarl.configuration import scenario_in
+from samarl.configuration import open_mapping, scenario_in
 from samarl.files import check_writable
 
 
@@ -24,7 +24,7 @@ class Export:
 
     output: str = MISSING
     scenario: Any = MISSING
-    agent: Any = MISSING
+    agent: Any = open_mapping()
     checkpoint: str | None = None
     plugins: list[str] = field(default_factory=list)
 

@@ -176,6 +176,8 @@ def _quoted_setting(word: str, is_sweep: bool, parser: OverridesParser) -> str:
         )
     content = override.value()
     is_group = (find_folder("conf") / name).is_dir()
+    if is_group and isinstance(content, list):
+        raise ConfigurationError(f"{name} is {value!r:.60}; it must be a single name")
     if is_group and (content is None or isinstance(content, int | float)):
         return f"{key}={_in_quotes(value)}"  # the name of a file
     if isinstance(content, int) and abs(content) > sys.float_info.max:

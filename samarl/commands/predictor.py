@@ -15,7 +15,7 @@ from mrsan.fields import check_numbers, number
 from mrsan.prediction import RecurrentPredictor, find_predictor
 from samarl.commands.cli import command_line, run_command
 from samarl.commands.recordings import recordings_in
-from samarl.configuration import scenario_of
+from samarl.configuration import open_mapping, scenario_of
 from samarl.files import check_writable, code_version, write_json, write_text
 from samarl.prediction.training import Training
 from samarl.registry import checked_fields
@@ -36,7 +36,7 @@ class Predictor:
     validation_cases: int = number(MISSING, 1, 10**6, help="validation cases per crowd")
     shown_steps: int = number(MISSING, 1, 200, help="steps ahead for which errors are shown")
     recordings: str | None = None
-    frame_seconds: dict[str, float] = field(default_factory=dict)
+    frame_seconds: dict[str, float] = open_mapping(float)
     output: str = MISSING
     plugins: list[str] = field(default_factory=list)
 

@@ -16,7 +16,7 @@ from mrsan.fields import check_numbers, number
 from samarl.agents import build_agent
 from samarl.commands.agents import check_agent, compile_for, print_scope_warning, selected_agent
 from samarl.commands.cli import run_command
-from samarl.configuration import load_agent, scenario_in
+from samarl.configuration import load_agent, open_mapping, scenario_in
 from samarl.evaluation.trajectory import Trajectory, record_episode
 from samarl.files import check_writable
 
@@ -29,7 +29,7 @@ class Render:
     split: Split = Split.test
     output: str = MISSING
     scenario: Any = MISSING
-    agent: Any = MISSING
+    agent: Any = open_mapping()
     against: str | None = None
     checkpoint: str | None = None
     plugins: list[str] = field(default_factory=list)

@@ -70,7 +70,7 @@ def _methods(names: list[str] | None, results: Path) -> dict[str, dict[str, Any]
     Policies without an agent of their own use the configuration of the first learned agent.
     """
     configs = {
-        name: load_agent(name, "agents")
+        str(name): load_agent(str(name), "agents")
         for name in (available_agents() if names is None else names)
     }
     learned = [config for config in configs.values() if "checkpoint" in config]

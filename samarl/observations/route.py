@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numba import prange
 from numpy.typing import NDArray
 
 from mrsan import Observation
-from mrsan.features import GOAL, GOAL_X, GOAL_Y, ORIGIN, ORIGIN_X, ORIGIN_Y
+from mrsan.features import GOAL, GOAL_X, GOAL_Y, ORIGIN_X, ORIGIN_Y
+from mrsan.kernels import function, kernel
 
 if TYPE_CHECKING:
     from samarl.observations.tracker import Tracks
@@ -58,13 +61,31 @@ def perimeter_route(
         lookahead: how far ahead on the circle it is, rad.
         entry_angle: it is the goal when that is so near in bearing, rad.
     """
-    goal = np.arctan2(ego[..., GOAL_Y] - ego[..., ORIGIN_Y], ego[..., GOAL_X] - ego[..., ORIGIN_X])
-    here = np.arctan2(
-        -ego[..., ORIGIN_Y], -ego[..., ORIGIN_X]
-    )  # bearings from the origin, body frame
-    remaining = (goal - here + np.pi) % (2 * np.pi) - np.pi
-    passed = (remaining < -entry_angle) & (remaining > -np.pi / 2)
-    onward = here + np.float32(lookahead) * np.where(passed, -1, 1)
-    circle = np.float32(radius) * np.stack([np.cos(onward), np.sin(onward)], -1)
-    turn_in = (np.abs(remaining) < entry_angle)[..., None]
-    return np.where(turn_in, ego[..., GOAL], circle + ego[..., ORIGIN]).astype(np.float32)
+    target = np.empty((*ego.shape[:2], 2), np.float32)
+    limits = (float(number) for number in (radius, lookahead, entry_angle))
+    _perimeter_route(ego.shape[0], np.ascontiguousarray(ego), *limits, target)
+    return target
+
+
+@kernel
+def _perimeter_route(chunks, ego, radius, lookahead, entry_angle, target):
+    total = ego.shape[0]
+    for chunk in prange(chunks):
+        for e in range(chunk * total // chunks, (chunk + 1) * total // chunks):
+            for i in range(ego.shape[1]):
+                x, y = _next_on_perimeter(ego[e, i], radius, lookahead, entry_angle)
+                target[e, i, 0], target[e, i, 1] = x, y
+
+
+@function
+def _next_on_perimeter(own, radius, lookahead, entry_angle):
+    """Return the next point on the way round the crowd of one robot; float64, see `mrsan.se2`."""
+    centre_x, centre_y = np.float64(own[ORIGIN_X]), np.float64(own[ORIGIN_Y])
+    goal = math.atan2(own[GOAL_Y] - centre_y, own[GOAL_X] - centre_x)
+    here = math.atan2(-centre_y, -centre_x)  # bearings from the origin, body frame
+    remaining = (goal - here + math.pi) % (2.0 * math.pi) - math.pi
+    if abs(remaining) < entry_angle:
+        return np.float64(own[GOAL_X]), np.float64(own[GOAL_Y])
+    passed = -0.5 * math.pi < remaining < -entry_angle
+    onward = here - lookahead if passed else here + lookahead
+    return centre_x + radius * math.cos(onward), centre_y + radius * math.sin(onward)

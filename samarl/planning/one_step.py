@@ -36,7 +36,7 @@ from mrsan.kernels.contact import closest_approach
 from mrsan.kernels.walls import WALL_ROWS, is_clear
 from mrsan.parameters import kernel_parameters
 from mrsan.reward import step_reward_parts, sum_of_parts
-from mrsan.se2 import rotate, unrotate, untransform
+from mrsan.se2 import rotate, unit_vectors, unrotate, untransform
 from samarl.observations.tracker import AGE, Tracks
 from samarl.planning.velocity_control import step_robot
 from samarl.planning.walls import gather_walls, seen_walls
@@ -77,7 +77,7 @@ def command_set(sizes: Commands, kinematics: Kinematics) -> NDArray[np.float32]:
         return np.array([(speed, turn) for speed in speeds for turn in turns], np.float32)
     angle = np.arange(sizes.directions) * (2.0 * math.pi / sizes.directions)
     speed = np.arange(1, sizes.speeds + 1) / sizes.speeds
-    velocities = speed[:, None, None] * np.stack([np.cos(angle), np.sin(angle)], -1)
+    velocities = speed[:, None, None] * unit_vectors(angle)
     return np.concatenate([np.zeros((1, 2)), velocities.reshape(-1, 2)]).astype(np.float32)
 
 

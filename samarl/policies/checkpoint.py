@@ -23,8 +23,8 @@ from torch.nn.modules.module import register_module_parameter_registration_hook
 
 from mrsan import ConfigurationError
 from mrsan.choices import ACTION_SIZE
+from mrsan.suggestions import choice_hint
 from samarl.files import atomic_write, find_folder, read_json, write_json
-from samarl.messages import choice_hint
 from samarl.observations.frames import FeatureSizes
 from samarl.policies import (  # noqa: F401 (registers them)
     flat,
@@ -153,7 +153,8 @@ def find_policy(name: str, field: str = "checkpoint") -> Path:
     names = [path.stem for path in shipped.glob("*.safetensors")]
     raise ConfigurationError(
         f"{field} is {name!r}, which does not exist; it must be a .safetensors file or the name of "
-        f"a shipped policy; {choice_hint(name, names, 'samarl is one')}"
+        f"a shipped policy in {shipped}, such as samarl"
+        + (f"; {suggestion}" if (suggestion := choice_hint(name, names, "")) else "")
     )
 
 

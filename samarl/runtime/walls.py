@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mrsan.fixed_map import map_of_polygons, next_corner
+from mrsan.se2 import unit_vectors
 from samarl.runtime.inputs import OwnState
 
 if TYPE_CHECKING:
@@ -85,7 +86,7 @@ def walls_of_scan(
     """
     distance, angle = np.asarray(ranges, np.float64), np.asarray(angles, np.float64) + own.heading
     hit = np.isfinite(distance) & (distance < greatest_range)
-    points = np.stack([np.cos(angle), np.sin(angle)], -1) * np.where(hit, distance, 0.0)[:, None]
+    points = unit_vectors(angle) * np.where(hit, distance, 0.0)[:, None]
     points += (own.x, own.y)
     segments: list[list[float]] = []
     group: list[NDArray[np.float64]] = []
@@ -106,7 +107,7 @@ def _simplify(points: NDArray[np.float64]) -> list[NDArray[np.float64]]:
     if len(points) < 3:
         return [start, end] if len(points) == 2 else [start]
     along = end - start
-    length = max(float(np.hypot(*along)), 1e-9)
+    length = max(math.hypot(*along), 1e-9)
     away = np.abs(along[0] * (points[:, 1] - start[1]) - along[1] * (points[:, 0] - start[0]))
     middle = int(away.argmax())
     if away[middle] / length <= _DEVIATION:

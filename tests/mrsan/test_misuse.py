@@ -1,12 +1,13 @@
 """What a user of the Python API gets wrong is said, not guessed at."""
 
+import dataclasses
 from typing import Any
 
 import gymnasium
 import numpy as np
 import pytest
 
-from mrsan import ActionError, ConfigurationError, Crowd, Scenario, World
+from mrsan import ActionError, ConfigurationError, Crowd, Place, Reward, Scenario, World
 from mrsan.kernels.tally import CLOSE_STEPS
 from mrsan.pettingzoo_env import PettingZooEnv
 
@@ -42,6 +43,21 @@ def test_enums_may_be_named() -> None:
     assert Scenario(crowd="still").crowd == Crowd.still
     with pytest.raises(ConfigurationError, match="it must be one of orca, social_force, still"):
         Scenario(crowd="stil")
+
+
+def test_rewards_and_places_may_be_mappings_of_their_fields() -> None:
+    scenario = Scenario(reward={"collision": -5}, place={"door_width_max": 3.0})  # type: ignore[arg-type]
+    assert scenario.reward == Reward(collision=-5)
+    assert scenario.place == Place(door_width_max=3.0)
+    assert dataclasses.replace(scenario, robots=1).reward == scenario.reward
+    wrong: Any
+    for wrong, message in (
+        ({"colision": -5}, r"scenario\.reward\.colision is not known; did you mean collision"),
+        ({"collision": "x"}, r"scenario\.reward\.collision is 'x'; it must lie in"),
+        (-5, r"scenario\.reward is -5; it must be a Reward or a mapping"),
+    ):
+        with pytest.raises(ConfigurationError, match=message):
+            Scenario(reward=wrong)
 
 
 def test_a_mode_of_rendering_that_is_not_there() -> None:

@@ -7,20 +7,29 @@ import json
 import shlex
 import shutil
 import sys
+import tomllib
 from pathlib import Path
 from typing import Any
 
 import pytest
+from hydra.core.config_store import ConfigStore
 from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.errors import HydraException
 from hypothesis import given
 from hypothesis import strategies as st
 
+import samarl
 from mrsan import ConfigurationError, Reward, Scenario
+from mrsan.pettingzoo_env import PettingZooEnv
 from mrsan.recording import SAMPLE
+from mrsan.suggestions import choice_hint, closest_names
+from samarl import main
 from samarl.agents.learned import Learned
 from samarl.agents.planners.model_predictive import ModelPredictive
-from samarl.commands import evaluate
+from samarl.commands import bench, evaluate
 from samarl.commands.bench import Bench
+from samarl.commands.composition import composed, config_loader
+from samarl.commands.errors import explain
 from samarl.commands.export import Export
 from samarl.commands.overrides import PATH_FIELDS, CommandLine
 from samarl.commands.predictor import Predictor
@@ -28,9 +37,8 @@ from samarl.commands.recordings import recordings_in
 from samarl.commands.render import Render
 from samarl.commands.report import Report
 from samarl.commands.train import Train
-from samarl.configuration import Config
+from samarl.configuration import Config, register_schemas, scenario_of
 from samarl.evaluation.table import row_settings
-from samarl.messages import choice_hint, closest_names
 from samarl.planning.shield import Shield
 from samarl.training.config import TrainerConfig
 
@@ -213,3 +221,120 @@ def test_recordings_in_folders_with_special_characters_are_played(
     again = json.loads(Path("again/row.json").read_text())
     assert again["config"] == saved["config"]
     assert row_settings(again["row"])[-1].startswith("scenario.recording=")
+
+
+@pytest.mark.parametrize(
+    ("name", "field"),
+    [
+        ("dt", "time_step"),
+        ("n_humans", "humans"),
+        ("human_num", "humans"),
+        ("num_pedestrians", "humans"),
+        ("robot_num", "robots"),
+        ("number_of_agents", "robots"),
+        ("fov", "fov_degrees"),
+    ],
+)
+def test_names_of_other_simulators_are_understood(name: str, field: str) -> None:
+    fields = [f.name for f in dataclasses.fields(Scenario)]
+    assert closest_names(name, fields)[0] == field
+    with pytest.raises(ConfigurationError, match=rf"'{name}' \(3\); did you mean {field}"):
+        PettingZooEnv(**{name: 3})
+
+
+@pytest.mark.parametrize(
+    ("config_name", "setting", "message"),
+    [
+        ("bench", "agents={a: 3}", "agents is '{a: 3}'; it must be a list"),
+        ("bench", "frame_seconds=[5]", "frame_seconds is '[5]'; it must be a mapping"),
+        ("bench", "frame_seconds={a: x}", "frame_seconds.a is 'x'; it must be a number"),
+        (
+            "train",
+            "curriculum.stages=[{scenario: 5}]",
+            "curriculum.stages.scenario is '5'; it must be a mapping",
+        ),
+        (
+            "train",
+            "curriculum.stages=[{scenario: {human: 5}}]",
+            "curriculum.stages: scenario.human is not known; did you mean scenario.humans?",
+        ),
+        ("train", "++encoder=gru", "encoder is a group; write encoder=NAME without +"),
+        ("train", "scenario=5p3r", "scenario is not a group of this command; see --help"),
+        ("config", "scenario.reward={1: 2}", "scenario.reward.1 is not known; "),
+    ],
+)
+def test_errors_while_composing_are_explained(config_name: str, setting: str, message: str) -> None:
+    register_schemas()
+    for name, schema in (("bench_schema", Bench), ("train_schema", Train)):
+        ConfigStore.instance().store(name=name, node=schema)
+    with config_loader(None), pytest.raises(HydraException) as error:
+        composed(config_name, [setting])
+    assert explain(error.value).startswith(message)
+
+
+def test_a_field_of_a_column_is_named_where_a_mapping_is_expected() -> None:
+    with pytest.raises(ConfigurationError, match="columns: reward is '5'; it must be a mapping"):
+        scenario_of({"reward": 5})
+
+
+@pytest.mark.parametrize("group", ["agent", "scenario"])
+def test_a_group_takes_one_name(group: str) -> None:
+    with pytest.raises(
+        ConfigurationError, match=rf"{group} is '\[a,b\]'; it must be a single name"
+    ):
+        CommandLine.parse([f"{group}=[a,b]"]).quoted()
+
+
+def test_the_command_samarl_lists_and_runs_the_others(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    scripts = tomllib.loads(Path("pyproject.toml").read_text())["project"]["scripts"]
+    assert set(scripts) == {"samarl", *(f"samarl-{name}" for name in main.COMMANDS)}
+    monkeypatch.setattr(sys, "argv", ["samarl"])
+    main.main()
+    overview = capsys.readouterr().out
+    assert all(f"  samarl {name} " in overview for name in main.COMMANDS)
+    monkeypatch.setattr(sys, "argv", ["samarl", "--version"])
+    main.main()
+    assert capsys.readouterr().out == f"samarl {samarl.__version__}\n"
+    monkeypatch.setattr(sys, "argv", ["samarl", "evalute", "agent=orca"])
+    with pytest.raises(SystemExit) as stopped:
+        main.main()
+    assert stopped.value.code == 2
+    assert "'evalute' is not a command; did you mean evaluate?" in capsys.readouterr().err
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    words = ["agent=straight", "evaluation.cases=2", "hydra.run.dir=here"]
+    for argv, run in ((["samarl", "evaluate"], main.main), (["samarl-evaluate"], main.evaluate)):
+        monkeypatch.setattr(sys, "argv", [*argv, *words])
+        run()
+        row = json.loads(Path("here/row.json").read_text())["row"]
+        assert row["command"] == "samarl-evaluate agent=straight evaluation.cases=2"
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("defaults: [nobody]\n", "agent/mine.yaml: agent is 'nobody', which does not exist"),
+        ("- a\n- b\n", "agent/mine.yaml is not a mapping from names to values"),
+        ("5\n", "a configuration file holds only a single value (int); it must map"),
+        ("a: [\n", "mine.yaml is not YAML: line 2: "),
+    ],
+)
+def test_files_that_a_running_command_composes_are_named_in_one_line(
+    content: str,
+    message: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    (tmp_path / "own/agent").mkdir(parents=True)
+    (tmp_path / "own/agent/mine.yaml").write_text(content)
+    monkeypatch.setattr(sys, "argv", ["samarl-bench", "--config-dir=own", "agents=[mine]"])
+    with pytest.raises(SystemExit) as stopped:
+        bench.main()
+    error = capsys.readouterr().err
+    assert (stopped.value.code, error.count("\n")) == (2, 1)
+    assert message in error

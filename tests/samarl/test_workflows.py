@@ -295,6 +295,9 @@ def test_a_custom_agent_is_one_class_and_one_yaml_file(tmp_path: Path) -> None:
     assert (row["method"], row["success_rate"]) == ("slow", 100.0)
     done = run("evaluate", *words, "agent.throttle=2", cwd=tmp_path, code=2)
     assert done.stderr == "error: agent.throttle is 2.0; it must lie in [0, 1]\n"
+    (tmp_path / "my_planner.py").write_text(OWN_AGENT.replace("@dataclass\n", ""))
+    done = run("evaluate", *words, cwd=tmp_path, code=2)
+    assert "_target_ is 'my_planner.Slow'; it must be a dataclass" in done.stderr
 
 
 @pytest.mark.parametrize("command", [*COMMANDS, "train"])

@@ -8,6 +8,7 @@ import numpy as np
 
 from mrsan.choices import LidarSees
 from mrsan.kernels.lidar import observe_route, observe_walls, scan
+from mrsan.se2 import unit_vectors
 from mrsan.sensors.sensor import EntitySensor, ValueSensor
 from mrsan.state import Bools, Floats, State
 
@@ -74,7 +75,7 @@ class Lidar(ValueSensor):
             robot_radius=np.float32(s.robot_radius),
         )
         angles = ray_angles(s.lidar_rays, s.lidar_fov_degrees)
-        self._cosines, self._sines = np.cos(angles), np.sin(angles)
+        self._cosines, self._sines = unit_vectors(angles).astype(np.float32).T.copy()
 
     def observe(self, state: State, worlds: Bools, values: Floats) -> None:
         """Write the ranges of all robots; see `ValueSensor.observe`."""

@@ -1,0 +1,62 @@
+"""Suggestions of names for an unknown one, in error messages."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+_MAX_LISTED = 12  # names in an error message
+# Words of other simulators and libraries for the settings of this project.
+_ENTITIES = {
+    "agent": "robots",
+    "human": "humans",
+    "ped": "humans",
+    "pedestrian": "humans",
+    "people": "humans",
+    "person": "humans",
+    "robot": "robots",
+}
+_COUNT_WORDS = {"count", "n", "nb", "num", "number", "of"}  # as in n_humans and human_num
+_SYNONYMS = {
+    "delta_t": "time_step",
+    "dt": "time_step",
+    "duration": "time_limit",
+    "fov": "fov_degrees",
+    "gamma": "discount",
+    "lr": "learning_rate",
+    "max_steps": "time_limit",
+    "timestep": "time_step",
+}
+
+
+def _synonym(name: str) -> str | None:
+    """Return this project's word for a name that is common elsewhere."""
+    words = [word for word in name.lower().split("_") if word not in _COUNT_WORDS]
+    return _ENTITIES.get("_".join(words).removesuffix("s"), _SYNONYMS.get(name.lower()))
+
+
+def closest_names(name: str, names: Iterable[str], count: int = 3) -> list[str]:
+    """Return the names most similar to `name`, best first."""
+    ordered = sorted(set(names), key=lambda other: (len(other), other))
+    close = difflib.get_close_matches(name, ordered, count, 0.8)
+    synonym = [other for other in ordered if other == _synonym(name)]
+    longer = [other for other in ordered if other.startswith(name)]
+    initials = [
+        other for other in ordered if "".join(word[:1] for word in other.split("_")) == name
+    ]
+    similar = difflib.get_close_matches(name, ordered, count)
+    return list(dict.fromkeys([*synonym, *close, *longer, *initials, *similar]))[:count]
+
+
+def choice_hint(name: str, names: Iterable[str], rest: str = "see --help") -> str:
+    """Return a hint which of `names` is meant by an unknown name.
+
+    Args:
+        name: the unknown name.
+        names: the valid names.
+        rest: the hint if none is similar and there are too many to list.
+    """
+    options = sorted(names)
+    if close := closest_names(name, options):
+        return f"did you mean {' or '.join(', '.join(close).rsplit(', ', 1))}?"
+    return f"it must be one of {', '.join(options)}" if 0 < len(options) <= _MAX_LISTED else rest

@@ -1,0 +1,5 @@
+"""`python -m samarl`: the command `samarl`."""
+
+from samarl.main import main
+
+main()
