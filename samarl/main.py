@@ -15,12 +15,13 @@ def _run(command: str) -> None:
         sys.exit(130)
 
 
-evaluate, bench, render, train, report, predictor, export, recording = (
+evaluate, bench, render, record, train, report, predictor, export, recording = (
     partial(_run, command)
     for command in (
         "evaluate",
         "bench",
         "render",
+        "record",
         "train",
         "report",
         "predictor",

@@ -21,7 +21,7 @@ from samarl.configuration import (
     available_agents,
     evaluation_in,
     import_plugins,
-    load_agent,
+    load_agent_config,
     load_scenario,
     scenario_of,
 )
@@ -155,7 +155,7 @@ def _tasks(config: DictConfig, scenarios: Sequence[Scenario]) -> tuple[list[_Tas
         names = [name for name in available_agents() if name not in config.leave_out]
     if not names:
         raise ConfigurationError("agents is empty; it must name at least one")
-    agents = {str(name): load_agent(name, "agents") for name in names}
+    agents = {str(name): load_agent_config(name, "agents") for name in names}
     tasks: list[_Task] = []
     scope_warnings: dict[str, str] = {}
     for scenario in scenarios:

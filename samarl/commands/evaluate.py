@@ -47,12 +47,12 @@ def evaluate(config: DictConfig) -> Row:
         print(f"already finished: {folder}")
         finished_row: Row = cell["row"]
         return finished_row
+    named = load_scenario(scenario.name)
     print_scope_warning(agent)
     name = str(hydra.runtime.choices.agent)
     episodes = run_cases(agent, scenario, evaluation.case_numbers(), evaluation.batch, name)
     command = command_line("samarl-evaluate")
     seed = int(evaluation.case_numbers()[0])
-    named = load_scenario(scenario.name)
     row = summarise(episodes, scenario, name, command, marker["commit"], seed, named)
     write_text(folder / "episodes.jsonl", episodes_as_jsonl(episodes))
     write_json(row_path, {"row": row, **marker})  # last: it marks the cell as finished

@@ -16,7 +16,7 @@ from mrsan.fields import check_numbers, number
 from samarl.agents import build_agent
 from samarl.commands.agents import check_agent, print_scope_warning, selected_agent
 from samarl.commands.cli import run_command
-from samarl.configuration import load_agent, scenario_in
+from samarl.configuration import load_agent_config, scenario_in
 from samarl.evaluation.trajectory import Trajectory, record_episode
 from samarl.files import check_writable
 
@@ -44,9 +44,8 @@ def render(config: DictConfig) -> None:
     """Run one case and draw it."""
     scenario = scenario_in(config)
     check_numbers(Render(case=config.case, split=config.split), "")
-    split, index = config.split, config.case
-    if index >= CASES_PER_SPLIT:  # a case number as in episodes.jsonl
-        split, index = Split.of(index)
+    case = config.split.number(config.case)
+    split, index = Split.of(case)
     path = Path(config.output)
     save = picture_writer(path)
     check_writable(path, "output")
@@ -54,12 +53,12 @@ def render(config: DictConfig) -> None:
         (HydraConfig.get().runtime.choices.agent, selected_agent(config))
     ]
     if config.against is not None:
-        agents.append((config.against, load_agent(config.against, "against")))
+        agents.append((config.against, load_agent_config(config.against, "against")))
     trajectories = []
     for name, agent_config in agents:
         agent = build_agent(agent_config, scenario)
         print_scope_warning(agent)
-        trajectory = record_episode(agent, scenario, split.case(index))
+        trajectory = record_episode(agent, scenario, case)
         title = (
             f"{name}, {split.name} case {index}: {scenario.fov_degrees:g}° view, "
             f"{scenario.humans} humans, {scenario.robots} robots"

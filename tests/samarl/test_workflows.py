@@ -15,7 +15,7 @@ import samarl
 from mrsan import Outcome
 from samarl.evaluation.summary import row_fields
 
-COMMANDS = ("evaluate", "bench", "render", "report", "predictor", "export")
+COMMANDS = ("evaluate", "bench", "render", "record", "report", "predictor", "export")
 
 
 def run(
