@@ -13,7 +13,7 @@ from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from samarl.api import evaluate, load_agent, load_scenario, record, train
+    from samarl.api import evaluate, load_agent, load_scenario, record, render, train
 
 # Set before torch is loaded: how its threads wait, see `mrsan.threads`. Networks consist of many
 # small operations, between which threads should not sleep: training is then 2.5 times as fast.
@@ -22,7 +22,7 @@ if "torch" not in sys.modules:
 
 __version__ = version("samarl")
 
-__all__ = ["evaluate", "load_agent", "load_scenario", "record", "train"]
+__all__ = ["evaluate", "load_agent", "load_scenario", "record", "render", "train"]
 
 
 def __getattr__(name: str) -> Any:

@@ -1,4 +1,4 @@
-"""The Python API: load agents and scenarios, evaluate, record and train."""
+"""The Python API: load agents and scenarios, evaluate, record, draw and train."""
 
 from __future__ import annotations
 
@@ -21,11 +21,12 @@ from samarl.commands.agents import AGENT_OF_POLICY
 from samarl.commands.composition import COMPOSITION_ERRORS
 from samarl.commands.errors import explain
 from samarl.commands.overrides import as_override
+from samarl.commands.render import picture_writer, title_of
 from samarl.evaluation.result import EvaluationResult
 from samarl.evaluation.runner import Evaluation, run_cases
 from samarl.evaluation.summary import changed_fields, summarise
 from samarl.evaluation.trajectory import as_table, record_episode
-from samarl.files import code_version
+from samarl.files import check_writable, code_version
 from samarl.messages import choice_hint
 
 if TYPE_CHECKING:
@@ -120,9 +121,7 @@ def evaluate(
         ((4,), (4, 3))
     """
     driver = _agent_for(agent, scenario)
-    if warning := driver.scope_warning():
-        warnings.warn(warning, stacklevel=2)
-    title = name or driver.label or type(driver).__name__
+    title = name or _name_of(driver)
     numbers = _case_numbers(cases, split)
     episodes = run_cases(driver, driver.scenario, numbers, batch, title)
     named = None
@@ -186,9 +185,13 @@ def train(*overrides: str | Sequence[str], **settings: Any) -> Path:
         KeyboardInterrupt: the training was interrupted; the same call resumes it.
 
     Examples:
-        >>> folder = train(scenario=load_scenario(humans=3), trainer={"steps": 200000},
-        ...     run_dir="outputs/mine")  # doctest: +SKIP
-        >>> evaluate(folder, load_scenario(humans=3))  # doctest: +SKIP
+        ```python
+        scenario = samarl.load_scenario(humans=3)
+        folder = samarl.train(
+            "policy=flat", scenario=scenario, trainer={"steps": 200_000}, run_dir="outputs/mine"
+        )
+        samarl.evaluate(folder, scenario)
+        ```
     """
     from samarl.commands.train import train_in_process  # imports what the rest does not need
 
@@ -199,6 +202,44 @@ def train(*overrides: str | Sequence[str], **settings: Any) -> Path:
         words += _words(name, value)
     with _one_line_errors():
         return train_in_process(words)
+
+
+def render(
+    agent: Agent | Name,
+    scenario: Name | Scenario | None = None,
+    case: int = 0,
+    output: Name = "outputs/case.png",
+    *,
+    against: Agent | Name | None = None,
+    split: str | Split = Split.test,
+) -> Path:
+    """Run one case and draw it, like `samarl-render`.
+
+    Args:
+        agent: as for `evaluate`.
+        scenario: as for `evaluate`.
+        case: index in the split, or a case number.
+        output: file of the picture (.png, .svg or .pdf) or of the animation (.gif or .mp4).
+        against: a second agent, drawn next to the first on the same case.
+        split: "test", "validation" or "training".
+
+    Returns:
+        The path of the file.
+
+    Raises:
+        ConfigurationError: there is no such agent or scenario, or the case or the file is invalid.
+    """
+    path = Path(output)
+    save = picture_writer(path)
+    check_writable(path, "output")
+    drivers = [_agent_for(agent, scenario)]
+    if against is not None:
+        drivers.append(_agent_for(against, drivers[0].scenario))
+    (number,) = _case_numbers([case], split)
+    trajectories = [record_episode(driver, driver.scenario, int(number)) for driver in drivers]
+    titles = [title_of(*pair) for pair in zip(map(_name_of, drivers), trajectories, strict=True)]
+    save(list(zip(trajectories, titles, strict=True)), path)
+    return path
 
 
 def _words(name: str, value: Any) -> Iterator[str]:
@@ -222,14 +263,21 @@ def _changes(value: Any, default: Any) -> Iterator[tuple[str, Any]]:
 
 
 def _agent_for(agent: Agent | Name, scenario: Name | Scenario | None) -> Agent:
-    """Return the agent for a scenario."""
+    """Return the agent for a scenario, with a warning if it was not trained for such scenarios."""
     if not isinstance(agent, Agent):
-        return load_agent(agent, scenario)
-    if scenario is None or (task := load_scenario(scenario)) == agent.scenario:
-        return agent
-    label, agent = agent.label, agent.for_scenario(task)
-    agent.label = label
-    return agent
+        driver = load_agent(agent, scenario)
+    elif scenario is None or (task := load_scenario(scenario)) == agent.scenario:
+        driver = agent
+    else:
+        driver = agent.for_scenario(task)
+        driver.label = agent.label
+    if warning := driver.scope_warning():
+        warnings.warn(warning, stacklevel=3)
+    return driver
+
+
+def _name_of(agent: Agent) -> str:
+    return agent.label or type(agent).__name__
 
 
 def _agent_settings(agent: Name) -> tuple[str, dict[str, Any]]:

@@ -45,7 +45,6 @@ def render(config: DictConfig) -> None:
     scenario = scenario_in(config)
     check_numbers(Render(case=config.case, split=config.split), "")
     case = config.split.number(config.case)
-    split, index = Split.of(case)
     path = Path(config.output)
     save = picture_writer(path)
     check_writable(path, "output")
@@ -59,13 +58,18 @@ def render(config: DictConfig) -> None:
         agent = build_agent(agent_config, scenario)
         print_scope_warning(agent)
         trajectory = record_episode(agent, scenario, case)
-        title = (
-            f"{name}, {split.name} case {index}: {scenario.fov_degrees:g}° view, "
-            f"{scenario.humans} humans, {scenario.robots} robots"
-        )
-        trajectories.append((trajectory, title))
+        trajectories.append((trajectory, title_of(name, trajectory)))
     save(trajectories, path)
     print(f"written to {path}")
+
+
+def title_of(name: str, trajectory: Trajectory) -> str:
+    """Return the title of a picture of an agent's episode."""
+    scenario, (split, index) = trajectory.scenario, Split.of(trajectory.case)
+    return (
+        f"{name}, {split.name} case {index}: {scenario.fov_degrees:g}° view, "
+        f"{scenario.humans} humans, {scenario.robots} robots"
+    )
 
 
 def picture_writer(path: Path) -> Callable[[Sequence[tuple[Trajectory, str]], Path], None]:

@@ -58,8 +58,8 @@ class EvaluationResult:
     def __repr__(self) -> str:
         s, row = self.scenario, self.row
         return (
-            f"{row['method']} in {s.name} ({s.humans} humans, {s.robots} robots, "
-            f"{s.fov_degrees:g}° view), {row['episodes']} cases\n"
+            f"{row['method']} in {s.name} (people: {s.humans}, robots: {s.robots}, "
+            f"view: {s.fov_degrees:g}°), {row['episodes']} cases\n"
             f"  success, %    {_with_interval(row, 'success_rate')}\n"
             f"  social score  {_with_interval(row, 'social_score')}"
         )

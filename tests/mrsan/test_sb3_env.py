@@ -84,7 +84,7 @@ def test_stable_baselines_learns_through_its_own_wrappers(algorithm: type) -> No
 def test_pictures_and_invalid_actions() -> None:
     envs = SB3VecEnv(worlds=2, robots=1, humans=1, render_mode="rgb_array")
     envs.reset()
-    assert envs.render().shape == (512, 1024, 3)
+    assert envs.render().shape == (1024, 512, 3)
     with pytest.raises(ActionError, match=r"robot 0 in world 1 .* must lie in \[-1, 1\]"):
         envs.step(np.array([[0, 0, 0], [0, 0, 1.5]]))
     with pytest.raises(AttributeError, match="no environments with a method 'close_door'"):
