@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from hydra.core.override_parser.overrides_parser import OverridesParser
+from PIL import Image
 
 import samarl
 from mrsan import ConfigurationError, Kinematics, Reward, Scenario, Split
@@ -189,6 +190,15 @@ def test_waypoints_and_the_shield_are_recorded() -> None:
     assert robots[(robots.step == 0)].waypoint_x.notna().all()
     assert not robots[is_last].shielded.any()
     assert not samarl.record("samarl_unshielded", SMALL, case=1).shielded.any()
+
+
+def test_two_agents_are_drawn_side_by_side(tmp_path: Path) -> None:
+    one = samarl.render("straight", SMALL, case=1, output=tmp_path / "one.png")
+    two = samarl.render("straight", SMALL, case=1, output=tmp_path / "two.png", against="orca")
+    width, wider = (Image.open(path).width for path in (one, two))
+    assert wider > 1.5 * width
+    with pytest.raises(ConfigurationError, match=r"output is 'a\.txt'; it must end in \.png"):
+        samarl.render("straight", output="a.txt")
 
 
 def test_samarl_record_writes_the_table(tmp_path: Path) -> None:
