@@ -247,8 +247,9 @@ def _words(name: str, value: Any) -> Iterator[str]:
     if isinstance(value, Scenario):
         named = configuration.load_scenario(value.name)
         yield as_override(name, value.name)
-        value = dict(_changes(value, named))
-    if isinstance(value, Mapping):
+        for key, item in _changes(value, named):
+            yield from _words(f"{name}.{key}", item)
+    elif isinstance(value, Mapping) and value:
         for key, item in value.items():
             yield from _words(f"{name}.{key}", item)
     else:
