@@ -51,8 +51,8 @@ def register_schemas() -> None:
     store = ConfigStore.instance()
     store.store(name="config_schema", node=Config)
     scenario = OmegaConf.structured(Scenario)
-    for name in ("crowd_settings", "sensors"):  # their keys depend on what is registered
-        OmegaConf.set_struct(scenario[name], False)
+    for node in (scenario.crowd_settings, scenario.sensors, scenario.reward.terms):
+        OmegaConf.set_struct(node, False)  # their keys depend on what is registered
     store.store(group="scenario", name="schema", node=scenario)
     store.store(group="evaluation", name="schema", node=Evaluation)
 

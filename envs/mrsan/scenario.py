@@ -17,6 +17,7 @@ from mrsan.fixed_map import FixedMap, fixed_map
 from mrsan.place import Place, check_place, half_size, largest_place
 from mrsan.recording import NOBODY, Recording, RecordingError, load_recording
 from mrsan.reward import Reward
+from mrsan.reward_terms import check_reward_terms
 from mrsan.sensors.sensor import check_sensors
 
 DEFAULT_NEAREST_WALLS = 12  # that robots see in places with walls
@@ -260,6 +261,7 @@ class Scenario:
         if not isinstance(self.reward, Reward):
             raise ConfigurationError(f"scenario.reward is {self.reward!r}; it must be a Reward")
         check_numbers(self.reward, "scenario.reward")
+        check_reward_terms(self.reward.terms)
         check_place(self.place)
         check_crowd(self.crowd, self.crowd_settings)
         self.crowd = str(self.crowd)

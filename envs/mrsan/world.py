@@ -27,6 +27,7 @@ from mrsan.observation import Observation
 from mrsan.parameters import kernel_parameters
 from mrsan.place import place_parameters
 from mrsan.reward import RewardParts
+from mrsan.reward_terms import sum_of_terms
 from mrsan.scenario import Scenario
 from mrsan.sensors.suite import SensorSuite
 from mrsan.state import Bools, Floats, State
@@ -219,6 +220,7 @@ class World:
         reward = np.empty(action.shape[:2], np.float32)
         terms = np.zeros((len(RewardParts._fields), *reward.shape), np.float32)
         running = ~state.done
+        driving = running[:, None] & ~state.arrived
         self._advance(
             self.worlds,
             state,
@@ -233,6 +235,9 @@ class World:
         observation = self.observe()
         if self._lookahead:
             self._add_lookahead(self._lookahead, observation, running, reward, parts)
+        if self.scenario.reward.terms:
+            parts.custom[:] = sum_of_terms(state, self.scenario, driving)
+            reward += parts.custom
         terminated, truncated = state.terminated.copy(), state.truncated.copy()
         done = terminated | truncated
         if not (self.auto_reset and done.any()):

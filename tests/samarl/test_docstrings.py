@@ -8,6 +8,7 @@ import pytest
 EXAMPLES = {
     "mrsan.world": 4,
     "mrsan.pettingzoo_env": 4,
+    "mrsan.reward_terms": 1,
     "mrsan.sb3_env": 2,
     "mrsan.torchrl_env": 2,
     "samarl": 2,
