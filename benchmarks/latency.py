@@ -21,7 +21,7 @@ from benchmarks.workload import add_output, interruptible, positive_number, prov
 from mrsan import ConfigurationError, Scenario, World
 from mrsan.threads import use_threads
 from samarl.agents import Agent, build_agent
-from samarl.configuration import available_agents, load_agent, load_scenario
+from samarl.configuration import available_agents, load_agent_config, load_scenario
 from samarl.evaluation.table import markdown_table
 from samarl.export import export_agent
 from samarl.files import machine, write_json
@@ -42,7 +42,7 @@ def main() -> None:
     """Measure every agent, print the table and write the JSON file."""
     arguments = _parse()
     use_threads(1)
-    agents = {name: load_agent(name) for name in arguments.agents or available_agents()}
+    agents = {name: load_agent_config(name) for name in arguments.agents or available_agents()}
     if arguments.checkpoint is not None:
         target = "samarl.agents.learned.Learned"
         agents["checkpoint"] = {"_target_": target, "checkpoint": str(arguments.checkpoint)}

@@ -21,7 +21,7 @@ from hydra import compose, initialize_config_dir
 from hydra.core.config_store import ConfigStore
 
 from benchmarks.workload import add_output, interruptible, positive_whole_number, provenance
-from samarl.commands.train import Train, build_trainer
+from samarl.commands.train import build_trainer, train_schema
 from samarl.configuration import register_schemas
 from samarl.distributed import stop_requested
 from samarl.evaluation.table import markdown_table
@@ -115,7 +115,7 @@ def shares(profile: pstats.Stats) -> dict[str, float]:
 def default_trainer(settings: list[str]) -> Trainer:
     """Return the trainer that `samarl-train` would run with these settings."""
     register_schemas()
-    ConfigStore.instance().store(name="train_schema", node=Train)
+    ConfigStore.instance().store(name="train_schema", node=train_schema())
     with initialize_config_dir(str(find_folder("conf").resolve()), version_base="1.3"):
         return build_trainer(compose("train", settings), "benchmark")
 

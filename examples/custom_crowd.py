@@ -13,7 +13,7 @@ from pathlib import Path
 
 from mrsan import Crowd, Scenario, Split
 from samarl.agents import build_agent
-from samarl.configuration import load_agent
+from samarl.configuration import load_agent_config
 from samarl.evaluation.metrics import METRICS
 from samarl.evaluation.runner import Evaluation, run_cases
 from samarl.evaluation.trajectory import record_episode
@@ -43,7 +43,7 @@ def main() -> None:
     cases = Evaluation(cases=arguments.cases).case_numbers()
     success = {}
     for name in arguments.agents:
-        agent = build_agent(load_agent(name), STATION)
+        agent = build_agent(load_agent_config(name), STATION)
         episodes = run_cases(agent, STATION, cases, batch=100, title=name)
         row: dict[str, float] = {}
         for metric in ("success_rate", "social_score"):
@@ -51,7 +51,9 @@ def main() -> None:
         success[name] = row["success_rate"]
         print(f"{name:18} success {row['success_rate']} %, social score {row['social_score']}")
     best = max(success, key=success.__getitem__)
-    trajectory = record_episode(build_agent(load_agent(best), STATION), STATION, Split.test.case(0))
+    trajectory = record_episode(
+        build_agent(load_agent_config(best), STATION), STATION, Split.test.case(0)
+    )
     arguments.output.parent.mkdir(parents=True, exist_ok=True)
     save_trajectories([(trajectory, f"{best} at the station")], arguments.output)
     print(f"written to {arguments.output}")

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import importlib
+import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
@@ -59,8 +61,8 @@ def register_schemas() -> None:
     store = ConfigStore.instance()
     store.store(name="config_schema", node=Config)
     scenario = OmegaConf.structured(Scenario)
-    for name in ("crowd_settings", "sensors"):  # their keys depend on what is registered
-        OmegaConf.set_struct(scenario[name], False)
+    for node in (scenario.crowd_settings, scenario.sensors, scenario.reward.terms):
+        OmegaConf.set_struct(node, False)  # their keys depend on what is registered
     store.store(group="scenario", name="schema", node=scenario)
     store.store(group="evaluation", name="schema", node=Evaluation)
 
@@ -147,7 +149,7 @@ def available_agents() -> list[str]:
         return sorted(loader.get_group_options("agent"))
 
 
-def load_agent(name: str, field: str = "agent") -> dict[str, Any]:
+def load_agent_config(name: str, field: str = "agent") -> dict[str, Any]:
     """Return the configuration of an agent of `conf/agent/`.
 
     Args:
@@ -161,10 +163,46 @@ def load_agent(name: str, field: str = "agent") -> dict[str, Any]:
     if name not in names:
         hint = choice_hint(name, names, "samarl-evaluate --help lists them")
         raise ConfigurationError(f"{field}: there is no agent {name!r}; {hint}")
+    return _agent_in_group(name, [])
+
+
+def read_agent_config(path: Path) -> dict[str, Any]:
+    """Return the configuration of an agent in any YAML file, in the form of `conf/agent/`."""
+    with _as_choice(path, "agent") as (name, search_path):
+        return _agent_in_group(name, search_path)
+
+
+def _agent_in_group(name: str, search_path: list[str]) -> dict[str, Any]:
     with _hydra():
-        config = OmegaConf.to_container(compose("config", [f"agent={name}"]).agent)
+        config = OmegaConf.to_container(compose("config", [f"agent={name}", *search_path]).agent)
     assert isinstance(config, dict)
     return {str(key): value for key, value in config.items()}
+
+
+@contextlib.contextmanager
+def _as_choice(path: Path, group: str) -> Iterator[tuple[str, list[str]]]:
+    """Make a YAML file a choice of a group, next to the files of its folder.
+
+    Args:
+        path: path of the file.
+        group: name of the group.
+
+    Yields:
+        The name of the choice, and the override that adds it to Hydra's search path.
+
+    Raises:
+        ConfigurationError: there is no such file.
+    """
+    if not path.is_file():
+        raise ConfigurationError(f"{group} is {str(path)!r}; there is no such file")
+    with tempfile.TemporaryDirectory() as folder:
+        links = Path(folder) / group
+        links.mkdir()
+        for file in path.resolve().parent.glob("*.yaml"):  # which its defaults list may name
+            (links / file.name).symlink_to(file)
+        name = f"file_{path.stem}"  # not the name of a file in `conf/`, which would precede it
+        (links / f"{name}.yaml").symlink_to(path.resolve())
+        yield name, [f"hydra.searchpath=['file://{folder}']"]
 
 
 @contextlib.contextmanager
@@ -196,17 +234,21 @@ def load_scenario(name: str, field: str = "scenario") -> Scenario:
             raise ConfigurationError(
                 f"{field}: there is no scenario {name!r}; {choice_hint(name, choices)}"
             )
-        scenario = OmegaConf.to_object(compose("config", [f"scenario={name}"]).scenario)
-    assert isinstance(scenario, Scenario)
-    return scenario
+        return scenario_in(compose("config", [f"scenario={name}"]))
+
+
+def read_scenario(path: Path) -> Scenario:
+    """Return the scenario in any YAML file, in the form of `conf/scenario/`."""
+    with _as_choice(path, "scenario") as (name, search_path), _hydra():
+        return scenario_in(compose("config", [f"scenario={name}", *search_path]))
 
 
 def scenario_of(column: Any, field: str = "columns") -> Scenario:
     """Return the scenario of one entry of `field`.
 
     Args:
-        column: changed fields, and `scenario`, the name of the scenario they change (default:
-            SAMARL's).
+        column: changed fields, and `scenario` or `name`, the name of the scenario they change
+            (default: SAMARL's).
         field: name of the setting, for error messages.
 
     Raises:
@@ -217,7 +259,9 @@ def scenario_of(column: Any, field: str = "columns") -> Scenario:
             f"{field} has {column!r:.60}; it must map fields of a scenario to values"
         )
     fields = dict(column)
-    named = load_scenario(str(fields.pop("scenario", Scenario.name)), field)
+    name = str(fields.pop("scenario", fields.get("name", Scenario.name)))
+    is_complete = fields.keys() >= {f.name for f in dataclasses.fields(Scenario)}
+    named = Scenario() if is_complete else load_scenario(name, field)
     try:
         scenario = OmegaConf.to_object(OmegaConf.merge(OmegaConf.structured(named), fields))
     except OmegaConfBaseException as error:

@@ -12,6 +12,7 @@ COMMANDS = {
     "evaluate": "evaluate an agent on fixed cases, or run a sweep of evaluations",
     "bench": "evaluate the agents of a table and compare it with the committed results",
     "render": "draw one case as a picture or a video",
+    "record": "write the trajectories of one case as a table",
     "train": "train a policy, or resume a training",
     "report": "build web pages with tables, curves and replays",
     "predictor": "train and evaluate a predictor of people",
@@ -29,7 +30,7 @@ def run(command: str) -> None:
         sys.exit(130)
 
 
-evaluate, bench, render, train, report, predictor, export, recording = (
+evaluate, bench, render, record, train, report, predictor, export, recording = (
     partial(run, command) for command in COMMANDS
 )
 

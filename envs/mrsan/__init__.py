@@ -17,6 +17,7 @@ from mrsan.metrics import Episodes, Outcome, social_score
 from mrsan.observation import Entities, Observation
 from mrsan.place import Place
 from mrsan.reward import Reward, RewardParts
+from mrsan.reward_terms import register_reward_term
 from mrsan.scenario import Scenario
 from mrsan.sensors import EntitySensor, ValueSensor, register_sensor
 from mrsan.state import State
@@ -49,6 +50,7 @@ __all__ = [
     "ValueSensor",
     "World",
     "register_crowd",
+    "register_reward_term",
     "register_sensor",
     "social_score",
 ]

@@ -24,6 +24,15 @@ class Split(Enum):
             raise ValueError(f"case index is {index}; it must lie in [0, 2^40)")
         return self.value * CASES_PER_SPLIT + index
 
+    def number(self, case: int) -> int:
+        """Return the number of a case.
+
+        Args:
+            case: index of a case of this split, or the number of a case of any split from 2^40 on,
+                which is returned as it is.
+        """
+        return case if CASES_PER_SPLIT <= case < len(Split) * CASES_PER_SPLIT else self.case(case)
+
     @classmethod
     def of(cls, number: int) -> tuple[Split, int]:
         """Return the split of a case number and its index there; the inverse of `case`."""

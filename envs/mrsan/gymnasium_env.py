@@ -38,7 +38,7 @@ def as_spaces(scenario: Scenario) -> tuple[spaces.Dict, spaces.Box]:
     low[[RADIUS, PREFERRED_SPEED, TIME]], high[TIME] = 0.0, 1.0
 
     entries: dict[str, spaces.Space[Any]] = {"ego": spaces.Box(low, high, dtype=np.float32)}
-    for key, array in _arrays(SensorSuite(scenario).empty(1)).items():
+    for key, array in arrays_in_space(SensorSuite(scenario).empty(1)).items():
         if key != "ego":
             shape = array.shape[2:]
             is_flag = array.dtype == np.int8
@@ -52,14 +52,14 @@ def as_spaces(scenario: Scenario) -> tuple[spaces.Dict, spaces.Box]:
 
 def robot_observations(observation: Observation, world: int) -> list[dict[str, Array]]:
     """Return the observation of each robot of a world, in the form of `as_spaces`."""
-    arrays = _arrays(observation).items()
+    arrays = arrays_in_space(observation).items()
     robots = range(observation.ego.shape[1])
     return [{key: value[world, robot] for key, value in arrays} for robot in robots]
 
 
-def robot_reward_parts(step: Step, world: int, robot: int) -> NDArray[np.float32]:
-    """Return the terms of the reward of one robot, in the order of `mrsan.RewardParts`."""
-    return np.array([part[world, robot] for part in step.reward_parts], np.float32)
+def robot_reward_parts(step: Step, world: int, robot: int) -> dict[str, float]:
+    """Return the terms of the reward of one robot by the names of `mrsan.RewardParts`."""
+    return {name: float(part[world, robot]) for name, part in step.reward_parts._asdict().items()}
 
 
 def end_info(world: World, index: int, robot: int) -> dict[str, Any]:
@@ -73,8 +73,8 @@ def end_info(world: World, index: int, robot: int) -> dict[str, Any]:
     }
 
 
-def _arrays(observation: Observation) -> dict[str, Array]:
-    """Return the arrays of an observation, masks as integers.
+def arrays_in_space(observation: Observation) -> dict[str, Array]:
+    """Return the arrays of an observation in the form of `as_spaces`, masks as integers.
 
     Without empty ones, which some libraries drop from spaces but not from observations.
     """
@@ -83,6 +83,17 @@ def _arrays(observation: Observation) -> dict[str, Array]:
         for key, value in observation.arrays().items()
         if 0 not in value.shape[2:]
     }
+
+
+def _batched_parts(step: Step, worlds: Array) -> dict[str, Any]:
+    """Return the terms of the reward of some worlds [E] in Gymnasium's vector form."""
+    if not worlds.any():
+        return {}
+    parts: dict[str, Array] = {}
+    for name, part in step.reward_parts._asdict().items():
+        parts[name] = np.where(worlds, part[:, 0], 0.0).astype(np.float64)
+        parts[f"_{name}"] = worlds
+    return {"reward_parts": parts, "_reward_parts": worlds}
 
 
 def _single_robot(scenario: Scenario | None, overrides: dict[str, Any]) -> Scenario:
@@ -100,10 +111,11 @@ def _single_robot(scenario: Scenario | None, overrides: dict[str, Any]) -> Scena
 class GymnasiumEnv(gymnasium.Env[dict[str, Array], Array]):
     """One robot in one world; `gymnasium.make("mrsan/SocialNavigation-v0", humans=5)`.
 
+    `gymnasium.make("mrsan:mrsan/SocialNavigation-v0")` also works where `mrsan` is not imported.
     `reset(seed=s)` begins case `s`; without a seed, the next episode of the same case. The `info`
-    of a step contains `arrived` and `reward_parts`, in the order of `mrsan.RewardParts`, and that
-    of the last step also `is_success`, `outcome` and `social_score`. `render_mode` "rgb_array"
-    returns pictures [512, 512, 3]; "human" opens a window.
+    of a step contains `arrived` and `reward_parts`, numbers by the names of `mrsan.RewardParts`,
+    and that of the last step also `is_success`, `outcome` and `social_score`. `render_mode`
+    "rgb_array" returns pictures [512, 512, 3]; "human" opens a window.
     """
 
     metadata = {"render_modes": RENDER_MODES, "render_fps": 4}  # noqa: RUF012 (as in Gymnasium)
@@ -271,7 +283,6 @@ class GymnasiumVectorEnv(VectorEnv[dict[str, Array], Array, Array]):
             "arrived": self.world.state.arrived[:, 0].copy(),
             "_arrived": everywhere,
         }
-        parts = np.stack([part[:, 0] for part in step.reward_parts], axis=-1)
         stepped = everywhere
         if self.autoreset_mode is AutoresetMode.NEXT_STEP and ended_before.any():
             observation = self.world.reset(worlds=ended_before)
@@ -288,8 +299,7 @@ class GymnasiumVectorEnv(VectorEnv[dict[str, Array], Array, Array]):
                 final = {
                     "arrived": infos["arrived"] & done,
                     "_arrived": done,
-                    "reward_parts": np.where(done[:, None], parts, 0),
-                    "_reward_parts": done,
+                    **_batched_parts(step, done),
                 }
                 stepped = ~done
                 infos |= {"_final_obs": done, "final_info": final | ending, "_final_info": done}
@@ -297,7 +307,7 @@ class GymnasiumVectorEnv(VectorEnv[dict[str, Array], Array, Array]):
                 infos["arrived"] = infos["arrived"] & ~done
             else:
                 infos |= ending
-        infos |= {"reward_parts": np.where(stepped[:, None], parts, 0), "_reward_parts": stepped}
+        infos |= _batched_parts(step, stepped)
         reward = step.reward[:, 0].astype(np.float64)
         return self._batch(observation), reward, step.terminated, step.truncated, infos
 
@@ -326,4 +336,4 @@ class GymnasiumVectorEnv(VectorEnv[dict[str, Array], Array, Array]):
         }
 
     def _batch(self, observation: Observation) -> dict[str, Array]:
-        return {key: value[:, 0] for key, value in _arrays(observation).items()}
+        return {key: value[:, 0] for key, value in arrays_in_space(observation).items()}

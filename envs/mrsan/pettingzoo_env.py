@@ -29,7 +29,7 @@ class PettingZooEnv(ParallelEnv[str, dict[str, Array], Array]):
     All robots stay until the joint episode ends (by a collision, the last arrival or the time
     limit). A robot that has arrived parks: its action is ignored and may be omitted, and it still
     receives the team's bonus. `reset(seed=s)` begins case `s`; without a seed, the next episode of
-    the same case. The infos of a step contain `arrived` and `reward_parts`, in the order of
+    the same case. The infos of a step contain `arrived` and `reward_parts`, numbers by the names of
     `mrsan.RewardParts`, and those of the last step also the entries of `end_info`.
 
     Examples:

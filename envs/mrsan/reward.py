@@ -1,6 +1,6 @@
 """The reward of a step and its terms (SAMARL, Eq. 10; MSA3C, Eq. 2-4)."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -42,6 +42,10 @@ class Reward:
     lookahead_predictor: str = setting(
         "constant_velocity", help="predictor of people: a name or a weights file"
     )
+    terms: dict[str, float] = field(
+        default_factory=dict,
+        metadata={"help": "weights of registered terms: terms.name=weight"},
+    )
 
 
 class RewardParts(NamedTuple):
@@ -61,13 +65,14 @@ class RewardParts(NamedTuple):
     goal_distance: NDArray[np.float32]  # -`Reward.goal_distance` d_g / circle_radius^2
     time: NDArray[np.float32]  # `Reward.time`, until arrival
     lookahead: NDArray[np.float32]  # a person will be too close (`mrsan.lookahead`)
+    custom: NDArray[np.float32]  # registered terms times their weights in `Reward.terms`
 
 
 @function
 def step_reward_parts(
     collided, arrived, team_arrived, driving, human_gap, progress, goal_distance, p
 ):
-    """Return the terms of one robot's reward for one step; `lookahead` is added by the world.
+    """Return the terms of one robot's reward; the world adds `lookahead` and `custom`.
 
     Args:
         collided: this robot touched another agent during the step.
@@ -111,6 +116,7 @@ def step_reward_parts(
         goal_distance=goal_distance_term,
         time=time_term,
         lookahead=_ZERO,
+        custom=_ZERO,
     )
 
 

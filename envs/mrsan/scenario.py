@@ -24,6 +24,7 @@ from mrsan.fixed_map import FixedMap, fixed_map
 from mrsan.place import Place, check_place, half_size, largest_place
 from mrsan.recording import NOBODY, Recording, RecordingError, load_recording
 from mrsan.reward import Reward
+from mrsan.reward_terms import check_reward_terms
 from mrsan.sensors.sensor import check_sensors
 from mrsan.suggestions import choice_hint
 
@@ -270,6 +271,7 @@ class Scenario:
         self.reward = from_mapping(Reward, self.reward, "scenario.reward")
         check_numbers(self.reward, "scenario.reward")
         self.place = from_mapping(Place, self.place, "scenario.place")
+        check_reward_terms(self.reward.terms)
         check_place(self.place)
         check_crowd(self.crowd, self.crowd_settings)
         self.crowd = str(self.crowd)

@@ -28,6 +28,7 @@ from mrsan.observation import Observation
 from mrsan.parameters import kernel_parameters
 from mrsan.place import place_parameters
 from mrsan.reward import RewardParts
+from mrsan.reward_terms import sum_of_terms
 from mrsan.scenario import Scenario
 from mrsan.sensors.suite import SensorSuite
 from mrsan.state import Bools, Floats, State
@@ -222,10 +223,14 @@ class World:
             number = int(np.flatnonzero(state.episode < 0)[0])
             raise RuntimeError(f"world {number} has not been reset; call reset() before step()")
         running = ~state.done
+        driving = running[:, None] & ~state.arrived
         reward, parts = self._move(self._checked_actions(actions))
         observation = self.observe()
         if self._lookahead:
             self._add_lookahead(self._lookahead, observation, running, reward, parts)
+        if self.scenario.reward.terms:
+            parts.custom[:] = sum_of_terms(state, self.scenario, driving)
+            reward += parts.custom
         terminated, truncated = state.terminated.copy(), state.truncated.copy()
         done = terminated | truncated
         if not (self.auto_reset and done.any()):

@@ -5,8 +5,9 @@ from __future__ import annotations
 import hashlib
 import inspect
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,8 @@ class Agent(ABC):
 
     scenario: Scenario
 
+    label = ""  # name in tables, which `samarl.load_agent` sets; empty: the name of the class
+
     def __post_init__(self) -> None:
         """Check every number of the subclass.
 
@@ -32,6 +35,14 @@ class Agent(ABC):
             ConfigurationError: a number is out of range.
         """
         check_numbers(self, "agent")
+
+    def for_scenario(self, scenario: Scenario) -> Self:
+        """Return a new agent with the same settings for another scenario.
+
+        Raises:
+            ConfigurationError: the agent cannot drive the robots of the scenario.
+        """
+        return replace(self, scenario=scenario)
 
     def reset(self, worlds: NDArray[np.bool_]) -> None:  # noqa: B027 (stateless agents need none)
         """Clear the memory of the worlds [E] in which an episode begins."""

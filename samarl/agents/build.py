@@ -30,7 +30,8 @@ def build_agent(config: Mapping[str, Any], scenario: Scenario) -> Agent:
     """
     if not isinstance(config, Mapping | DictConfig):
         raise ConfigurationError(
-            f"agent is {config!r}; it must be a mapping with `_target_` and other fields"
+            f"agent is {config!r}; it must be a mapping with `_target_` and other fields "
+            "(samarl.load_agent builds an agent by its name)"
         )
     values = dict(config)
     shield = _shield(values.pop("shield", False))

@@ -88,7 +88,10 @@ class DeployedPolicy:
 
 @dataclass
 class Learned(Agent):
-    """A policy loaded from a checkpoint."""
+    """A policy loaded from a checkpoint, without a shield.
+
+    `samarl.load_agent("samarl")` adds the shield of the agent's YAML file.
+    """
 
     checkpoint: str = needed(help="checkpoint file or the name of a shipped policy")
     waypoints: Waypoints = setting(Waypoints.learned, help="source of the waypoints")

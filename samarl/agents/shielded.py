@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mrsan import Observation
+from mrsan import Observation, Scenario
 from samarl.agents.agent import Agent
 from samarl.planning.shield import Shield, apply_shield
 from samarl.planning.track_predictor import TrackPredictor
@@ -37,6 +38,10 @@ class Shielded(Agent):
             "agent.shield.predictor",
         )
         self._replaced = np.zeros((0, self.scenario.robots), np.bool_)
+
+    def for_scenario(self, scenario: Scenario) -> Self:
+        """Return a new agent with the same settings and shield for another scenario."""
+        return replace(self, scenario=scenario, agent=self.agent.for_scenario(scenario))
 
     def reset(self, worlds: NDArray[np.bool_]) -> None:
         """Clear the memory of the worlds [E] in which an episode begins."""

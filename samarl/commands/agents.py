@@ -12,10 +12,10 @@ from omegaconf import DictConfig
 from mrsan import ConfigurationError, Scenario
 from mrsan.compile_ahead import compile_ahead
 from samarl.agents import Agent, build_agent
-from samarl.configuration import load_agent, scenario_in
+from samarl.configuration import load_agent_config, scenario_in
 from samarl.evaluation.runner import warm_up
 
-_AGENTS = {  # one agent per kind of policy
+AGENT_OF_POLICY = {  # the shipped agent that uses each kind of policy
     "flat": "samarl_flat",
     "hierarchical": "samarl",
     "lookahead": "cadrl",
@@ -67,12 +67,12 @@ def _check_policy_kind(name: str, checkpoint: str) -> None:
         read_card,
     )
 
-    own = str(load_agent(name).get("checkpoint"))
+    own = str(load_agent_config(name).get("checkpoint"))
     if own in (checkpoint, "???"):
         return
     kind, own_kind = (read_card(find_policy(policy)).policy for policy in (checkpoint, own))
     if kind != own_kind:
-        other = _AGENTS.get(kind, "NAME, defined by your own conf/agent/NAME.yaml")
+        other = AGENT_OF_POLICY.get(kind, "NAME, defined by your own conf/agent/NAME.yaml")
         raise ConfigurationError(
             f"checkpoint is {checkpoint!r}, a {kind} policy; it must be a {own_kind} policy for "
             f"agent={name}, or use agent={other}"

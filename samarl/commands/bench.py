@@ -22,7 +22,7 @@ from samarl.configuration import (
     available_agents,
     evaluation_in,
     import_plugins,
-    load_agent,
+    load_agent_config,
     load_scenario,
     open_mapping,
     scenario_of,
@@ -151,7 +151,7 @@ def _tasks(config: DictConfig, scenarios: Sequence[Scenario]) -> tuple[list[_Tas
     evaluation = evaluation_in(config)
     cases = evaluation.cases if config.learned_cases is None else config.learned_cases
     learned_evaluation = replace(evaluation, cases=min(cases, evaluation.cases))
-    agents = {str(name): load_agent(str(name), "agents") for name in _agent_names(config)}
+    agents = {str(name): load_agent_config(str(name), "agents") for name in _agent_names(config)}
     tasks: list[_Task] = []
     scope_warnings: dict[str, str] = {}
     for scenario in scenarios:

@@ -48,7 +48,7 @@ def run_command(
     task: Callable[[DictConfig], Any],
     config_name: str,
     check: Callable[[DictConfig], Any] | None = None,
-    **schemas: type,
+    **schemas: Any,
 ) -> None:
     """Run a Hydra task; user errors are reported in one line with exit code 2.
 
@@ -65,8 +65,7 @@ def run_command(
         return
     _prepare_process(words)
     kernel.always_parallel = True  # commands that simulate one world use the version of the others
-    for name, schema in schemas.items():
-        ConfigStore.instance().store(name=name, node=schema)
+    prepare_hydra(**schemas)
     folder = None
     try:
         command = CommandLine.parse(words)
@@ -78,7 +77,7 @@ def run_command(
             return
         if command.is_sweep:
             for config in compose_cells(config_name, command):
-                _check_plugins_and_keys(config)
+                check_plugins_and_keys(config)
                 if check is not None:
                     check(config)
     except KeyboardInterrupt:
@@ -97,8 +96,19 @@ def _prepare_process(words: Sequence[str]) -> None:
     os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra raises instead of printing; see `_fail`
     if os.getcwd() not in sys.path:
         sys.path.append(os.getcwd())  # so that plugins in the current folder can be imported
+
+
+def prepare_hydra(**schemas: Any) -> None:
+    """Register what the files of `conf/` refer to.
+
+    Args:
+        **schemas: dataclasses used as schemas in the defaults list of a configuration, or their
+            structured configurations.
+    """
     OmegaConf.register_new_resolver("first", first, replace=True)
     register_schemas()
+    for name, schema in schemas.items():
+        ConfigStore.instance().store(name=name, node=schema)
 
 
 def _check_folder(folder: Path | None) -> None:
@@ -127,7 +137,7 @@ def _run_hydra(task: Callable[[DictConfig], Any], config_name: str, folder: Path
         has_started = True
         try:
             _limit_threads()
-            _check_plugins_and_keys(config)
+            check_plugins_and_keys(config)
             result = task(config)
             sys.stdout.flush()
             return result
@@ -158,7 +168,12 @@ def _run_hydra(task: Callable[[DictConfig], Any], config_name: str, folder: Path
         _fail(unreadable(error))
 
 
-def _check_plugins_and_keys(config: DictConfig) -> None:
+def check_plugins_and_keys(config: DictConfig) -> None:
+    """Reject unknown settings and import the plugins.
+
+    Raises:
+        ConfigurationError: a setting is unknown, or a plugin cannot be imported.
+    """
     _reject_unknown_keys(config, "")
     import_plugins(config.plugins)
 

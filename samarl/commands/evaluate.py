@@ -48,6 +48,7 @@ def evaluate(config: DictConfig) -> Row:
         print(f"already finished: {folder}")
         finished_row: Row = cell["row"]
         return finished_row
+    named = load_scenario(scenario.name)
     print_scope_warning(agent)
     name = str(hydra.runtime.choices.agent)
     cases = evaluation.case_numbers()
@@ -55,7 +56,6 @@ def evaluate(config: DictConfig) -> Row:
     with progress_bar(total=len(cases), desc=name, unit="case", leave=False) as bar:
         episodes = run_cases(agent, scenario, cases, evaluation.batch, bar.update)
     command = command_line("samarl-evaluate")
-    named = load_scenario(scenario.name)
     row = summarise(episodes, scenario, name, command, marker["commit"], int(cases[0]), named)
     write_text(folder / "episodes.jsonl", episodes_as_jsonl(episodes))
     write_json(row_path, {"row": row, **marker})  # last: it marks the cell as finished

@@ -60,7 +60,7 @@ def help_text(config_name: str, command: CommandLine) -> str:
             "",
             *([_GROUPS, *groups, ""] if groups else []),
             "Settings (change with path.of.setting=value; see the examples):",
-            annotated(_shortened(config), meanings),
+            annotated(_plain(config), meanings),
             template["footer"].strip(),
         ]
     )
@@ -85,15 +85,9 @@ def _meanings(config: DictConfig, primary: Path, choices: dict[str, str]) -> Mea
     return meanings
 
 
-def _shortened(config: DictConfig) -> str:
-    """Return the settings as YAML; scenarios of a curriculum show only changed fields."""
-    content: Any = OmegaConf.to_container(config, enum_to_str=True)
-    default = OmegaConf.to_container(OmegaConf.structured(Scenario), enum_to_str=True)
-    assert isinstance(default, dict)
-    for stage in content.get("curriculum", {}).get("stages", []):
-        scenario = stage["scenario"]
-        stage["scenario"] = {k: v for k, v in scenario.items() if v != default[k]}
-    return OmegaConf.to_yaml(OmegaConf.create(content))
+def _plain(config: DictConfig) -> str:
+    """Return the settings as YAML, choices by name."""
+    return OmegaConf.to_yaml(OmegaConf.create(OmegaConf.to_container(config, enum_to_str=True)))
 
 
 def annotated(yaml: str, meanings: Meanings) -> str:

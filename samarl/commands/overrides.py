@@ -10,10 +10,12 @@ from __future__ import annotations
 import itertools
 import re
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from enum import Enum
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 from hydra.core.config_loader import ConfigLoader
 from hydra.core.override_parser.overrides_parser import OverridesParser
@@ -141,6 +143,29 @@ class CommandLine:
         choices = {override.get_key_element(): _choices(override) for override in overrides}
         for cell in itertools.product(*choices.values()):
             yield list(cell)
+
+
+def as_override(name: str, value: Any) -> str:
+    """Return the setting of a command line that assigns a value of Python.
+
+    Args:
+        name: path of the setting.
+        value: a string, number, bool, enum, path or None, or a list or mapping of them.
+    """
+    return f"{name}={value if isinstance(value, str) else _in_grammar(value)}"
+
+
+def _in_grammar(value: Any) -> str:
+    """Return a value as Hydra's grammar writes it."""
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{key}: {_in_grammar(item)}" for key, item in value.items()) + "}"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(map(_in_grammar, value)) + "]"
+    if isinstance(value, Enum):
+        return value.name
+    if isinstance(value, bool) or value is None:
+        return str(value).lower().replace("none", "null")
+    return _in_quotes(str(value)) if isinstance(value, str | Path) else str(value)
 
 
 def _choices(override: Override) -> list[str]:

@@ -16,7 +16,7 @@ from mrsan.fields import check_numbers, number
 from samarl.agents import build_agent
 from samarl.commands.agents import check_agent, compile_for, print_scope_warning, selected_agent
 from samarl.commands.cli import run_command
-from samarl.configuration import load_agent, open_mapping, scenario_in
+from samarl.configuration import load_agent_config, open_mapping, scenario_in
 from samarl.evaluation.trajectory import Trajectory, record_episode
 from samarl.files import check_writable
 
@@ -44,9 +44,7 @@ def render(config: DictConfig) -> None:
     """Run one case and draw it."""
     scenario = scenario_in(config)
     check_numbers(Render(case=config.case, split=config.split), "")
-    split, index = config.split, config.case
-    if index >= CASES_PER_SPLIT:  # a case number as in episodes.jsonl
-        split, index = Split.of(index)
+    case = config.split.number(config.case)
     path = Path(config.output)
     save = picture_writer(path)
     check_writable(path, "output")
@@ -54,20 +52,25 @@ def render(config: DictConfig) -> None:
         (HydraConfig.get().runtime.choices.agent, selected_agent(config))
     ]
     if config.against is not None:
-        agents.append((config.against, load_agent(config.against, "against")))
+        agents.append((config.against, load_agent_config(config.against, "against")))
     trajectories = []
     compile_for(agents[0][1], scenario)
     for name, agent_config in agents:
         agent = build_agent(agent_config, scenario)
         print_scope_warning(agent)
-        trajectory = record_episode(agent, scenario, split.case(index))
-        title = (
-            f"{name}, {split.name} case {index}: {scenario.fov_degrees:g}° view, "
-            f"{scenario.humans} humans, {scenario.robots} robots"
-        )
-        trajectories.append((trajectory, title))
+        trajectory = record_episode(agent, scenario, case)
+        trajectories.append((trajectory, title_of(name, trajectory)))
     save(trajectories, path)
     print(f"written to {path}")
+
+
+def title_of(name: str, trajectory: Trajectory) -> str:
+    """Return the title of a picture of an agent's episode."""
+    scenario, (split, index) = trajectory.scenario, Split.of(trajectory.case)
+    return (
+        f"{name}, {split.name} case {index}: {scenario.fov_degrees:g}° view, "
+        f"{scenario.humans} humans, {scenario.robots} robots"
+    )
 
 
 def picture_writer(path: Path) -> Callable[[Sequence[tuple[Trajectory, str]], Path], None]:

@@ -12,7 +12,7 @@ from omegaconf import MISSING, DictConfig, OmegaConf
 from mrsan import ConfigurationError, Scenario, Split
 from samarl.agents import Agent, build_agent
 from samarl.commands.cli import command_line, run_command
-from samarl.configuration import available_agents, load_agent, scenario_of
+from samarl.configuration import available_agents, load_agent_config, scenario_of
 from samarl.evaluation.seeds import without_seed
 from samarl.evaluation.trajectory import Trajectory, record_episode
 from samarl.files import check_writable, find_folder
@@ -70,7 +70,7 @@ def _methods(names: list[str] | None, results: Path) -> dict[str, dict[str, Any]
     Policies without an agent of their own use the configuration of the first learned agent.
     """
     configs = {
-        str(name): load_agent(str(name), "agents")
+        str(name): load_agent_config(str(name), "agents")
         for name in (available_agents() if names is None else names)
     }
     learned = [config for config in configs.values() if "checkpoint" in config]

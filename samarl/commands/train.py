@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 import shlex
 import signal
 import sys
@@ -14,13 +15,16 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import MISSING, DictConfig, OmegaConf
 
-from mrsan import ConfigurationError
+from mrsan import ConfigurationError, Scenario
 from mrsan.compile_ahead import compile_ahead
-from mrsan.fields import check_numbers
-from samarl.commands.cli import command_line, run_command
+from mrsan.fields import check_numbers, number
+from samarl.commands.cli import check_plugins_and_keys, command_line, prepare_hydra, run_command
+from samarl.commands.composition import compose_cells
+from samarl.commands.overrides import CommandLine
+from samarl.configuration import scenario_in, scenario_of
 from samarl.launch import copies, launcher, rank
 from samarl.registry import checked_fields
-from samarl.training.curriculum import CurriculumStage, check_stages
+from samarl.training.curriculum import CurriculumStage, check_stages, single_stage
 
 if TYPE_CHECKING:
     from samarl.training.config import TrainerConfig
@@ -28,10 +32,17 @@ if TYPE_CHECKING:
 
 
 @dataclass
+class StageConfig(CurriculumStage):
+    """A stage in `conf/curriculum/`, with the changed fields of its scenario."""
+
+    scenario: Any = field(default_factory=dict)  # `name`: the scenario they change
+
+
+@dataclass
 class Curriculum:
     """Schema of `conf/curriculum/`."""
 
-    stages: list[CurriculumStage] = field(default_factory=list)
+    stages: list[StageConfig] = field(default_factory=list)
 
 
 @dataclass
@@ -46,17 +57,62 @@ class Train:
     policy: Any = MISSING
     algorithm: Any = MISSING
     curriculum: Curriculum = field(default_factory=Curriculum)
+    scenario: Any = MISSING
+    worlds: int | None = number(None, 1, 10**6)
     trainer: Any = MISSING
+
+
+def train_schema() -> DictConfig:
+    """Return the schema of `conf/train.yaml`."""
+    schema = OmegaConf.structured(Train)
+    # A scenario of a stage lists changed fields only; `scenario_of` checks their names.
+    OmegaConf.set_struct(schema.curriculum, False)
+    return schema
 
 
 def main() -> None:
     """Entry point."""
-    run_command(train, "train", check_training, train_schema=Train)
+    run_command(train, "train", check_training, train_schema=train_schema())
 
 
 def train(config: DictConfig) -> None:
     """Train a policy; running the same command again resumes an interrupted training."""
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # like Ctrl-C
+    _run_in_processes(config, sys.argv[1:], command_line("samarl-train"))
+
+
+def train_in_process(words: list[str]) -> Path:
+    """Train as `samarl-train` does, in this process; return the folder of the run.
+
+    Args:
+        words: of the command line.
+
+    Raises:
+        ConfigurationError: or one of `COMPOSITION_ERRORS`: a setting or a file is wrong.
+    """
+    prepare_hydra(train_schema=train_schema())
+    command = CommandLine.parse(words).quoted()
+    if command.is_sweep:
+        raise ConfigurationError("a sweep (-m) trains several policies; call train for each")
+    outer = HydraConfig.instance().cfg
+    try:
+        for config in compose_cells("train", command):
+            check_plugins_and_keys(config)
+            text = shlex.join(["samarl-train", *words])
+            folder = _run_in_processes(config, command.words(), text)
+    finally:
+        HydraConfig.instance().cfg = outer
+    return folder
+
+
+def _run_in_processes(config: DictConfig, words: list[str], command: str) -> Path:
+    """Train in `trainer.processes` processes; return the folder of the run.
+
+    Args:
+        config: the composed configuration.
+        words: of the command line, for the other processes.
+        command: the command line, recorded as provenance.
+    """
     if config.resume is not None:
         config = resumed_config(config)
     processes = settings_in(config).trainer.processes
@@ -65,13 +121,13 @@ def train(config: DictConfig) -> None:
             f"trainer.processes is {processes}; it must be 1 in a sweep, which runs its cells side "
             "by side"
         )
-    with copies(processes, "samarl.commands.train", sys.argv[1:]):
-        _run(config)
+    with copies(processes, "samarl.commands.train", words):
+        return _run(config, command)
 
 
-def _run(config: DictConfig) -> None:
-    """Train in this process, of possibly several."""
-    trainer = build_trainer(config, command_line("samarl-train"))
+def _run(config: DictConfig, command: str) -> Path:
+    """Train in this process, of possibly several; return the folder of the run."""
+    trainer = build_trainer(config, command)
     if rank() == 0:
         with compile_ahead(trainer.stages[0].scenario):
             pass
@@ -93,6 +149,7 @@ def _run(config: DictConfig) -> None:
             f"written to {trainer.run_dir.folder}: "
             f"best validation success {100 * trainer.progress.best_success:.1f} %"
         )
+    return trainer.run_dir.folder
 
 
 def resumed_config(config: DictConfig) -> DictConfig:
@@ -117,7 +174,8 @@ def resumed_config(config: DictConfig) -> DictConfig:
     if "trainer.steps" in overrides:
         saved["trainer"]["steps"] = config.trainer.steps
     plain = OmegaConf.create({**OmegaConf.to_container(config), **saved})  # type: ignore[dict-item]
-    return OmegaConf.merge(plain, {"run_dir": config.resume})  # type: ignore[return-value]
+    own = {"run_dir": config.resume, "scenario": None}  # its stages are saved
+    return OmegaConf.merge(plain, own)  # type: ignore[return-value]
 
 
 def build_trainer(config: DictConfig, command: str) -> Trainer:
@@ -181,10 +239,7 @@ def settings_in(config: DictConfig) -> Settings:
     from samarl.policies.checkpoint import find_policy
     from samarl.training.config import TrainerConfig
 
-    stages: list[CurriculumStage] = OmegaConf.to_object(
-        OmegaConf.merge(OmegaConf.structured(Curriculum), config.curriculum)
-    ).stages  # type: ignore[union-attr]
-    check_stages(stages)
+    stages = stages_in(config)
     trainer = TrainerConfig(**checked_fields(TrainerConfig, config.trainer, "trainer"))
     policy, algorithm = (
         OmegaConf.to_container(config[name], resolve=True) for name in ("policy", "algorithm")
@@ -192,6 +247,53 @@ def settings_in(config: DictConfig) -> Settings:
     check_numbers(trainer, "trainer")
     init_from = None if config.init_from is None else find_policy(config.init_from, "init_from")
     return Settings(stages, trainer, policy, algorithm, init_from)  # type: ignore[arg-type]
+
+
+def stages_in(config: DictConfig) -> list[CurriculumStage]:
+    """Return the stages of the curriculum, or one stage with the scenario if that is set.
+
+    Raises:
+        ConfigurationError: a setting is not valid.
+    """
+    curriculum: Any = OmegaConf.to_container(config.curriculum, resolve=True)
+    stages = []
+    for index, values in enumerate(curriculum["stages"]):
+        path = f"curriculum.stages[{index}]"
+        fields = checked_fields(StageConfig, values, path)
+        fields["scenario"] = scenario_of(fields["scenario"], f"{path}.scenario")
+        stages.append(CurriculumStage(**fields))
+    check_stages(stages)
+    check_numbers(Train(worlds=config.worlds), "")
+    scenario = _single_scenario(config)
+    if scenario is not None:
+        return [single_stage(stages, scenario, config.worlds)]
+    if config.worlds is not None:
+        raise ConfigurationError(
+            f"worlds is {config.worlds}; it must be null without a scenario (the stages of a "
+            "curriculum have their own)"
+        )
+    return stages
+
+
+def _single_scenario(config: DictConfig) -> Scenario | None:
+    """Return the scenario that replaces the curriculum: one that is set, or differs from SAMARL's.
+
+    Raises:
+        ConfigurationError: it is not valid, or the curriculum is set as well.
+    """
+    if config.scenario is None:
+        return None
+    scenario = scenario_in(config)
+    overrides = HydraConfig.get().overrides.task if HydraConfig.initialized() else []
+    names = {re.split("[.=@]", override.lstrip("+~"))[0] for override in overrides}
+    if "scenario" not in names and scenario == Scenario():
+        return None
+    if "curriculum" in names:
+        raise ConfigurationError(
+            "scenario is set, and curriculum as well; one of them must be left out, because the "
+            "stages of a curriculum have scenarios of their own"
+        )
+    return scenario
 
 
 if __name__ == "__main__":

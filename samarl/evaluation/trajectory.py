@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,9 @@ from mrsan import Episodes, Observation, Scenario, State, World
 from mrsan.metrics import episodes_of
 from mrsan.rendering import walls_of
 from samarl.agents import Agent, Explanation
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 Floats = NDArray[np.float32]
 Bools = NDArray[np.bool_]
@@ -28,9 +32,12 @@ class Trajectory:
     case: int
     walls: Floats  # [W, 4] x and y of the starts and ends of wall segments
     robot_position: Floats  # [T + 1, N, 2]
+    robot_velocity: Floats  # [T + 1, N, 2]
     robot_heading: Floats  # [T + 1, N]
     robot_goal: Floats  # [N, 2]
     human_position: Floats  # [T + 1, M, 2] of everybody present at any time
+    human_velocity: Floats  # [T + 1, M, 2]
+    human_goal: Floats  # [T + 1, M, 2]
     human_radius: Floats  # [M]
     human_present: Bools  # [T + 1, M]
     driving: Bools  # [T + 1, N] not yet arrived
@@ -58,23 +65,26 @@ def record_episode(agent: Agent, scenario: Scenario, case: int) -> Trajectory:
         explanations.append(agent.explain() or Explanation())
         observation = world.step(action).observation
         snapshots.append(_snapshot(state, observation))
-    position, heading, humans, present, driving, lidar, *masks = (
-        np.stack(series) for series in zip(*snapshots, strict=True)
-    )
+    series = [np.stack(values) for values in zip(*snapshots, strict=True)]
+    position, velocity, heading, driving, lidar, *people_and_masks = series
+    humans, human_velocity, human_goal, present, *masks = people_and_masks
     humans_visible, robots_visible, humans_reported, robots_reported = masks
     ever_present = present.any(0)
     waypoint, human_attention, robot_attention, shielded = (
-        None if series[0] is None else np.concatenate(series)
-        for series in zip(*explanations, strict=True)
+        None if values[0] is None else np.concatenate(values)
+        for values in zip(*explanations, strict=True)
     )
     return Trajectory(
         scenario=scenario,
         case=case,
         walls=walls_of(state, 0).copy(),
         robot_position=position,
+        robot_velocity=velocity,
         robot_heading=heading,
         robot_goal=state.robot_goal[0].copy(),
         human_position=humans[:, ever_present],
+        human_velocity=human_velocity[:, ever_present],
+        human_goal=human_goal[:, ever_present],
         human_radius=state.human_radius[0, ever_present],
         human_present=present[:, ever_present],
         driving=driving,
@@ -94,16 +104,79 @@ def record_episode(agent: Agent, scenario: Scenario, case: int) -> Trajectory:
 def _snapshot(state: State, observation: Observation) -> tuple[NDArray, ...]:
     return (
         state.robot_position[0].copy(),
+        state.robot_velocity[0].copy(),
         state.robot_heading[0].copy(),
-        state.human_position[0].copy(),
-        state.human_present[0].copy(),
         ~state.arrived[0],
         observation.sensors["lidar"][0] if "lidar" in observation.sensors else np.zeros(0),
+        state.human_position[0].copy(),
+        state.human_velocity[0].copy(),
+        state.human_goal[0].copy(),
+        state.human_present[0].copy(),
         observation.humans_visible[0],
         observation.robots_visible[0],
         observation.humans_reported[0],
         observation.robots_reported[0],
     )
+
+
+def as_table(trajectory: Trajectory) -> DataFrame:
+    """Return a trajectory as a table with one row per step and agent, ordered by step.
+
+    Its columns are `step`, `time` (s), `kind` (robot or human) and `id`; the position `x`, `y` (m),
+    the velocity `vx`, `vy` (m/s) and the goal `goal_x`, `goal_y` in the world frame; and `radius`.
+    Further columns describe robots only: `heading` (rad), `arrived`, the waypoint `waypoint_x`,
+    `waypoint_y` it drives to in the following step, and whether the shield replaced the action of
+    that step (`shielded`). They are NaN or false for people, and where an agent has no such thing.
+    People are listed while they are present.
+    """
+    import pandas as pd
+
+    t = trajectory
+    steps, robots = t.driving.shape
+    waypoint = np.full((steps, robots, 2), np.nan, np.float32)
+    if t.waypoint is not None:
+        waypoint[:-1] = t.waypoint
+    shielded = np.zeros((steps, robots), np.bool_)
+    if t.shielded is not None:
+        shielded[:-1] = t.shielded
+    goals = np.broadcast_to(t.robot_goal, t.robot_position.shape)
+    robot_rows = _rows("robot", t, t.robot_position, t.robot_velocity, goals) | {
+        "radius": t.scenario.robot_radius,
+        "heading": t.robot_heading.ravel(),
+        "arrived": ~t.driving.ravel(),
+        "waypoint_x": waypoint[..., 0].ravel(),
+        "waypoint_y": waypoint[..., 1].ravel(),
+        "shielded": shielded.ravel(),
+    }
+    human_rows = _rows("human", t, t.human_position, t.human_velocity, t.human_goal) | {
+        "radius": np.tile(t.human_radius, steps),
+        "arrived": False,
+        "shielded": False,
+    }
+    people = pd.DataFrame(human_rows)[t.human_present.ravel()]
+    table = pd.concat([pd.DataFrame(robot_rows), people], ignore_index=True)
+    return table.sort_values("step", kind="stable", ignore_index=True)
+
+
+def _rows(
+    kind: str, trajectory: Trajectory, position: Floats, velocity: Floats, goal: Floats
+) -> dict[str, Any]:
+    """Return the columns that robots and people share, of K agents with arrays [T + 1, K, 2]."""
+    steps, agents = position.shape[:2]
+    step = np.repeat(np.arange(steps), agents)
+    columns = {
+        "step": step,
+        "time": step * trajectory.scenario.time_step,
+        "kind": kind,
+        "id": np.tile(np.arange(agents), steps),
+    }
+    for array, names in (
+        (position, ("x", "y")),
+        (velocity, ("vx", "vy")),
+        (goal, ("goal_x", "goal_y")),
+    ):
+        columns |= {name: array[..., axis].ravel() for axis, name in enumerate(names)}
+    return columns
 
 
 def _with_diagonal(values: NDArray) -> NDArray:

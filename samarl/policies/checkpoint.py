@@ -158,13 +158,17 @@ def find_policy(name: str, field: str = "checkpoint") -> Path:
     )
 
 
-def load_policy(path: Path) -> tuple[Policy, PolicyCard]:
+def load_policy(path: Path | str) -> tuple[Policy, PolicyCard]:
     """Read a policy and its card.
+
+    Args:
+        path: a file, or the name of a shipped policy as a string.
 
     Raises:
         ConfigurationError: a file is missing or damaged, is not that of a policy or has another
             format, or a weight is not finite.
     """
+    path = find_policy(path) if isinstance(path, str) else path
     card, card_path = read_card(path), path.with_suffix(".json")
     if hashlib.sha256(path.read_bytes()).hexdigest() != card.sha256:
         raise ConfigurationError(f"{path} is damaged: its digest is not that in {card_path}")

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from markupsafe import Markup, escape
 
-from samarl.configuration import available_agents, load_agent
+from samarl.configuration import available_agents, load_agent_config
 from samarl.evaluation.summary import Row, column_of
 from samarl.evaluation.table import grid_of
 from samarl.files import find_folder
@@ -65,7 +65,7 @@ def _line(name: str, rows: list[Row | None]) -> Line:
 @cache
 def _checkpoint(name: str) -> str | None:
     """Return the checkpoint of an agent's configuration; cached, since composing it is slow."""
-    return load_agent(name).get("checkpoint") if name in available_agents() else None
+    return load_agent_config(name).get("checkpoint") if name in available_agents() else None
 
 
 def _leading_comment(path: Path) -> str:

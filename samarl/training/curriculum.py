@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from omegaconf import MISSING
 
@@ -52,3 +52,18 @@ def check_stages(stages: list[CurriculumStage]) -> None:
                 f"curriculum.stages has no stage that is active at {share:g} of the training; it "
                 "must have at least one at any time"
             )
+
+
+def single_stage(
+    stages: list[CurriculumStage], scenario: Scenario, worlds: int | None
+) -> CurriculumStage:
+    """Return one stage with a scenario, and otherwise like the last stage of a curriculum.
+
+    Args:
+        stages: of the curriculum.
+        scenario: of the stage.
+        worlds: number of worlds; None: that of all stages with which the curriculum ends.
+    """
+    final = [stage for stage in stages if stage.end == 1.0]
+    total = sum(stage.worlds for stage in final)
+    return replace(final[-1], begin=0.0, worlds=worlds or total, scenario=scenario)

@@ -1,5 +1,7 @@
 """The three wrappers pass their libraries' checks and give the same numbers."""
 
+import subprocess
+import sys
 import warnings
 
 import gymnasium
@@ -11,7 +13,7 @@ from pettingzoo.test import parallel_api_test
 from tensordict import TensorDict
 from torchrl.envs.utils import check_env_specs
 
-from mrsan import ActionError, ConfigurationError, Kinematics, Scenario, TeamPerception, World
+from mrsan import ActionError, ConfigurationError, Kinematics, Scenario, Step, TeamPerception, World
 from mrsan.gymnasium_env import GymnasiumEnv, GymnasiumVectorEnv
 from mrsan.pettingzoo_env import PettingZooEnv
 from mrsan.torchrl_env import TorchRLEnv
@@ -73,7 +75,6 @@ def test_all_wrappers_play_a_case_alike(scenario: Scenario) -> None:
         for name, part in step.reward_parts._asdict().items():
             batch_part = td["agents", "reward_parts", name]
             np.testing.assert_array_equal(batch_part[..., 0].numpy(), part)
-        parts = np.stack(step.reward_parts, -1)
         np.testing.assert_array_equal(td["terminated"][:, 0].numpy(), step.terminated)
         np.testing.assert_array_equal(td["truncated"][:, 0].numpy(), step.truncated)
         arrived = world.state.arrived
@@ -89,12 +90,17 @@ def test_all_wrappers_play_a_case_alike(scenario: Scenario) -> None:
             assert set(truncated.values()) == {bool(step.truncated[e])}
             assert [info["arrived"] for info in infos.values()] == arrived[e].tolist()
             for i, info in enumerate(infos.values()):
-                np.testing.assert_array_equal(info["reward_parts"], parts[e, i])
+                assert info["reward_parts"] == parts_of(step, e, i)
         for e, env in enumerate(gyms):
             single[e], reward, terminated, truncated, info = env.step(actions[t, e, 0])
             assert reward == step.reward[e, 0]
-            np.testing.assert_array_equal(info["reward_parts"], parts[e, 0])
+            assert info["reward_parts"] == parts_of(step, e, 0)
             assert (terminated, truncated) == (step.terminated[e], step.truncated[e])
+
+
+def parts_of(step: Step, world: int, robot: int) -> dict[str, float]:
+    parts = step.reward_parts._asdict()
+    return {name: part[world, robot].item() for name, part in parts.items()}
 
 
 def test_without_a_seed_the_next_episode_of_the_case_begins() -> None:
@@ -220,6 +226,13 @@ def test_gymnasium_drives_one_robot() -> None:
         GymnasiumEnv(robots=3)
     with pytest.raises(ConfigurationError, match=r"scenario.robots is 2"):
         GymnasiumVectorEnv(2, scenario=Scenario(robots=2))
+
+
+def test_gymnasium_imports_the_module_that_an_id_names() -> None:
+    """Gymnasium has no plugins since 1.0; `module:id` takes their place."""
+    code = "import gymnasium; env = gymnasium.make('mrsan:mrsan/SocialNavigation-v0'); print(env)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert "<GymnasiumEnv<mrsan/SocialNavigation-v0>>" in done.stdout
 
 
 def test_gymnasium_makes_it_by_its_id() -> None:

@@ -10,11 +10,11 @@ import pytest
 from mrsan import ConfigurationError, Crowd, Kinematics, Observation, Scenario, Split, World
 from mrsan.fields import required
 from samarl.agents import Agent, build_agent
-from samarl.configuration import available_agents, load_agent
+from samarl.configuration import available_agents, load_agent_config
 from samarl.evaluation.runner import run_cases
 from samarl.policies.checkpoint import find_policy, load_policy, save_policy
 
-CONFIGS = {name: load_agent(name) for name in available_agents()}
+CONFIGS = {name: load_agent_config(name) for name in available_agents()}
 NAMES = list(CONFIGS)
 LEARNED = {name for name in NAMES if "checkpoint" in CONFIGS[name]}
 CASES = Split.test.case(0) + np.arange(40)

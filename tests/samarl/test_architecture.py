@@ -26,6 +26,7 @@ ROOMS = [
     "samarl.training",
     "samarl.report",
     "samarl.commands",
+    "samarl.api",
 ]
 
 

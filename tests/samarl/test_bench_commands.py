@@ -9,7 +9,7 @@ import torch
 
 from mrsan import Crowd, Reward, Scenario, Split
 from samarl.commands.bench import _command, _row, _Task, main
-from samarl.configuration import load_agent
+from samarl.configuration import load_agent_config
 from samarl.evaluation.regression import compare
 from samarl.evaluation.runner import Evaluation
 from samarl.evaluation.summary import Row, read_rows
@@ -79,7 +79,7 @@ def test_a_policy_with_damaged_weights_differs(tmp_path: Path) -> None:
         for parameter in policy.networks[0].encoder.humans.parameters():
             parameter.zero_()  # it ignores people
     save_policy(tmp_path / "damaged.safetensors", policy, card.policy, {})
-    agent, cases = load_agent("samarl_flat"), Evaluation(cases=25)
+    agent, cases = load_agent_config("samarl_flat"), Evaluation(cases=25)
     whole = compare(
         _row(_Task("samarl_flat", [agent], Scenario(), cases), Scenario(), "", []), committed()
     )
@@ -93,8 +93,8 @@ def test_a_policy_with_damaged_weights_differs(tmp_path: Path) -> None:
 
 def test_a_row_of_a_policy_has_its_training_commands() -> None:
     agents = [
-        load_agent("samarl_flat"),
-        load_agent("samarl_flat") | {"checkpoint": "samarl_flat_seed0"},
+        load_agent_config("samarl_flat"),
+        load_agent_config("samarl_flat") | {"checkpoint": "samarl_flat_seed0"},
     ]
     scenario = Scenario(humans=0, robots=1)
     row = _row(_Task("samarl_flat", agents, scenario, Evaluation(cases=1)), scenario, "", [])
@@ -105,7 +105,7 @@ def test_a_row_of_a_policy_has_its_training_commands() -> None:
     other = train.replace("seed=2", "seed=0") + "_seed0"
     assert row["training_commands"] == [train, other]
     straight = _row(
-        _Task("straight", [load_agent("straight")], scenario, Evaluation(cases=1)),
+        _Task("straight", [load_agent_config("straight")], scenario, Evaluation(cases=1)),
         scenario,
         "",
         [],
@@ -114,7 +114,7 @@ def test_a_row_of_a_policy_has_its_training_commands() -> None:
 
 
 def test_a_planner_that_is_five_points_worse_differs() -> None:
-    agent = load_agent("perimeter")
+    agent = load_agent_config("perimeter")
     good = _row(_Task("perimeter", [agent], Scenario(), Evaluation()), Scenario(), "", [])
     assert compare(good, committed()).startswith(("same ", "close "))
     task = _Task("perimeter", [{**agent, "radius": 7.0}], Scenario(), Evaluation())

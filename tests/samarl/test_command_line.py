@@ -33,6 +33,7 @@ from samarl.commands.errors import explain
 from samarl.commands.export import Export
 from samarl.commands.overrides import PATH_FIELDS, CommandLine
 from samarl.commands.predictor import Predictor
+from samarl.commands.record import Record
 from samarl.commands.recordings import recordings_in
 from samarl.commands.render import Render
 from samarl.commands.report import Report
@@ -120,6 +121,7 @@ def test_every_path_field_is_known() -> None:
         Bench,
         Export,
         Predictor,
+        Record,
         Render,
         Report,
         Train,

@@ -8,7 +8,11 @@ import pytest
 EXAMPLES = {
     "mrsan.world": 4,
     "mrsan.pettingzoo_env": 4,
+    "mrsan.reward_terms": 1,
+    "mrsan.sb3_env": 2,
     "mrsan.torchrl_env": 2,
+    "samarl": 2,
+    "samarl.api": 7,
     "samarl.evaluation.metrics": 2,
 }
 

@@ -16,7 +16,7 @@ from mrsan.parameters import kernel_parameters
 from samarl.agents import Agent, build_agent
 from samarl.agents.learned import Learned
 from samarl.agents.shielded import Shielded
-from samarl.configuration import load_agent
+from samarl.configuration import load_agent_config
 from samarl.encoders import ENCODERS
 from samarl.export import OPSET, export_agent
 from samarl.planning.shield import Shield
@@ -82,7 +82,7 @@ def remembered(agent: Agent) -> list[np.ndarray]:
 def test_a_thousand_decisions_are_those_of_the_policy(name: str, tmp_path: Path) -> None:
     """With the shield and without, in the same scenes, from what a robot itself could say."""
     scenario = Scenario()
-    agent = build_agent({**load_agent(name), "shield": True}, scenario)
+    agent = build_agent({**load_agent_config(name), "shield": True}, scenario)
     assert isinstance(agent, Shielded)
     export_agent(tmp_path / "policy.onnx", agent, name)
     networks = [Network(tmp_path / "policy.onnx"), Network(tmp_path / "policy.onnx")]
@@ -240,10 +240,10 @@ def test_the_file_says_what_it_is(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("agent", "message"),
     [
-        (load_agent("orca"), r"agent .*mine"),
-        (load_agent("samarl_first_waypoint"), r"agent\.waypoints .*first.*learned"),
+        (load_agent_config("orca"), r"agent .*mine"),
+        (load_agent_config("samarl_first_waypoint"), r"agent\.waypoints .*first.*learned"),
         (
-            {**load_agent("samarl_flat"), "shield": {"predictor": "recurrent"}},
+            {**load_agent_config("samarl_flat"), "shield": {"predictor": "recurrent"}},
             r"agent\.shield\.predictor .*recurrent.*constant_velocity",
         ),
     ],

@@ -18,7 +18,7 @@ from mrsan import ConfigurationError, Scenario, World
 from mrsan.recording import SAMPLE
 from samarl.agents.learned import DeployedPolicy
 from samarl.algorithms import ALGORITHMS
-from samarl.commands.train import Train, build_trainer
+from samarl.commands.train import build_trainer, train_schema
 from samarl.configuration import first, register_schemas
 from samarl.encoders import ENCODERS
 from samarl.files import find_folder
@@ -59,7 +59,7 @@ def conf() -> Iterator[None]:
     """The folder of YAML files."""
     OmegaConf.register_new_resolver("first", first, replace=True)
     register_schemas()
-    ConfigStore.instance().store(name="train_schema", node=Train)
+    ConfigStore.instance().store(name="train_schema", node=train_schema())
     with initialize_config_dir(str(find_folder("conf")), version_base="1.3"):
         yield
 

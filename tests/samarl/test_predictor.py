@@ -14,7 +14,7 @@ from safetensors.numpy import save
 from mrsan import ConfigurationError, Crowd, Scenario, Split, World
 from mrsan.prediction import PREDICTORS, ConstantVelocity, find_predictor, own_frame
 from samarl.agents import build_agent
-from samarl.configuration import load_agent
+from samarl.configuration import load_agent_config
 from samarl.observations.tracker import Tracker
 from samarl.planning.track_predictor import OffsetPredictor
 from samarl.prediction.learner import Learner, Network, save_predictor
@@ -148,7 +148,7 @@ SCENARIO = Scenario(robots=3, humans=16, fov_degrees=200.0)
 def predicting_agent(who: str, predictor: str) -> dict[str, Any]:
     """A planner that foresees, or the blind walk straight ahead under a shield that does."""
     of = {"shield": {"predictor": predictor}} if who == "shield" else {"predictor": predictor}
-    return load_agent("straight" if who == "shield" else who) | of
+    return load_agent_config("straight" if who == "shield" else who) | of
 
 
 def driven(config: dict[str, Any], scenario: Scenario = SCENARIO) -> list[np.ndarray]:
@@ -167,7 +167,11 @@ def test_the_default_predictor_is_constant_velocity(
     who: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """To the bit: as by default, through the interface of predictors, with weights of zero."""
-    default = load_agent("straight") | {"shield": True} if who == "shield" else load_agent(who)
+    default = (
+        load_agent_config("straight") | {"shield": True}
+        if who == "shield"
+        else load_agent_config(who)
+    )
     expected = driven(default)
     save_predictor(tmp_path / "zero.safetensors", Network(4).predictor(8, DT), {})
     monkeypatch.setitem(PREDICTORS, "straight", ConstantVelocity)
@@ -243,7 +247,7 @@ def test_agents_react_to_a_predicted_turn(monkeypatch: pytest.MonkeyPatch) -> No
         action = build_agent(predicting_agent(who, name), scenario).act(world.observe())
         assert np.isfinite(action).all()
         actions[who, name] = action[0, 0]
-    straight = build_agent(load_agent("straight"), scenario).act(world.observe())[0, 0]
+    straight = build_agent(load_agent_config("straight"), scenario).act(world.observe())[0, 0]
     np.testing.assert_array_equal(actions["shield", "constant_velocity"], straight)
     for who in ("shield", "model_predictive"):
         assert (actions[who, "sideways"] != actions[who, "constant_velocity"]).any()

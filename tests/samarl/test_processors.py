@@ -24,7 +24,7 @@ import numpy as np
 
 from mrsan import Layout, LidarSees, Reward, Scenario, World
 from samarl.agents import build_agent
-from samarl.configuration import load_agent
+from samarl.configuration import load_agent_config
 
 CASES = np.arange(12)
 circle = Scenario(fov_degrees=90.0, position_noise=0.05, reward=Reward(lookahead=1.0))
@@ -33,7 +33,7 @@ for name in sys.argv[1:]:
     digest = hashlib.sha256()
     for scenario in (circle, doorway):
         world = World(scenario, len(CASES), auto_reset=False)
-        agent = build_agent(load_agent(name), scenario)
+        agent = build_agent(load_agent_config(name), scenario)
         observation = world.reset(CASES)
         agent.reset(np.ones(len(CASES), np.bool_))
         for _ in range(200):

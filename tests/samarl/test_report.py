@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from mrsan import Scenario, TeamPerception
 from samarl.agents import build_agent
 from samarl.commands.report import _methods
-from samarl.configuration import available_agents, load_agent
+from samarl.configuration import available_agents, load_agent_config
 from samarl.evaluation.metrics import METRICS, Metric, Tables
 from samarl.evaluation.summary import Column, Row, column_of
 from samarl.evaluation.trajectory import record_episode
@@ -322,7 +322,7 @@ def test_a_policy_is_shown_with_its_own_agent() -> None:
     methods = _methods(None, find_folder("results"))
     assert set(available_agents()) <= set(methods)
     for name in available_agents():
-        config = load_agent(name)
+        config = load_agent_config(name)
         shown = {**methods[name], "checkpoint": Path(methods[name].get("checkpoint", "")).stem}
         assert shown == {**config, "checkpoint": config.get("checkpoint", "")}
 

@@ -6,7 +6,7 @@ import pytest
 from mrsan import Crowd, Scenario, World
 from mrsan.parameters import kernel_parameters
 from samarl.agents import build_agent
-from samarl.configuration import load_agent
+from samarl.configuration import load_agent_config
 from samarl.observations.tracker import Tracker
 from samarl.planning.shield import Shield, apply_shield
 from tests.scenes import scene_of
@@ -107,7 +107,7 @@ def test_a_slot_rests_for_so_long_before_another_person_has_it(time_step: float)
 def test_a_policy_names_what_it_was_not_trained_for(
     fields: dict[str, float], trained: str, here: str
 ) -> None:
-    config = load_agent("samarl_flat")
+    config = load_agent_config("samarl_flat")
     assert build_agent(config, Scenario()).scope_warning() is None
     warning = build_agent(config, Scenario(**fields)).scope_warning()
     assert warning == f"samarl_flat was trained for {trained}; here it is {here}"

@@ -6,7 +6,7 @@ import pytest
 from mrsan import ConfigurationError, Crowd, Kinematics, Observation, Scenario, Split, World
 from mrsan.features import GOAL
 from samarl.agents import Agent, build_agent
-from samarl.configuration import load_agent
+from samarl.configuration import load_agent_config
 from samarl.evaluation.runner import run_cases
 from samarl.planning.shield import Shield, apply_shield
 
@@ -14,7 +14,7 @@ CASES = Split.test.case(0) + np.arange(40)
 
 
 def shielded_agent(name: str, scenario: Scenario) -> Agent:
-    return build_agent({**load_agent(name), "shield": True}, scenario)
+    return build_agent({**load_agent_config(name), "shield": True}, scenario)
 
 
 @pytest.mark.parametrize("kinematics", Kinematics)
@@ -33,7 +33,9 @@ def test_every_action_passes_in_an_empty_world(kinematics: Kinematics) -> None:
 def test_people_who_stand_still_are_never_hit(kinematics: Kinematics) -> None:
     """Predictions are exact then, so a safe action always has a safe successor."""
     scenario = Scenario(robots=1, crowd=Crowd.still, kinematics=kinematics, spawn_jitter=2.0)
-    blind = run_cases(build_agent(load_agent("straight"), scenario), scenario, CASES, batch=40)
+    blind = run_cases(
+        build_agent(load_agent_config("straight"), scenario), scenario, CASES, batch=40
+    )
     safe = run_cases(shielded_agent("straight", scenario), scenario, CASES, batch=40)
     assert blind.hit_human.mean() > 0.2
     assert not safe.hit_human.any()
@@ -42,7 +44,7 @@ def test_people_who_stand_still_are_never_hit(kinematics: Kinematics) -> None:
 @pytest.mark.parametrize("fov", [90.0, 360.0])
 def test_the_shield_prevents_most_collisions_of_a_blind_planner(fov: float) -> None:
     scenario = Scenario(fov_degrees=fov, robots=5)
-    agent = build_agent(load_agent("perimeter"), scenario)
+    agent = build_agent(load_agent_config("perimeter"), scenario)
     blind = run_cases(agent, scenario, CASES, batch=40)
     safe = run_cases(shielded_agent("perimeter", scenario), scenario, CASES, batch=40)
     assert blind.hit_human.sum() > 2 * safe.hit_human.sum()
@@ -72,14 +74,14 @@ def test_actions_of_arrived_robots_are_not_replaced() -> None:
 )
 def test_invalid_shield_fields_are_reported(shield: object, message: str) -> None:
     with pytest.raises(ConfigurationError, match=message):
-        build_agent({**load_agent("straight"), "shield": shield}, Scenario())
+        build_agent({**load_agent_config("straight"), "shield": shield}, Scenario())
 
 
 @pytest.mark.parametrize("name", ["samarl", "samarl_narrow"])
 def test_a_configured_shield_equals_a_wrapped_agent(name: str) -> None:
     scenario = Scenario(humans=16, fov_degrees=120.0)
-    policy = build_agent(load_agent(name), scenario)
-    free = build_agent(load_agent(f"{name}_unshielded"), scenario)
+    policy = build_agent(load_agent_config(name), scenario)
+    free = build_agent(load_agent_config(f"{name}_unshielded"), scenario)
     wrapped = shielded_agent(f"{name}_unshielded", scenario)
     world = World(scenario, 30)
     observation = world.reset(CASES[:30])
@@ -149,5 +151,5 @@ def test_robots_that_block_each_other_arrive(kinematics: Kinematics, standoff: s
 def test_robots_without_people_arrive(name: str) -> None:
     scenario = Scenario(robots=5, humans=0)
     cases = Split.validation.case(0) + np.arange(40)
-    episodes = run_cases(build_agent(load_agent(name), scenario), scenario, cases, batch=40)
+    episodes = run_cases(build_agent(load_agent_config(name), scenario), scenario, cases, batch=40)
     assert episodes.success.all()

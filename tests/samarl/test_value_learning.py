@@ -18,7 +18,7 @@ from samarl.agents import build_agent
 from samarl.agents.learned import DeployedPolicy, Learned
 from samarl.algorithms import ALGORITHMS
 from samarl.algorithms.value_learning import OTHERS, ValueLearning, samples_of, widened
-from samarl.configuration import load_agent
+from samarl.configuration import load_agent_config
 from samarl.encoders import ENCODERS, Encoder
 from samarl.observations.features import frames_of
 from samarl.observations.frames import FeatureSizes, Frames
@@ -101,7 +101,7 @@ def test_it_imitates_orca_and_explores_with_epsilon() -> None:
     observation = world.reset(np.arange(50))
     state, begins = policy.initial_state(50, scenario), np.ones(50, np.bool_)
     policy.imitating = True
-    orca = build_agent(load_agent("orca"), scenario).act(observation)
+    orca = build_agent(load_agent_config("orca"), scenario).act(observation)
     action = policy.act(observation, state, begins, scenario, 0.0).action
     np.testing.assert_array_equal(action, orca)
     greedy = policy.act(observation, state, begins, scenario).action

@@ -11,7 +11,7 @@ from mrsan.features import HEADING_COS, HEADING_SIN, VELOCITY
 from mrsan.parameters import kernel_parameters
 from samarl.agents import build_agent
 from samarl.agents.learned import Learned
-from samarl.configuration import load_agent
+from samarl.configuration import load_agent_config
 from samarl.planning.velocity_control import retarget_actions
 
 ALONE = Scenario(robots=1, humans=0)
@@ -75,7 +75,7 @@ def test_a_robot_with_limits_tracks_the_velocity_within_them() -> None:
 
 
 def test_a_policy_drives_other_robots_only_with_track_velocity() -> None:
-    config = load_agent("msa3cpred")
+    config = load_agent_config("msa3cpred")
     with pytest.raises(
         ConfigurationError,
         match=r"scenario\.kinematics is acceleration_heading; .*agent\.track_velocity",

@@ -15,7 +15,7 @@ import samarl
 from mrsan import Outcome
 from samarl.evaluation.summary import row_fields
 
-COMMANDS = ("evaluate", "bench", "render", "report", "predictor", "export")
+COMMANDS = ("evaluate", "bench", "render", "record", "report", "predictor", "export")
 
 
 def run(
@@ -325,6 +325,7 @@ def test_help_is_fast(command: str, tmp_path: Path) -> None:
         "export": ("robot_radius: 0.3", "m [0.05, 2]"),
         "evaluate": ("fov_degrees: 360.0", "centred on the heading, degrees (0, 360]"),
         "render": ("time_horizon: 5.0", "must be safe, s [0.01, 100]"),
+        "record": ("output: outputs/case.csv", "# or .npz, with one array per column"),
         "report": ("agents: null", "# list of agents in the replays; null: all of conf/agent/"),
         "predictor": ("history: 8", "which cover 1.75 s [2, 200]"),
         "bench": ("cases: 500", "number of cases [1, 1e+06]"),

@@ -80,7 +80,7 @@ def advance(chunks, state, action, p, crowd_settings, recording, reward, parts):
         crowd_settings: the settings of the crowd model, see `mrsan.crowds`.
         recording: the tracks of recorded people.
         reward: [E, N], written; zero in worlds that had ended.
-        parts: [8, E, N], written: its terms in the order of `RewardParts`.
+        parts: [9, E, N], written: its terms in the order of `RewardParts`.
     """
     total, robots = reward.shape
     people = state.human_radius.shape[1]

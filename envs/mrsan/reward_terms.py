@@ -1,0 +1,97 @@
+"""Custom terms of the reward, by the names that scenarios use.
+
+A user's module registers a function with `register_reward_term`, and commands import that module
+with `plugins=[module]`. `Reward.terms` holds the weights of the terms.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mrsan.fields import ConfigurationError
+from mrsan.state import Bools, Floats, State
+
+if TYPE_CHECKING:
+    from mrsan.scenario import Scenario
+
+F = TypeVar("F", bound="Callable[[State, Scenario], ArrayLike]")
+
+REWARD_TERMS: dict[str, Callable[[State, Scenario], ArrayLike]] = {}
+
+
+def register_reward_term(name: str) -> Callable[[F], F]:
+    """Return a decorator that registers a function as a term of the reward.
+
+    The function takes the `mrsan.State` of all worlds after a step, which it must not change, and
+    the scenario; it returns the term of every robot, [E, N]. Times its weight in
+    `Scenario.reward.terms`, it is added to the reward of the robots that had not arrived before the
+    step. `RewardParts.custom` is the sum of all such terms.
+
+    Args:
+        name: key in `Scenario.reward.terms`, an identifier. A later term of the same name replaces
+            an earlier one.
+
+    Raises:
+        ValueError: the name is not an identifier.
+
+    Examples:
+        >>> @register_reward_term("speed")
+        ... def speed(state, scenario):
+        ...     return np.linalg.norm(state.robot_velocity, axis=-1)
+    """
+    if not name.isidentifier():
+        raise ValueError(f"the name of a reward term is {name!r}; it must be an identifier")
+
+    def register(function: F) -> F:
+        REWARD_TERMS[name] = function
+        return function
+
+    return register
+
+
+def check_reward_terms(terms: Any) -> None:
+    """Check the weights of the terms of a scenario.
+
+    Raises:
+        ConfigurationError: there is no such term, or a weight is not a finite number.
+    """
+    if not isinstance(terms, dict):
+        raise ConfigurationError(
+            f"scenario.reward.terms is {terms!r}; it must map names of terms to their weights"
+        )
+    for name, weight in terms.items():
+        if name not in REWARD_TERMS:
+            known = f"one of {', '.join(REWARD_TERMS)} or " if REWARD_TERMS else ""
+            raise ConfigurationError(
+                f"scenario.reward.terms has {name!r}; it must be {known}registered in this "
+                "process: import its module, in commands by plugins=[module]"
+            )
+        is_number = isinstance(weight, int | float) and not isinstance(weight, bool)
+        if not is_number or not math.isfinite(weight):
+            raise ConfigurationError(
+                f"scenario.reward.terms.{name} is {weight!r}; it must be a finite number"
+            )
+
+
+def sum_of_terms(state: State, scenario: Scenario, driving: Bools) -> Floats:
+    """Return the weighted sum of the custom terms after a step, [E, N]; zero where not `driving`.
+
+    Raises:
+        ValueError: a term has another shape or is not finite.
+    """
+    total = np.zeros(driving.shape, np.float32)
+    for name, weight in scenario.reward.terms.items():
+        term = np.asarray(REWARD_TERMS[name](state, scenario), np.float32)
+        if term.shape != total.shape:
+            raise ValueError(
+                f"reward term {name} has shape {term.shape}; it must have {total.shape}"
+            )
+        if not np.isfinite(term[driving]).all():
+            raise ValueError(f"reward term {name} is NaN or infinite; it must be finite")
+        total[driving] += np.float32(weight) * term[driving]
+    return total
