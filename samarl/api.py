@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from mrsan import ConfigurationError, Scenario, Split
 from mrsan.scenario import overridden
+from mrsan.suggestions import choice_hint
 from samarl import configuration
 from samarl.agents import Agent, build_agent
 from samarl.commands.agents import AGENT_OF_POLICY
@@ -27,7 +28,7 @@ from samarl.evaluation.runner import Evaluation, run_cases
 from samarl.evaluation.summary import changed_fields, summarise
 from samarl.evaluation.trajectory import as_table, record_episode
 from samarl.files import check_writable, code_version
-from samarl.messages import choice_hint
+from samarl.progress import progress_bar
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -123,7 +124,8 @@ def evaluate(
     driver = _agent_for(agent, scenario)
     title = name or _name_of(driver)
     numbers = _case_numbers(cases, split)
-    episodes = run_cases(driver, driver.scenario, numbers, batch, title)
+    with progress_bar(total=len(numbers), desc=title, unit="case", leave=False) as bar:
+        episodes = run_cases(driver, driver.scenario, numbers, batch, bar.update)
     named = None
     with contextlib.suppress(ConfigurationError):  # the name of a scenario may be the user's own
         named = configuration.load_scenario(driver.scenario.name)
