@@ -14,9 +14,10 @@ from samarl.commands.composition import compose_cells
 from samarl.commands.export import Export
 from samarl.commands.overrides import CommandLine
 from samarl.commands.predictor import Predictor
+from samarl.commands.record import Record
 from samarl.commands.render import Render
 from samarl.commands.report import Report
-from samarl.commands.train import Train
+from samarl.commands.train import train_schema
 from samarl.configuration import first, register_schemas
 
 ROOT = Path(__file__).parents[2]
@@ -26,12 +27,13 @@ SCHEMAS = {
     "bench": Bench,
     "export": Export,
     "predictor": Predictor,
+    "record": Record,
     "render": Render,
     "report": Report,
-    "train": Train,
+    "train": train_schema(),
 }
-# Placeholders; options instead of settings; `samarl-train scenario=...` selects its own curriculum.
-OTHER_SYNTAX = r"\.\.\.|NAME|RECORDINGS=|--help|samarl-recor|samarl-train .*\bscenario[.=]"
+# Placeholders; options instead of settings.
+OTHER_SYNTAX = r"\.\.\.|NAME|RECORDINGS=|--help|samarl-recording"
 
 
 def command_lines() -> Iterator[tuple[str, str]]:
