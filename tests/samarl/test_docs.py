@@ -203,6 +203,15 @@ def test_the_environment_is_made_as_printed() -> None:
         assert done.returncode == 0, done.stderr
 
 
+def test_the_python_interface_evaluates_as_printed() -> None:
+    """The block of the quick start; that of training takes minutes, see `test_api.py`."""
+    text = (DOCS / "quickstart.md").read_text().split("## From Python\n")[1]
+    values: dict[str, Any] = {}
+    exec(block(text, "python"), values)
+    assert values["result"].row["episodes"] == 20
+    assert {"step", "x", "y"} <= set(values["steps"].columns)
+
+
 def test_the_readme_is_short() -> None:
     text = (DOCS.parent / "README.md").read_text()
     assert len(text.split()) <= 1000
