@@ -31,6 +31,7 @@ class Tables(Flag):
     driving = auto()  # of the report, on how the robots drive
     counted = auto()  # printed and report, if collisions do not end the episode
     walled = auto()  # printed and report, of places with walls
+    grouped = auto()  # printed and report, if there are groups of people
     everywhere = printed | report | driving
 
 
@@ -301,6 +302,18 @@ def _soonest_collision(episodes: Episodes) -> Value:
     return float(np.median(np.minimum(seconds, _MAX_TIME_TO_COLLISION))) if seconds.size else None
 
 
+@metric("group_intrusion_rate", heading="in a group %", tables=Tables.grouped)
+def _group_intrusion(episodes: Episodes) -> Value:
+    """Episodes in which a robot was inside a group of people, %; undefined without groups."""
+    return _rate_if_defined((episodes.intrusion_share > 0).any(axis=1), episodes)
+
+
+@metric("group_intrusion_share", heading="")
+def _group_intrusion_share(episodes: Episodes) -> Value:
+    """Share of a robot's steps inside a group of people, %; undefined without groups."""
+    return _rate_if_defined(episodes.intrusion_share, episodes)
+
+
 @metric("jerk", heading="jerk m/s³", tables=Tables.report)
 def _jerk(episodes: Episodes) -> float:
     """Mean norm of the jerk, m/s^3."""
@@ -338,6 +351,10 @@ def _path_irregularity(episodes: Episodes) -> Value:
 
 def _percent(share: NDArray[np.bool_] | NDArray[np.float64]) -> float:
     return 100 * float(share.mean())
+
+
+def _rate_if_defined(share: NDArray[Any], episodes: Episodes) -> Value:
+    return None if np.isnan(episodes.intrusion_share).any() else _percent(share)
 
 
 def _mean(values: NDArray[Any]) -> Value:
