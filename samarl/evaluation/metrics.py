@@ -305,13 +305,15 @@ def _soonest_collision(episodes: Episodes) -> Value:
 @metric("group_intrusion_rate", heading="in a group %", tables=Tables.grouped)
 def _group_intrusion(episodes: Episodes) -> Value:
     """Episodes in which a robot was inside a group of people, %; undefined without groups."""
-    return _rate_if_defined((episodes.intrusion_share > 0).any(axis=1), episodes)
+    share = episodes.intrusion_share
+    return None if np.isnan(share).any() else _percent(share.max(axis=1) > 0)
 
 
-@metric("group_intrusion_share", heading="")
+@metric("group_intrusion_share", heading="", tables=Tables.grouped)
 def _group_intrusion_share(episodes: Episodes) -> Value:
     """Share of a robot's steps inside a group of people, %; undefined without groups."""
-    return _rate_if_defined(episodes.intrusion_share, episodes)
+    share = episodes.intrusion_share
+    return None if np.isnan(share).any() else _percent(share)
 
 
 @metric("jerk", heading="jerk m/s³", tables=Tables.report)
@@ -351,10 +353,6 @@ def _path_irregularity(episodes: Episodes) -> Value:
 
 def _percent(share: NDArray[np.bool_] | NDArray[np.float64]) -> float:
     return 100 * float(share.mean())
-
-
-def _rate_if_defined(share: NDArray[Any], episodes: Episodes) -> Value:
-    return None if np.isnan(episodes.intrusion_share).any() else _percent(share)
 
 
 def _mean(values: NDArray[Any]) -> Value:

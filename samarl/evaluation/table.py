@@ -135,7 +135,7 @@ def has_walls(rows: Sequence[Row]) -> bool:
 
 def has_groups(rows: Sequence[Row]) -> bool:
     """Return whether there are groups of people in the scenario of any row."""
-    return any(row.get("group_intrusion_rate") is not None for row in rows)
+    return any("groups.share=" in column_of(row).changes for row in rows)
 
 
 def _cells(row: Row, metrics: Sequence[Metric]) -> list[str]:

@@ -14,6 +14,7 @@ BLIND, REGULAR, IMPASSIVE, SURPRISED, CURIOUS, SCARED, THREATENING = range(7)
 _ZERO = np.float32(0.0)
 _TINY = np.float32(1e-6)
 _FAR = np.float32(np.inf)
+_STANDING = np.float32(0.05)  # who prefers a lower speed stands, m/s
 _STEP_ROUND = np.float32(math.pi / 3)  # turn round the robot towards its front at a time, rad
 
 
@@ -103,6 +104,8 @@ def _is_ahead(ahead_x, ahead_y, dx, dy, distance, reactions):
     Somebody who stands looks around.
     """
     speed = math.sqrt(ahead_x * ahead_x + ahead_y * ahead_y)
+    if speed < _STANDING:
+        return True
     return ahead_x * dx + ahead_y * dy >= reactions.cos_half_fov * speed * distance - _TINY
 
 
