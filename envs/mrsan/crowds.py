@@ -30,7 +30,6 @@ from mrsan.kernels.people import (
     walk_to_goals,
 )
 from mrsan.kernels.society import (
-    SocialSettings,
     place_in_group,
     place_reacting_in_zone,
     walk_socially,
@@ -261,14 +260,22 @@ def check_crowd(name: Any, settings: Any) -> None:
 def social_settings(scenario: Any, crowd_settings: tuple[Any, ...]) -> tuple[Any, ...]:
     """Return the settings of a crowd whose people react or form groups, else an empty tuple.
 
+    They are those of the crowd model by their own names, and those of `Scenario.reactions` and
+    `Scenario.groups` with the prefixes `reaction_` and `group_`; kernels take no nested tuples.
+
     Args:
         scenario: the scenario.
         crowd_settings: the settings of its crowd model.
     """
     if not scenario.is_social:
         return ()
-    reactions, groups = reaction_parameters(scenario), group_parameters(scenario)
-    return SocialSettings(crowd_settings, reactions, groups)
+    values = dict(zip(getattr(crowd_settings, "_fields", ()), crowd_settings, strict=True))
+    for prefix, numbers in (
+        ("reaction", reaction_parameters(scenario)),
+        ("group", group_parameters(scenario)),
+    ):
+        values |= {f"{prefix}_{name}": value for name, value in numbers.items()}
+    return cast(tuple[Any, ...], __getattr__(_PREFIX + ":".join(values))(*values.values()))
 
 
 @cache

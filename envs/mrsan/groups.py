@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -53,24 +53,6 @@ class Groups:
     )
 
 
-class GroupParameters(NamedTuple):
-    """The numbers of `Groups` in the form that kernels take."""
-
-    start_probability: np.float32  # that a person who follows no group begins one
-    standing_share: np.float32
-    size_min: int
-    size_max: int
-    gaze: np.float32  # factor of slowing down per rad
-    half_gaze_fov: np.float32  # rad
-    attraction: np.float32  # as a change of the preferred velocity, m/s
-    spread: np.float32
-    repulsion: np.float32  # as a change of the preferred velocity, m/s
-    gap: np.float32
-    talk_radius: np.float32
-    relaxation_time: np.float32
-    intrusion_distance: np.float32
-
-
 def check_groups(groups: Any) -> None:
     """Check the numbers of groups.
 
@@ -87,7 +69,7 @@ def check_groups(groups: Any) -> None:
         )
 
 
-def group_parameters(s: Scenario) -> GroupParameters:
+def group_parameters(s: Scenario) -> dict[str, Any]:
     """Return the numbers of the groups of a scenario in the form that kernels take.
 
     An acceleration `a` of the model is `a * relaxation_time` as a change of the preferred
@@ -95,19 +77,20 @@ def group_parameters(s: Scenario) -> GroupParameters:
     """
     g, f = s.groups, np.float32
     size = (g.size_min + g.size_max) / 2
-    return GroupParameters(
-        # of groups with probability q, q size / (q size + 1 - q) of the people are in groups
-        start_probability=f(g.share / (g.share + size * (1.0 - g.share))),
-        standing_share=f(g.standing_share),
-        size_min=g.size_min,
-        size_max=g.size_max,
-        gaze=f(g.gaze * s.relaxation_time),
-        half_gaze_fov=f(np.radians(g.gaze_fov_degrees / 2)),
-        attraction=f(g.attraction * s.relaxation_time),
-        spread=f(g.spread),
-        repulsion=f(g.repulsion * s.relaxation_time),
-        gap=f(g.gap),
-        talk_radius=f(g.talk_radius),
-        relaxation_time=f(s.relaxation_time),
-        intrusion_distance=f(g.intrusion_width / 2),
-    )
+    return {
+        # That a person who follows no group begins one: of groups with probability q,
+        # q size / (q size + 1 - q) of the people are members.
+        "start_probability": f(g.share / (g.share + size * (1.0 - g.share))),
+        "standing_share": f(g.standing_share),
+        "size_min": g.size_min,
+        "size_max": g.size_max,
+        "gaze": f(g.gaze * s.relaxation_time),  # per rad
+        "half_gaze_fov": f(np.radians(g.gaze_fov_degrees / 2)),
+        "attraction": f(g.attraction * s.relaxation_time),  # m/s
+        "spread": f(g.spread),
+        "repulsion": f(g.repulsion * s.relaxation_time),  # m/s
+        "gap": f(g.gap),
+        "talk_radius": f(g.talk_radius),
+        "relaxation_time": f(s.relaxation_time),
+        "intrusion_distance": f(g.intrusion_width / 2),
+    }

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from mrsan.scenario import Scenario
 
 _ROUNDING = 1e-6  # by which the sum of the shares may exceed 1
-# The kinds that people draw, in the order of the shares of `ReactionParameters`.
+# The kinds that people draw.
 DRAWN = [reaction for reaction in Reaction if reaction is not Reaction.blind]
 
 
@@ -74,25 +74,6 @@ class Reactions:
     )
 
 
-class ReactionParameters(NamedTuple):
-    """The numbers of `Reactions` in the form that kernels take."""
-
-    everybody: int  # the kind of everybody, a value of `Reaction`; -1: it is drawn
-    shares: tuple[np.float32, ...]  # up to and including each kind of `DRAWN`
-    notice_distance: np.float32
-    cos_half_fov: np.float32
-    surprised_steps: int
-    curious_steps: int
-    curious_speed: np.float32
-    curious_gap: np.float32
-    scared_speed: np.float32
-    scared_push: np.float32
-    scared_range: np.float32
-    threatening_steps: int
-    threatening_speed: np.float32
-    threatening_gap: np.float32
-
-
 def check_reactions(reactions: Any) -> None:
     """Check the numbers of reactions.
 
@@ -115,23 +96,24 @@ def _shares(reactions: Reactions) -> list[float]:
     return [getattr(reactions, reaction.name) for reaction in DRAWN]
 
 
-def reaction_parameters(s: Scenario) -> ReactionParameters:
+def reaction_parameters(s: Scenario) -> dict[str, Any]:
     """Return the numbers of the reactions of a scenario in the form that kernels take."""
     r, f = s.reactions, np.float32
     everybody = Reaction.regular if s.robots_avoided else Reaction.blind
-    return ReactionParameters(
-        everybody=-1 if s.crowd_reaction is CrowdReaction.mixed else everybody.value,
-        shares=tuple(f(share) for share in np.cumsum(_shares(r))),
-        notice_distance=f(r.notice_distance),
-        cos_half_fov=f(math.cos(math.radians(r.notice_fov_degrees / 2))),
-        surprised_steps=s.steps(r.surprised_time),
-        curious_steps=s.steps(r.curious_time),
-        curious_speed=f(r.curious_speed),
-        curious_gap=f(r.curious_gap),
-        scared_speed=f(r.scared_speed),
-        scared_push=f(r.scared_push),
-        scared_range=f(r.scared_range),
-        threatening_steps=s.steps(r.threatening_time),
-        threatening_speed=f(r.threatening_speed),
-        threatening_gap=f(r.threatening_gap),
-    )
+    names = [reaction.name for reaction in DRAWN]
+    up_to = dict(zip(names, map(f, np.cumsum(_shares(r))), strict=True))
+    return up_to | {  # shares of the people with this reaction or one before
+        "everybody": -1 if s.crowd_reaction is CrowdReaction.mixed else everybody.value,
+        "notice_distance": f(r.notice_distance),
+        "cos_half_fov": f(math.cos(math.radians(r.notice_fov_degrees / 2))),
+        "surprised_steps": s.steps(r.surprised_time),
+        "curious_steps": s.steps(r.curious_time),
+        "curious_speed": f(r.curious_speed),
+        "curious_gap": f(r.curious_gap),
+        "scared_speed": f(r.scared_speed),
+        "scared_push": f(r.scared_push),
+        "scared_range": f(r.scared_range),
+        "threatening_steps": s.steps(r.threatening_time),
+        "threatening_speed": f(r.threatening_speed),
+        "threatening_gap": f(r.threatening_gap),
+    }

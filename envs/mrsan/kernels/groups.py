@@ -28,40 +28,42 @@ _TWO_PI = np.float32(2.0 * math.pi)
 
 
 @function
-def draw_group(social, j, key, groups):
+def draw_group(social, j, key, settings):
     """Draw the group of human `j` and write it to `social` [M, 3]; the ones before have theirs."""
     people, group = social.shape[0], NO_GROUP
     if j > 0 and social[j - 1, GROUP] != NO_GROUP:
         before = social[j - 1, GROUP]
-        if j - before < size_of_group(key, before, people, groups):
+        if j - before < size_of_group(key, before, people, settings):
             group = before
     if group == NO_GROUP and j < people - 1:
-        if rng.uniform(key, rng.GROUP, j, 0, _START) < groups.start_probability:
+        if rng.uniform(key, rng.GROUP, j, 0, _START) < settings.group_start_probability:
             group = j
     social[j, GROUP] = group
 
 
 @function
-def size_of_group(key, group, people, groups):
+def size_of_group(key, group, people, settings):
     """Return how many members a group has: what is drawn, or fewer at the end of the `people`."""
-    choices = np.float32(groups.size_max - groups.size_min + 1)
-    drawn = groups.size_min + int(rng.uniform(key, rng.GROUP, group, 0, _SIZE) * choices)
-    return min(min(drawn, groups.size_max), people - group)
+    choices = np.float32(settings.group_size_max - settings.group_size_min + 1)
+    drawn = settings.group_size_min + int(rng.uniform(key, rng.GROUP, group, 0, _SIZE) * choices)
+    return min(min(drawn, settings.group_size_max), people - group)
 
 
 @function
-def talks(key, group, groups):
+def talks(key, group, settings):
     """Return whether a group stands and talks."""
-    return rng.uniform(key, rng.GROUP, group, 0, _TALKS) < groups.standing_share
+    return rng.uniform(key, rng.GROUP, group, 0, _TALKS) < settings.group_standing_share
 
 
 @function
-def talking_radius(size, p, groups):
+def talking_radius(size, p, settings):
     """Return the radius of the circle of a group that talks, m."""
-    between = p.human_radius_max + p.human_radius_max + max(groups.gap, p.human_safety_space)
+    between = (
+        p.human_radius_max + p.human_radius_max + max(settings.group_gap, p.human_safety_space)
+    )
     if size < 2:
-        return groups.talk_radius
-    return max(groups.talk_radius, between / (_TWO * math.sin(_PI / np.float32(size))))
+        return settings.group_talk_radius
+    return max(settings.group_talk_radius, between / (_TWO * math.sin(_PI / np.float32(size))))
 
 
 @function
@@ -72,7 +74,7 @@ def offset_in_circle(key, group, k, size, radius):
 
 
 @function
-def group_velocity(state, e, j, present, preferred_x, preferred_y, speed, p, groups):
+def group_velocity(state, e, j, present, preferred_x, preferred_y, speed, p, settings):
     """Return the preferred velocity (x, y) of a member of a group, m/s.
 
     Args:
@@ -84,7 +86,7 @@ def group_velocity(state, e, j, present, preferred_x, preferred_y, speed, p, gro
         preferred_y: its preferred velocity without a group, y (m/s).
         speed: its preferred speed (m/s).
         p: the scenario's parameters.
-        groups: a `GroupParameters`.
+        settings: those of `mrsan.crowds.social_settings`.
     """
     position, social, key = state.human_position[e], state.human_social[e], state.key[e]
     group, x, y = social[j, GROUP], position[j, 0], position[j, 1]
@@ -101,16 +103,16 @@ def group_velocity(state, e, j, present, preferred_x, preferred_y, speed, p, gro
     dx, dy = centre_x / np.float32(members) - x, centre_y / np.float32(members) - y
     distance = math.sqrt(dx * dx + dy * dy)
     dx, dy = dx / max(distance, _TINY), dy / max(distance, _TINY)
-    if talks(key, group, groups):
-        away = (distance - talking_radius(members, p, groups)) / groups.relaxation_time
+    if talks(key, group, settings):
+        away = (distance - talking_radius(members, p, settings)) / settings.group_relaxation_time
         return away * dx, away * dy
     if j != leader:
         preferred_x, preferred_y = _follow(state, e, j, leader, speed, p)
-    vx, vy = _side_step(state, e, j, present, preferred_x, preferred_y, groups)
-    slowing = _slowing(preferred_x, preferred_y, dx, dy, groups)
+    vx, vy = _side_step(state, e, j, present, preferred_x, preferred_y, settings)
+    slowing = _slowing(preferred_x, preferred_y, dx, dy, settings)
     vx, vy = vx + preferred_x * slowing, vy + preferred_y * slowing
-    if distance > groups.spread * np.float32(members - 1):
-        vx, vy = vx + groups.attraction * dx, vy + groups.attraction * dy
+    if distance > settings.group_spread * np.float32(members - 1):
+        vx, vy = vx + settings.group_attraction * dx, vy + settings.group_attraction * dy
     return vx, vy
 
 
@@ -127,7 +129,7 @@ def _follow(state, e, j, leader, speed, p):
 
 
 @function
-def _slowing(ahead_x, ahead_y, to_centre_x, to_centre_y, groups):
+def _slowing(ahead_x, ahead_y, to_centre_x, to_centre_y, settings):
     """Return the factor of the speed of a member who turns the head towards the group's centre.
 
     The force -gaze * angle * velocity and the drive to the preferred velocity balance at this
@@ -135,12 +137,12 @@ def _slowing(ahead_x, ahead_y, to_centre_x, to_centre_y, groups):
     """
     speed = math.sqrt(ahead_x * ahead_x + ahead_y * ahead_y)
     cosine = (ahead_x * to_centre_x + ahead_y * to_centre_y) / max(speed, _TINY)
-    angle = math.acos(min(max(cosine, -_ONE), _ONE)) - groups.half_gaze_fov
-    return _ONE / (_ONE + groups.gaze * max(angle, _ZERO))
+    angle = math.acos(min(max(cosine, -_ONE), _ONE)) - settings.group_half_gaze_fov
+    return _ONE / (_ONE + settings.group_gaze * max(angle, _ZERO))
 
 
 @function
-def _side_step(state, e, j, present, ahead_x, ahead_y, groups):
+def _side_step(state, e, j, present, ahead_x, ahead_y, settings):
     """Return the velocity (x, y) with which a member steps aside from those it walks in line with.
 
     The repulsion acts across the walking direction: along it, members would queue up.
@@ -154,16 +156,16 @@ def _side_step(state, e, j, present, ahead_x, ahead_y, groups):
             continue
         dx, dy = position[j, 0] - position[k, 0], position[j, 1] - position[k, 1]
         across = dx * left_x + dy * left_y
-        if abs(across) < radius[j] + radius[k] + groups.gap:
+        if abs(across) < radius[j] + radius[k] + settings.group_gap:
             to_left = across > _ZERO or (across == _ZERO and j > k)
-            left += groups.repulsion if to_left else -groups.repulsion
+            left += settings.group_repulsion if to_left else -settings.group_repulsion
     return left * left_x, left * left_y
 
 
 @function
 def count_intrusions(state, e, p, settings):
     """Count the step for every driving robot that is in the hull of a group, or too near to it."""
-    limit = settings.groups.intrusion_distance
+    limit = settings.group_intrusion_distance
     for i in range(state.robot_heading.shape[1]):
         x, y = state.robot_position[e, i, 0], state.robot_position[e, i, 1]
         if not state.arrived[e, i] and _intrudes(state, e, x, y, limit):

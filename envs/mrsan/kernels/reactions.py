@@ -19,19 +19,23 @@ _STEP_ROUND = np.float32(math.pi / 3)  # turn round the robot towards its front 
 
 
 @function
-def draw_reaction(social, j, key, reactions):
+def draw_reaction(social, j, key, settings):
     """Draw how human `j` reacts and write it to `social` [M, 3]."""
-    kind = reactions.everybody
+    kind = settings.reaction_everybody
     if kind < 0:
-        kind, share = BLIND, rng.uniform(key, rng.REACTION, j, 0, 0)
-        for k in range(len(reactions.shares)):
-            if kind == BLIND and share < reactions.shares[k]:
-                kind = REGULAR + k
+        share, kind = rng.uniform(key, rng.REACTION, j, 0, 0), REGULAR
+        kind += share >= settings.reaction_regular
+        kind += share >= settings.reaction_impassive
+        kind += share >= settings.reaction_surprised
+        kind += share >= settings.reaction_curious
+        kind += share >= settings.reaction_scared
+        kind += share >= settings.reaction_threatening
+        kind = kind if kind <= THREATENING else BLIND
     social[j, REACTION] = kind
 
 
 @function
-def react(state, e, j, preferred_x, preferred_y, max_speed, p, reactions, in_sight):
+def react(state, e, j, preferred_x, preferred_y, max_speed, p, settings, in_sight):
     """Return how human `j` changes its motion because of the nearest robot.
 
     Args:
@@ -42,7 +46,7 @@ def react(state, e, j, preferred_x, preferred_y, max_speed, p, reactions, in_sig
         preferred_y: preferred velocity without robots, y (m/s).
         max_speed: speed limit without robots (m/s).
         p: the scenario's parameters.
-        reactions: a `ReactionParameters`.
+        settings: those of `mrsan.crowds.social_settings`.
         in_sight: function that returns whether no wall hides one point from another.
 
     Returns:
@@ -58,9 +62,9 @@ def react(state, e, j, preferred_x, preferred_y, max_speed, p, reactions, in_sig
     dx, dy = state.robot_position[e, i, 0] - x, state.robot_position[e, i, 1] - y
     reach = state.human_radius[e, j] + p.robot_radius
     gap = distance - reach
-    notices = gap < reactions.notice_distance and in_sight(state, e, x, y, dx, dy)
+    notices = gap < settings.reaction_notice_distance and in_sight(state, e, x, y, dx, dy)
     if social[ELAPSED] == 0:  # it has not noticed a robot before
-        notices = notices and _is_ahead(preferred_x, preferred_y, dx, dy, distance, reactions)
+        notices = notices and _is_ahead(preferred_x, preferred_y, dx, dy, distance, settings)
         if not notices:
             return unchanged
     elapsed = social[ELAPSED]
@@ -69,19 +73,21 @@ def react(state, e, j, preferred_x, preferred_y, max_speed, p, reactions, in_sig
         return unchanged
     dx, dy = dx / max(distance, _TINY), dy / max(distance, _TINY)
     if kind == SCARED:
-        slowed = min(reactions.scared_speed / max(max_speed, _TINY), np.float32(1.0))
-        push = reactions.scared_push * math.exp(-max(gap, _ZERO) / reactions.scared_range)
+        slowed = min(settings.reaction_scared_speed / max(max_speed, _TINY), np.float32(1.0))
+        push = settings.reaction_scared_push * math.exp(
+            -max(gap, _ZERO) / settings.reaction_scared_range
+        )
         return preferred_x * slowed - push * dx, preferred_y * slowed - push * dy, max_speed, True
-    if kind == SURPRISED and elapsed < reactions.surprised_steps:
+    if kind == SURPRISED and elapsed < settings.reaction_surprised_steps:
         return _ZERO, _ZERO, max_speed, False
-    if kind == CURIOUS and elapsed < reactions.curious_steps:
-        speed = min(max_speed, reactions.curious_speed)
-        speed = min(speed, max(gap - reactions.curious_gap, _ZERO) / p.time_step)
+    if kind == CURIOUS and elapsed < settings.reaction_curious_steps:
+        speed = min(max_speed, settings.reaction_curious_speed)
+        speed = min(speed, max(gap - settings.reaction_curious_gap, _ZERO) / p.time_step)
         return dx * speed, dy * speed, max_speed, False
-    if kind == THREATENING and elapsed < reactions.threatening_steps:
-        away = reach + reactions.threatening_gap
+    if kind == THREATENING and elapsed < settings.reaction_threatening_steps:
+        away = reach + settings.reaction_threatening_gap
         vx, vy = _velocity_to_front(state, e, i, x, y, away, p)
-        return vx, vy, max(max_speed, reactions.threatening_speed), False
+        return vx, vy, max(max_speed, settings.reaction_threatening_speed), False
     return unchanged
 
 
@@ -98,7 +104,7 @@ def _nearest_robot(state, e, x, y):
 
 
 @function
-def _is_ahead(ahead_x, ahead_y, dx, dy, distance, reactions):
+def _is_ahead(ahead_x, ahead_y, dx, dy, distance, settings):
     """Return whether (dx, dy) is in the field of view of somebody who walks to (ahead_x, ahead_y).
 
     Somebody who stands looks around.
@@ -106,7 +112,7 @@ def _is_ahead(ahead_x, ahead_y, dx, dy, distance, reactions):
     speed = math.sqrt(ahead_x * ahead_x + ahead_y * ahead_y)
     if speed < _STANDING:
         return True
-    return ahead_x * dx + ahead_y * dy >= reactions.cos_half_fov * speed * distance - _TINY
+    return ahead_x * dx + ahead_y * dy >= settings.reaction_cos_half_fov * speed * distance - _TINY
 
 
 @function

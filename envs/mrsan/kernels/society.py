@@ -33,18 +33,10 @@ _HALF = np.float32(0.5)
 _TWO_PI = np.float32(2.0 * math.pi)
 
 
-class SocialSettings(NamedTuple):
-    """The settings of a crowd whose people react to robots or walk in groups."""
-
-    crowd: Any  # those of its crowd model
-    reactions: Any  # `mrsan.reactions.ReactionParameters`
-    groups: Any  # `mrsan.groups.GroupParameters`
-
-
 class _World(NamedTuple):
     """What `social_velocity` needs besides the arguments of a crowd model."""
 
-    settings: Any  # SocialSettings
+    settings: Any  # those of `mrsan.crowds.social_settings`
     state: Any
     e: int
     present: Any  # numbers of the people who are present
@@ -92,10 +84,10 @@ def social_velocity(agents, count, i, preferred_x, preferred_y, max_speed, p, wo
     j, people = present[i], present.shape[0]
     if state.human_social[e, j, GROUP] != NO_GROUP:
         preferred_x, preferred_y = group_velocity(
-            state, e, j, present, preferred_x, preferred_y, max_speed, p, settings.groups
+            state, e, j, present, preferred_x, preferred_y, max_speed, p, settings
         )
     preferred_x, preferred_y, max_speed, avoids_robots = react(
-        state, e, j, preferred_x, preferred_y, max_speed, p, settings.reactions, world.in_sight
+        state, e, j, preferred_x, preferred_y, max_speed, p, settings, world.in_sight
     )
     _set_margins(state, e, j, present, agents, -p.human_safety_space)
     if state.human_social[e, j, REACTION] == IMPASSIVE:
@@ -109,7 +101,7 @@ def social_velocity(agents, count, i, preferred_x, preferred_y, max_speed, p, wo
         preferred_y,
         max_speed,
         p,
-        settings.crowd,
+        settings,
         scratch,
     )
     for row in range(people, count):
@@ -141,8 +133,8 @@ def _begin_person(state, e, j, key, settings):
     if j == 0:
         for k in range(social.shape[0]):
             social[k, REACTION], social[k, ELAPSED], social[k, GROUP] = 0, 0, NO_GROUP
-    draw_reaction(social, j, key, settings.reactions)
-    draw_group(social, j, key, settings.groups)
+    draw_reaction(social, j, key, settings)
+    draw_group(social, j, key, settings)
 
 
 @function
@@ -157,9 +149,9 @@ def place_in_group(state, e, j, key, layout, p, settings, occupied, candidates, 
     """Draw the start of human `j`, alone or in a group, as `spawn.place_on_floor`."""
     _begin_person(state, e, j, key, settings)
     group = state.human_social[e, j, GROUP]
-    if group != NO_GROUP and talks(key, group, settings.groups):
+    if group != NO_GROUP and talks(key, group, settings):
         draw_traits(state, e, j, key, p)
-        placed = _place_in_circle(state, e, j, key, group, layout, p, settings.groups)
+        placed = _place_in_circle(state, e, j, key, group, layout, p, settings)
         return marked if placed else NOT_PLACED
     if group in (NO_GROUP, j):
         return place_on_floor(state, e, j, key, layout, p, settings, occupied, candidates, marked)
@@ -175,14 +167,14 @@ def place_in_group(state, e, j, key, layout, p, settings, occupied, candidates, 
 
 
 @function
-def _place_in_circle(state, e, j, key, group, layout, p, groups):
+def _place_in_circle(state, e, j, key, group, layout, p, settings):
     """Place human `j` in a circle of people who talk; return success.
 
     The first member draws a centre where all have room and that is clear of the robots' goals.
     """
     position, goal = state.human_position[e], state.human_goal[e]
-    size = size_of_group(key, group, position.shape[0], groups)
-    radius = talking_radius(size, p, groups)
+    size = size_of_group(key, group, position.shape[0], settings)
+    radius = talking_radius(size, p, settings)
     first_x, first_y = offset_in_circle(key, group, 0, size, radius)
     placed = True
     if j == group:
