@@ -75,8 +75,8 @@ def register_crowd(name: str, settings: type | None = None) -> Callable[[F], F]:
     The function returns the next velocity (vx, vy) of one person in m/s. Goals, standing, pairs,
     entering and leaving are the same for all crowd models. Its arguments are, in this order:
 
-    - `agents`: rows `[px, py, vx, vy, radius]` of the people present and, with
-      `Scenario.robots_visible`, of the robots; radii include `Scenario.human_safety_space`;
+    - `agents`: rows `[px, py, vx, vy, radius]` of the people present and, for those who avoid
+      robots, of the robots; radii include `Scenario.human_safety_space`;
     - `count`: the number of rows;
     - `i`: the row of the person;
     - `preferred_x`, `preferred_y`: the velocity straight to the goal, or to the next corner of the
