@@ -9,13 +9,23 @@ let_threads_sleep()  # before anything loads OpenMP
 ensure_compile_cache()  # before anything is compiled
 
 from mrsan.cases import Split
-from mrsan.choices import Crowd, Kinematics, Layout, LidarSees, TeamPerception
+from mrsan.choices import (
+    Crowd,
+    CrowdReaction,
+    Kinematics,
+    Layout,
+    LidarSees,
+    Reaction,
+    TeamPerception,
+)
 from mrsan.crowds import register_crowd
 from mrsan.features import EGO_FEATURES, OTHER_FEATURES
 from mrsan.fields import ConfigurationError
+from mrsan.groups import Groups
 from mrsan.metrics import Episodes, Outcome, social_score
 from mrsan.observation import Entities, Observation
 from mrsan.place import Place
+from mrsan.reactions import Reactions
 from mrsan.reward import Reward, RewardParts
 from mrsan.reward_terms import register_reward_term
 from mrsan.scenario import Scenario
@@ -31,15 +41,19 @@ __all__ = [
     "ActionError",
     "ConfigurationError",
     "Crowd",
+    "CrowdReaction",
     "Entities",
     "EntitySensor",
     "Episodes",
+    "Groups",
     "Kinematics",
     "Layout",
     "LidarSees",
     "Observation",
     "Outcome",
     "Place",
+    "Reaction",
+    "Reactions",
     "Reward",
     "RewardParts",
     "Scenario",

@@ -6,6 +6,7 @@ from enum import Enum, StrEnum
 
 from mrsan.kernels import kinematics as kinematics_kernel
 from mrsan.kernels import layout as layout_kernel
+from mrsan.kernels import reactions as reactions_kernel
 from mrsan.kernels import team as team_kernel
 
 
@@ -39,6 +40,26 @@ class Layout(Enum):
     def has_walls(self) -> bool:
         """Return whether it is a place with walls."""
         return self.value > layout_kernel.MIXED
+
+
+class CrowdReaction(Enum):
+    """How people react to robots."""
+
+    blind = 0  # they ignore robots: SAMARL
+    reciprocal = 1  # everybody avoids robots as people
+    mixed = 2  # a `Reaction` drawn per person, with the shares of `Scenario.reactions`
+
+
+class Reaction(Enum):
+    """How one person reacts to robots; all but `blind` are those of HuNavSim."""
+
+    blind = reactions_kernel.BLIND  # ignores robots
+    regular = reactions_kernel.REGULAR  # avoids robots as people
+    impassive = reactions_kernel.IMPASSIVE  # avoids robots as if they stood still
+    surprised = reactions_kernel.SURPRISED  # stops for a while
+    curious = reactions_kernel.CURIOUS  # approaches the robot and looks at it for a while
+    scared = reactions_kernel.SCARED  # slows down and keeps far away
+    threatening = reactions_kernel.THREATENING  # blocks the robot's way for a while
 
 
 class LidarSees(Enum):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from mrsan.choices import Crowd, Layout
+from mrsan.choices import Crowd, CrowdReaction, Layout
 from mrsan.fields import ConfigurationError
 
 if TYPE_CHECKING:
@@ -26,14 +26,44 @@ def check_consistency(s: Scenario) -> None:
             f"scenario.recording is {s.recording!r}; it must be null unless scenario.crowd is "
             "recorded"
         )
-    if s.crowd == Crowd.recorded and (s.robots_visible or s.arena_radius is not None):
+    if s.crowd == Crowd.recorded and (s.robots_avoided or s.arena_radius is not None):
         raise ConfigurationError(
-            "scenario.crowd is recorded; then scenario.robots_visible must be false and "
-            "scenario.arena_radius null: recorded people react neither to robots nor to walls"
+            "scenario.crowd is recorded; then scenario.robots_visible must be false, "
+            "scenario.crowd_reaction blind and scenario.arena_radius null: recorded people react "
+            "neither to robots nor to walls"
         )
+    _check_social(s)
     _check_walls(s)
     if s.arena_radius is not None:
         _check_arena(s, s.arena_radius)
+
+
+def _check_social(s: Scenario) -> None:
+    """Check the settings of people who react to robots or belong to groups."""
+    if s.crowd_reaction is CrowdReaction.mixed and s.robots_visible:
+        raise ConfigurationError(
+            "scenario.robots_visible is True and scenario.crowd_reaction is mixed; robots_visible "
+            "must be false: each person's reaction is drawn"
+        )
+    if s.is_social and s.crowd in (Crowd.still, Crowd.recorded):
+        raise ConfigurationError(
+            f"scenario.crowd is {s.crowd}; with scenario.crowd_reaction "
+            f"{s.crowd_reaction.name} and scenario.groups.share {s.groups.share} it must be a "
+            "crowd that walks to goals"
+        )
+    if s.groups.share == 0.0:
+        return
+    share = f"scenario.groups.share is {s.groups.share}"
+    if s.has_walls:
+        raise ConfigurationError(
+            f"{share}; it must be 0 in places with walls (scenario.layout {s.layout.name})"
+        )
+    for name in ("pair_probability", "late_probability", "leave_probability"):
+        if getattr(s, name) > 0.0:
+            raise ConfigurationError(
+                f"{share}; then scenario.{name} must be 0, not {getattr(s, name)}: groups stay "
+                "together"
+            )
 
 
 def _check_walls(s: Scenario) -> None:

@@ -17,7 +17,9 @@ import numpy as np
 
 from mrsan.choices import Crowd
 from mrsan.fields import ConfigurationError, check_numbers, kernel_form
+from mrsan.groups import group_parameters
 from mrsan.kernels import function, kernel
+from mrsan.kernels.groups import count_intrusions
 from mrsan.kernels.people import (
     enter_and_leave,
     follow_recording,
@@ -27,6 +29,13 @@ from mrsan.kernels.people import (
     walk_as_recorded,
     walk_to_goals,
 )
+from mrsan.kernels.society import (
+    place_in_group,
+    place_reacting_in_zone,
+    walk_socially,
+    walk_socially_past_walls,
+)
+from mrsan.kernels.spawn import begin_episodes
 from mrsan.kernels.step import advance
 from mrsan.kernels.walled import (
     orca_crowd_past_walls,
@@ -34,6 +43,8 @@ from mrsan.kernels.walled import (
     robot_touches_wall,
     walk_along_routes,
 )
+from mrsan.kernels.walled_spawn import walled_begin
+from mrsan.reactions import reaction_parameters
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -64,8 +75,8 @@ def register_crowd(name: str, settings: type | None = None) -> Callable[[F], F]:
     The function returns the next velocity (vx, vy) of one person in m/s. Goals, standing, pairs,
     entering and leaving are the same for all crowd models. Its arguments are, in this order:
 
-    - `agents`: rows `[px, py, vx, vy, radius]` of the people present and, with
-      `Scenario.robots_visible`, of the robots; radii include `Scenario.human_safety_space`;
+    - `agents`: rows `[px, py, vx, vy, radius]` of the people present and, for those who avoid
+      robots, of the robots; radii include `Scenario.human_safety_space`;
     - `count`: the number of rows;
     - `i`: the row of the person;
     - `preferred_x`, `preferred_y`: the velocity straight to the goal, or to the next corner of the
@@ -246,28 +257,62 @@ def check_crowd(name: Any, settings: Any) -> None:
         _checked_settings(schema, settings)
 
 
+def social_settings(scenario: Any, crowd_settings: tuple[Any, ...]) -> tuple[Any, ...]:
+    """Return the settings of a crowd whose people react or form groups, else an empty tuple.
+
+    They are those of the crowd model by their own names, and those of `Scenario.reactions` and
+    `Scenario.groups` with the prefixes `reaction_` and `group_`; kernels take no nested tuples.
+
+    Args:
+        scenario: the scenario.
+        crowd_settings: the settings of its crowd model.
+    """
+    if not scenario.is_social:
+        return ()
+    values = dict(zip(getattr(crowd_settings, "_fields", ()), crowd_settings, strict=True))
+    for prefix, numbers in (
+        ("reaction", reaction_parameters(scenario)),
+        ("group", group_parameters(scenario)),
+    ):
+        values |= {f"{prefix}_{name}": value for name, value in numbers.items()}
+    return cast(tuple[Any, ...], __getattr__(_PREFIX + ":".join(values))(*values.values()))
+
+
 @cache
-def step_kernel(model: CrowdModel, walled: bool = False) -> kernel:
+def step_kernel(model: CrowdModel, walled: bool = False, social: bool = False) -> kernel:
     """Return the kernel that moves worlds whose people follow a crowd model.
 
     Args:
         model: the crowd model.
         walled: in places with walls.
+        social: people react to robots or walk in groups.
     """
-    if not walled:
-        return advance.variant(
-            model.variant,
-            choose_velocities=model.choose_velocities,
-            update_presence=model.update_presence,
-            crowd_velocity=model.crowd_velocity,
-        )
-    past_walls = model.crowd_velocity_past_walls or model.crowd_velocity
-    walks = model.choose_velocities is walk_to_goals
-    return advance.variant(
-        f"{model.variant}_walled",
-        choose_velocities=walk_along_routes if walks else model.choose_velocities,
-        update_presence=model.update_presence,
-        crowd_velocity=past_walls,
-        touches_wall=robot_touches_wall,
-        route_progress=progress_along_route,
-    )
+    name = f"{model.variant}{'_walled' * walled}{'_social' * social}"
+    functions = {
+        "choose_velocities": model.choose_velocities,
+        "update_presence": model.update_presence,
+        "crowd_velocity": model.crowd_velocity,
+    }
+    if walled:
+        functions |= {"touches_wall": robot_touches_wall, "route_progress": progress_along_route}
+        functions["crowd_velocity"] = model.crowd_velocity_past_walls or model.crowd_velocity
+    if social:
+        functions["count_intrusions"] = count_intrusions
+    if model.choose_velocities is walk_to_goals:
+        functions["choose_velocities"] = {
+            (False, False): walk_to_goals,
+            (True, False): walk_along_routes,
+            (False, True): walk_socially,
+            (True, True): walk_socially_past_walls,
+        }[walled, social]
+    return advance.variant(name, **functions)
+
+
+@cache
+def begin_kernel(walled: bool = False, social: bool = False) -> kernel:
+    """Return the kernel that begins episodes; arguments as of `step_kernel`."""
+    begin = walled_begin() if walled else begin_episodes
+    if not social:
+        return begin
+    place_human = place_reacting_in_zone if walled else place_in_group
+    return begin.variant("social", place_human=place_human)

@@ -50,6 +50,7 @@ class Episodes(NamedTuple):
     contacts: NDArray[np.float64]  # [B, N] beginnings of contacts; two robots share one
     comfort_share: NDArray[np.float64]  # [B, N] share of steps within 0.25 m of a human
     deadlock: NDArray[np.bool_]  # [B] every driving robot stood still for 10 s
+    intrusion_share: NDArray[np.float64]  # [B, N] share of steps in a group; NaN without groups
 
     @property
     def success(self) -> NDArray[np.bool_]:
@@ -125,6 +126,9 @@ def episodes_of(state: State, scenario: Scenario, worlds: NDArray[np.bool_]) -> 
         contacts=tally["contacts"],
         comfort_share=per_step["comfort_steps"],
         deadlock=(tally["deadlocks"] > 0).any(axis=1),
+        intrusion_share=per_step["intrusion_steps"]
+        if scenario.groups.share > 0.0
+        else np.full(arrived.shape, np.nan),
     )
 
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, get_type_hints
 
 import numpy as np
 
-from mrsan.choices import Crowd, Kinematics
+from mrsan.choices import Crowd, CrowdReaction, Kinematics
 from mrsan.fields import kernel_form
 from mrsan.reward import Reward
 from mrsan.scenario import Scenario
@@ -32,6 +32,7 @@ _NOT_COPIED = {
     "fov_degrees",
     "team_perception",
     "team_delay",
+    "crowd_reaction",
     "recorded_start_clear",
     "recorded_slot_rest",
     "frame_seconds",
@@ -88,6 +89,7 @@ def _derived(s: Scenario) -> dict[str, Any]:
         "route_clearance": _f(s.route_clearance),
         "deadlock_steps": _f(s.steps(DEADLOCK_TIME)),
         "late_steps": s.steps(s.late_time),
+        "robots_visible": s.robots_visible or s.crowd_reaction is not CrowdReaction.blind,
         "people_recorded": s.crowd == Crowd.recorded,
         "people_come_and_go": s.late_probability > 0 or s.leave_probability > 0,
         "reward_goal_distance": _f(s.reward.goal_distance / s.circle_radius**2),

@@ -9,7 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from mrsan.choices import ACTION_SIZE, Crowd, Kinematics, Layout, LidarSees, TeamPerception
+from mrsan.choices import (
+    ACTION_SIZE,
+    Crowd,
+    CrowdReaction,
+    Kinematics,
+    Layout,
+    LidarSees,
+    TeamPerception,
+)
 from mrsan.consistency import check_consistency
 from mrsan.crowds import check_crowd
 from mrsan.fields import (
@@ -21,7 +29,9 @@ from mrsan.fields import (
     setting,
 )
 from mrsan.fixed_map import FixedMap, fixed_map
+from mrsan.groups import Groups, check_groups
 from mrsan.place import Place, check_place, half_size, largest_place
+from mrsan.reactions import Reactions, check_reactions
 from mrsan.recording import NOBODY, Recording, RecordingError, load_recording
 from mrsan.reward import Reward
 from mrsan.reward_terms import check_reward_terms
@@ -193,7 +203,12 @@ class Scenario:
     recording_check: bool = setting(
         True, help="refuse a recording that is implausible for pedestrians"
     )
-    robots_visible: bool = setting(False, help="people avoid robots")
+    robots_visible: bool = setting(
+        False, help="people avoid robots: the same as crowd_reaction=reciprocal"
+    )
+    crowd_reaction: CrowdReaction = setting(CrowdReaction.blind, help="how people react to robots")
+    reactions: Reactions = field(default_factory=Reactions)
+    groups: Groups = field(default_factory=Groups)
     human_radius_min: float = number(
         0.3, 0.05, 2.0, unit="m", help="smallest radius, drawn per person"
     )
@@ -273,6 +288,8 @@ class Scenario:
         self.place = from_mapping(Place, self.place, "scenario.place")
         check_reward_terms(self.reward.terms)
         check_place(self.place)
+        check_reactions(self.reactions)
+        check_groups(self.groups)
         check_crowd(self.crowd, self.crowd_settings)
         self.crowd = str(self.crowd)
         check_sensors(self.sensors)
@@ -287,6 +304,16 @@ class Scenario:
     def has_walls(self) -> bool:
         """Return whether the place has walls."""
         return self.layout.has_walls
+
+    @property
+    def robots_avoided(self) -> bool:
+        """Return whether everybody avoids robots as people."""
+        return self.robots_visible or self.crowd_reaction is CrowdReaction.reciprocal
+
+    @property
+    def is_social(self) -> bool:
+        """Return whether people draw a reaction to robots or belong to groups."""
+        return self.crowd_reaction is CrowdReaction.mixed or self.groups.share > 0.0
 
     @property
     def walls_observed(self) -> int:

@@ -32,6 +32,9 @@ class State(NamedTuple):
     human_past_valid: Bools  # [E, M, H] the person was present then, in this episode
     human_radius: Floats  # [E, M]
     human_speed: Floats  # [E, M] preferred speed
+    human_social: NDArray[
+        np.int32
+    ]  # [E, M, 3] SOCIAL in `kernels.social_state`; [E, M, 0] if unused
     robot_position: Floats  # [E, N, 2]
     robot_velocity: Floats  # [E, N, 2]
     robot_heading: Floats  # [E, N]
@@ -43,7 +46,7 @@ class State(NamedTuple):
     collision: NDArray[np.int8]  # [E, N] 0, or the first collision (kernels.step.HIT_*)
     last_contact: NDArray[np.int32]  # [E, N, M + N] clock at the last contact; -1: never
     robot_acceleration: Floats  # [E, N, 2] in the last step
-    tally: Floats  # [E, N, 15] statistics of the episode, `mrsan.kernels.tally.TALLY`
+    tally: Floats  # [E, N, 16] statistics of the episode, `mrsan.kernels.tally.TALLY`
     # Places with walls; W and V are zero without.
     place: Floats  # [E, 8] description of the place, columns in `mrsan.kernels.walls`
     walls: Floats  # [E, 12, W] segments, rows in `mrsan.kernels.walls`

@@ -12,15 +12,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mrsan.crowds import crowd_model, step_kernel
+from mrsan.crowds import begin_kernel, crowd_model, social_settings, step_kernel
 from mrsan.features import OTHER_FEATURES
 from mrsan.fields import ConfigurationError
 from mrsan.kernels import kernel
 from mrsan.kernels.places import MOST_ZONES
 from mrsan.kernels.routes import CORNER_ROWS
-from mrsan.kernels.spawn import NO_ROOM_FOR_ROBOTS, begin_episodes
+from mrsan.kernels.social_state import SOCIAL
+from mrsan.kernels.spawn import NO_ROOM_FOR_ROBOTS
 from mrsan.kernels.tally import TALLY
-from mrsan.kernels.walled_spawn import walled_begin
 from mrsan.kernels.walls import PLACE_COLUMNS, WALL_ROWS, with_room_for_lanes
 from mrsan.lookahead import LookaheadReward
 from mrsan.metrics import Episodes, episodes_of
@@ -92,9 +92,11 @@ class World:
         self._map = scenario.fixed_map
         self.state = _empty_state(worlds, scenario, history)
         crowd = crowd_model(scenario.crowd)
-        self._advance = step_kernel(crowd, scenario.has_walls)
-        self._begin_episodes = walled_begin() if scenario.has_walls else begin_episodes
+        walled, social = scenario.has_walls, scenario.is_social
+        self._advance = step_kernel(crowd, walled, social)
+        self._begin_episodes = begin_kernel(walled, social)
         self._crowd_settings = crowd.kernel_settings(scenario)
+        self._social = social_settings(scenario, self._crowd_settings)
         self._recording = scenario.load_recording()
         self._sensors = SensorSuite(scenario)
         self._all_seeing = SensorSuite(scenario, all_seeing=True)
@@ -149,6 +151,7 @@ class World:
             self._place,
             self._map,
             self._recording,
+            self._social,
             problem,
         )
         if problem.any():
@@ -251,7 +254,7 @@ class World:
             self.state,
             action,
             self._parameters,
-            self._crowd_settings,
+            self._social or self._crowd_settings,
             self._recording,
             reward,
             terms,
@@ -321,6 +324,7 @@ def _empty_state(e: int, scenario: Scenario, history: int) -> State:
         human_past_valid=np.zeros((e, m, history), np.bool_),
         human_radius=np.zeros((e, m), f),
         human_speed=np.zeros((e, m), f),
+        human_social=np.zeros((e, m, len(SOCIAL) * scenario.is_social), np.int32),
         robot_position=np.zeros((e, n, 2), f),
         robot_velocity=np.zeros((e, n, 2), f),
         robot_heading=np.zeros((e, n), f),

@@ -367,12 +367,10 @@ def _command(
     excluded = {
         *(f"scenario.{name}" for name in column),
         "scenario.name",
-        "scenario.reward",
         "evaluation.batch",
     }
     for path, instance, default in (
         ("scenario", scenario, named),
-        ("scenario.reward", scenario.reward, named.reward),
         ("evaluation", evaluation, Evaluation()),
     ):
         for name, value in changed_fields(instance, default):

@@ -15,7 +15,7 @@ from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
-from mrsan import Place, Reward, Scenario
+from mrsan import Groups, Place, Reactions, Reward, Scenario
 from mrsan.fields import permitted_range
 from samarl.agents.build import find_class
 from samarl.commands.composition import composed, config_loader
@@ -149,11 +149,17 @@ def _comments_of_choice(folder: Path, choice: str) -> Meanings:
     return comments | comments_in_yaml(path)
 
 
+def _scenario_classes(path: str) -> dict[str, Any]:
+    """Return the dataclasses of a scenario at a path of the configuration."""
+    parts = {"reward": Reward, "place": Place, "reactions": Reactions, "groups": Groups}
+    return {path: Scenario, **{f"{path}.{name}": cls for name, cls in parts.items()}}
+
+
 def _classes(config: DictConfig) -> dict[str, Any]:
     """Return the dataclasses of the settings, by path."""
     classes: dict[str, Any] = {}
     if "scenario" in config:
-        classes |= {"scenario": Scenario, "scenario.reward": Reward, "scenario.place": Place}
+        classes |= _scenario_classes("scenario")
     if "evaluation" in config:
         classes["evaluation"] = Evaluation
     if "agent" in config:
@@ -171,9 +177,7 @@ def _classes(config: DictConfig) -> dict[str, Any]:
         classes |= {
             "trainer": TrainerConfig,
             "curriculum.stages": CurriculumStage,
-            "curriculum.stages.scenario": Scenario,
-            "curriculum.stages.scenario.reward": Reward,
-            "curriculum.stages.scenario.place": Place,
+            **_scenario_classes("curriculum.stages.scenario"),
             "algorithm": ALGORITHMS[config.algorithm.name].config,
             "policy": POLICIES[config.policy.name].config,
             "encoder": ENCODERS[config.encoder.name].config,

@@ -31,6 +31,7 @@ class Tables(Flag):
     driving = auto()  # of the report, on how the robots drive
     counted = auto()  # printed and report, if collisions do not end the episode
     walled = auto()  # printed and report, of places with walls
+    grouped = auto()  # printed and report, if there are groups of people
     everywhere = printed | report | driving
 
 
@@ -299,6 +300,20 @@ def _soonest_collision(episodes: Episodes) -> Value:
     """
     seconds = episodes.soonest_collision[np.isfinite(episodes.closest_human)]
     return float(np.median(np.minimum(seconds, _MAX_TIME_TO_COLLISION))) if seconds.size else None
+
+
+@metric("group_intrusion_rate", heading="in a group %", tables=Tables.grouped)
+def _group_intrusion(episodes: Episodes) -> Value:
+    """Episodes in which a robot was inside a group of people, %; undefined without groups."""
+    share = episodes.intrusion_share
+    return None if np.isnan(share).any() else _percent(share.max(axis=1) > 0)
+
+
+@metric("group_intrusion_share", heading="", tables=Tables.grouped)
+def _group_intrusion_share(episodes: Episodes) -> Value:
+    """Share of a robot's steps inside a group of people, %; undefined without groups."""
+    share = episodes.intrusion_share
+    return None if np.isnan(share).any() else _percent(share)
 
 
 @metric("jerk", heading="jerk m/s³", tables=Tables.report)

@@ -119,14 +119,22 @@ def _changes(scenario: Scenario, named: Scenario) -> str:
     if scenario.crowd == Crowd.recorded:
         covered |= {"crowd", "robot_way_min", "robot_way_max"}
     fields = changed_fields(scenario, named)
-    return " ".join(f"{name}={value}" for name, value in fields if name not in covered)
+    return " ".join(
+        f"{name}={value}" for name, value in fields if name.partition(".")[0] not in covered
+    )
 
 
 def changed_fields(instance: Any, default: Any) -> Iterator[tuple[str, Any]]:
-    """Yield names and values of fields that differ from `default`; enums by member name."""
+    """Yield names and values of fields that differ from `default`; enums by member name.
+
+    The fields of a dataclass in a field have names such as `reward.arrival`.
+    """
     for field in dataclasses.fields(instance):
         value = getattr(instance, field.name)
-        if isinstance(value, dict):
+        if dataclasses.is_dataclass(value):
+            for name, item in changed_fields(value, getattr(default, field.name)):
+                yield f"{field.name}.{name}", item
+        elif isinstance(value, dict):
             for key, item in value.items():
                 if item != getattr(default, field.name).get(key):
                     yield f"{field.name}.{key}", item

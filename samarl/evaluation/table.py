@@ -103,6 +103,7 @@ def rows_as_cells(
     if not driving:
         tables |= Tables.counted if counts_collisions(rows) else Tables(0)
         tables |= Tables.walled if has_walls(rows) else Tables(0)
+        tables |= Tables.grouped if has_groups(rows) else Tables(0)
     metrics = [metric for metric in METRICS.values() if metric.heading and tables & metric.tables]
     header = ("method", "FOV", "humans", "robots", *(metric.heading for metric in metrics))
     lines = [_cells(row, metrics) for row in rows]
@@ -130,6 +131,11 @@ def rows_as_cells(
 def has_walls(rows: Sequence[Row]) -> bool:
     """Return whether the rows are of places with walls."""
     return any(Layout[column_of(row).layout].has_walls for row in rows)
+
+
+def has_groups(rows: Sequence[Row]) -> bool:
+    """Return whether there are groups of people in the scenario of any row."""
+    return any("groups.share=" in column_of(row).changes for row in rows)
 
 
 def _cells(row: Row, metrics: Sequence[Metric]) -> list[str]:

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mrsan import Episodes, Observation, Scenario, State, World
+from mrsan import CrowdReaction, Episodes, Observation, Reaction, Scenario, State, World
+from mrsan.kernels.social_state import GROUP, REACTION
 from mrsan.metrics import episodes_of
 from mrsan.rendering import walls_of
 from samarl.agents import Agent, Explanation
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float32]
 Bools = NDArray[np.bool_]
+Ints = NDArray[np.int32]
 
 
 @dataclass
@@ -40,6 +42,8 @@ class Trajectory:
     human_goal: Floats  # [T + 1, M, 2]
     human_radius: Floats  # [M]
     human_present: Bools  # [T + 1, M]
+    human_group: Ints | None  # [M] number of the group; -1: none; None: there are no groups
+    human_reaction: list[str] | None  # [M] names of `mrsan.Reaction`; None: they are not drawn
     driving: Bools  # [T + 1, N] not yet arrived
     humans_visible: Bools  # [T + 1, N, M]
     robots_visible: Bools  # [T + 1, N, N]
@@ -74,6 +78,7 @@ def record_episode(agent: Agent, scenario: Scenario, case: int) -> Trajectory:
         None if values[0] is None else np.concatenate(values)
         for values in zip(*explanations, strict=True)
     )
+    groups, reactions = _social(scenario, state.human_social[0, ever_present])
     return Trajectory(
         scenario=scenario,
         case=case,
@@ -87,6 +92,8 @@ def record_episode(agent: Agent, scenario: Scenario, case: int) -> Trajectory:
         human_goal=human_goal[:, ever_present],
         human_radius=state.human_radius[0, ever_present],
         human_present=present[:, ever_present],
+        human_group=groups,
+        human_reaction=reactions,
         driving=driving,
         humans_visible=humans_visible[..., ever_present],
         robots_visible=_with_diagonal(robots_visible),
@@ -99,6 +106,15 @@ def record_episode(agent: Agent, scenario: Scenario, case: int) -> Trajectory:
         shielded=shielded,
         episodes=episodes_of(state, scenario, np.ones(1, np.bool_)),
     )
+
+
+def _social(scenario: Scenario, social: Ints) -> tuple[Ints | None, list[str] | None]:
+    """Return the groups and the reactions of the people of `State.human_social` [M, 3]."""
+    has_groups = scenario.groups.share > 0.0
+    reactions_drawn = scenario.crowd_reaction is CrowdReaction.mixed
+    groups = social[:, GROUP].copy() if has_groups else None
+    names = [Reaction(kind).name for kind in social[:, REACTION]] if reactions_drawn else None
+    return groups, names
 
 
 def _snapshot(state: State, observation: Observation) -> tuple[NDArray, ...]:

@@ -32,6 +32,8 @@ def as_replay(trajectory: Trajectory) -> dict[str, Any]:
         "robots": _points(trajectory.robot_position),
         "headings": _series(np.degrees(np.unwrap(trajectory.robot_heading, axis=0))),
         "humans": _points(trajectory.human_position),
+        "humanGroups": None if trajectory.human_group is None else trajectory.human_group.tolist(),
+        "humanReactions": trajectory.human_reaction,
         "humansPresent": _switches(trajectory.human_present[:, None])[0],
         "humansVisible": _switches(trajectory.humans_visible),
         "robotsVisible": _switches(trajectory.robots_visible),

@@ -4,7 +4,7 @@ import numba
 import numpy as np
 import pytest
 
-from mrsan import Crowd, Reward, Scenario, World
+from mrsan import Crowd, CrowdReaction, Groups, Reward, Scenario, World
 
 CASES, STEPS, ROBOTS = 500, 25, 3
 SCENARIOS = {
@@ -25,6 +25,13 @@ SCENARIOS = {
         arena_radius=7.0,
     ),
     "social force": Scenario(robots=ROBOTS, humans=6, crowd=Crowd.social_force),
+    "reactions and groups": Scenario(
+        robots=ROBOTS,
+        humans=12,
+        humans_min=2,
+        crowd_reaction=CrowdReaction.mixed,
+        groups=Groups(share=0.7, standing_share=0.3),
+    ),
     "collisions counted": Scenario(
         robots=ROBOTS,
         humans=12,

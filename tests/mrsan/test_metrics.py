@@ -34,6 +34,7 @@ def episode(**fields) -> Episodes:
         "contacts": [[0.0]],
         "comfort_share": [[0.0]],
         "deadlock": [False],
+        "intrusion_share": [[np.nan]],
     }
     return Episodes(**{key: np.array(value) for key, value in (values | fields).items()})
 

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mrsan import Scenario, Step, World
+from mrsan import CrowdReaction, Groups, Scenario, Step, World
 
 E, STEPS = 24, 60
 SCENARIO = Scenario(
@@ -20,6 +20,12 @@ SCENARIO = Scenario(
     missed_detection=0.1,
     robots_visible=True,
     goal_change_interval=1.0,
+)
+SOCIAL = replace(
+    SCENARIO,
+    robots_visible=False,
+    crowd_reaction=CrowdReaction.mixed,
+    groups=Groups(share=0.7, standing_share=0.3),
 )
 COUNTED = replace(SCENARIO, humans=12, collisions_end=False, radius_noise=0.1)
 ACTIONS = np.random.default_rng(0).uniform(-1, 1, (STEPS, E, 2, 3)).astype(np.float32)
@@ -48,7 +54,7 @@ def go_on(world: World) -> list[Step]:
 
 
 @pytest.mark.parametrize("auto_reset", [True, False])
-@pytest.mark.parametrize("scenario", [SCENARIO, COUNTED])
+@pytest.mark.parametrize("scenario", [SCENARIO, COUNTED, SOCIAL])
 def test_the_same_actions_lead_to_the_same_bits(scenario: Scenario, auto_reset: bool) -> None:
     """Eight seconds are 32 steps: every world ends on the way, and most begin again."""
     world = begun(auto_reset, scenario)
@@ -122,7 +128,7 @@ def test_what_does_not_fit_is_refused_and_nothing_is_written() -> None:
             past._replace(tally=past.tally[:, :1]),
             None,
             ValueError,
-            r"snapshot.tally has shape \(24, 1, 15\); it must have \(24, 2, 15\)",
+            r"snapshot.tally has shape \(24, 1, 16\); it must have \(24, 2, 16\)",
         ),
         (
             past._replace(clock=past.clock.astype(float)),

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from matplotlib.axes import Axes
 
-from mrsan import Scenario, TeamPerception
+from mrsan import CrowdReaction, Groups, Reactions, Scenario, TeamPerception
 from samarl.agents import build_agent
 from samarl.commands.report import _methods
 from samarl.configuration import available_agents, load_agent_config
@@ -301,6 +301,21 @@ def test_a_replay_marks_agents_shared_by_team_mates() -> None:
                 assert now == reported[t, i].tolist()
     alone = as_replay(straight_trajectory())
     assert alone["humansReported"] is alone["robotsReported"] is None
+
+
+def test_a_replay_records_groups_and_reactions() -> None:
+    scenario = Scenario(
+        humans=4,
+        time_limit=1.0,
+        crowd_reaction=CrowdReaction.mixed,
+        reactions=Reactions(0.0, 0.0, 0.0, curious=1.0, scared=0.0, threatening=0.0),
+        groups=Groups(share=1.0, size_max=2),
+    )
+    replay = as_replay(record_episode(build_agent(STRAIGHT, scenario), scenario, 3))
+    assert replay["humanGroups"] == [0, 0, 2, 2]
+    assert replay["humanReactions"] == ["curious"] * 4
+    alone = as_replay(straight_trajectory())
+    assert alone["humanGroups"] is alone["humanReactions"] is None
 
 
 def test_a_replay_marks_the_steps_with_a_replaced_action() -> None:

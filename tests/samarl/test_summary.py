@@ -7,7 +7,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mrsan import ConfigurationError, Crowd, Episodes, Layout, Outcome, Scenario
+from mrsan import (
+    ConfigurationError,
+    Crowd,
+    Episodes,
+    Groups,
+    Layout,
+    Outcome,
+    Reward,
+    Scenario,
+)
 from samarl.commands.bench import merged
 from samarl.evaluation.metrics import (
     METRICS,
@@ -93,6 +102,7 @@ def four_episodes() -> Episodes:
         contacts=np.array([[0.0, 0], [1, 0], [0.5, 0.5], [0, 0]]),
         comfort_share=np.array([[0.0, 0.3], [0.5, 0], [0, 0], [0, 0.1]]),
         deadlock=np.array([False, False, False, True]),
+        intrusion_share=np.array([[0.0, 0.25], [0, 0], [0, 0], [0, 0]]),
     )
 
 
@@ -145,6 +155,8 @@ def test_a_row_by_hand() -> None:
         "personal_share": 25.0,
         "social_share": 25.0,
         "soonest_collision": 4.0,  # the median of 0, 2, 3, 4, 5, 6 and 10
+        "group_intrusion_rate": 25.0,
+        "group_intrusion_share": 3.12,
         "jerk": 2.0,
         "standing_share": 5.0,
         "heading_change": 2.0,
@@ -256,6 +268,20 @@ def test_a_column_lists_all_changed_fields() -> None:
         crowd=Crowd.recorded, robot_way_max=9.0, frame_seconds=0.1, missed_detection=1
     )
     assert scenario_column(recorded).changes == "missed_detection=1"
+    parts = Scenario(groups=Groups(share=0.5, size_max=2), reward=Reward(arrival=1.0))
+    assert scenario_column(parts).changes == "groups.share=0.5 groups.size_max=2"
+
+
+def test_the_metrics_of_groups_are_shown_where_there_are_groups() -> None:
+    alone = four_episodes()._replace(intrusion_share=np.full((4, 2), np.nan))
+    without = summarise(alone, Scenario(robots=2), "mine", "command", "abc", 7)
+    assert without["group_intrusion_rate"] is without["group_intrusion_share"] is None
+    assert "in a group %" not in rows_as_cells([without])[0]
+    header, (line, other) = rows_as_cells([row(changes="groups.share=0.5"), without])
+    assert (line[header.index("in a group %")], other[header.index("in a group %")]) == (
+        "25.0",
+        "-",
+    )
 
 
 def test_rows_of_older_tables_belong_to_table_1(tmp_path: Path) -> None:
@@ -394,7 +420,7 @@ def test_committed_rows_have_every_metric_of_the_printed_table() -> None:
     """The metrics of driving and of MSA3C were added later; all are in the order of the fields."""
     rows = read_rows(COMMITTED)
     assert rows is not None
-    added = Tables.driving, Tables.counted, Tables.walled
+    added = Tables.driving, Tables.counted, Tables.walled, Tables.grouped
     later = {f for metric in METRICS.values() if metric.tables in added for f in metric.fields}
     later |= {"scenario", "collisions_end"}
     seed_fields = list(across_seeds(rows[:2]))

@@ -37,7 +37,7 @@ _BATCH = 16  # attempts that are looked up together
 
 # Attempts to place an agent before the scenario is refused. As places are widened (see `layout`),
 # nearly every scenario needs far fewer.
-_MOST_ATTEMPTS = 50_000
+MOST_ATTEMPTS = 50_000
 _MOST_RECORDED_ATTEMPTS = 20_000  # each examines all people of the recording
 
 # Reasons why an episode could not begin, see `begin_episodes`.
@@ -68,7 +68,9 @@ def no_walls(state, e, attempt, p, place_parameters, fixed_map):
 
 
 @function
-def _begin(state, e, p, recording, occupied, candidates, draw_route, route_length, place_human):
+def _begin(
+    state, e, p, recording, social, occupied, candidates, draw_route, route_length, place_human
+):
     """Begin the episode of world `e`; return 0, or `NO_ROOM_FOR_*`."""
     key = rng.episode_key(state.case[e], state.episode[e])
     state.key[e] = key
@@ -94,7 +96,7 @@ def _begin(state, e, p, recording, occupied, candidates, draw_route, route_lengt
         state.human_present[e, j] = j < count
         state.human_entry[e, j] = 0 if j < count else NEVER
         if j < count:
-            marked = place_human(state, e, j, key, layout, p, occupied, candidates, marked)
+            marked = place_human(state, e, j, key, layout, p, social, occupied, candidates, marked)
             if marked == NOT_PLACED:
                 return NO_ROOM_FOR_PEOPLE
             state.human_entry[e, j] = entry_of(key, j - 1 if walks_along(key, j, p) else j, p)
@@ -108,7 +110,7 @@ def _place_robot(state, e, i, key, layout, recording, p, draw_route, route_lengt
     position, goal = state.robot_position[e], state.robot_goal[e]
     gap = p.robot_radius + p.robot_radius + p.spawn_clearance
     placed = False
-    for attempt in range(_MOST_RECORDED_ATTEMPTS if p.people_recorded else _MOST_ATTEMPTS):
+    for attempt in range(_MOST_RECORDED_ATTEMPTS if p.people_recorded else MOST_ATTEMPTS):
         placed = draw_route(state, e, i, key, attempt, layout, recording, p)
         for k in range(i):  # starts and goals of the robots keep apart, all four pairs
             placed = placed and (
@@ -153,7 +155,7 @@ def draw_traits(state, e, j, key, p):
 
 
 @function
-def _place_on_floor(state, e, j, key, layout, p, occupied, candidates, marked):
+def place_on_floor(state, e, j, key, layout, p, social, occupied, candidates, marked):
     """Draw the start of human `j` of world `e` until it has room.
 
     Returns:
@@ -168,14 +170,14 @@ def _place_on_floor(state, e, j, key, layout, p, occupied, candidates, marked):
         place_beside(position, goal, state.human_radius[e], j, key, attempt)
         while not has_room(state, e, j, j - 1, p):
             attempt += 1
-            if attempt >= _MOST_ATTEMPTS:
+            if attempt >= MOST_ATTEMPTS:
                 return NOT_PLACED
             place_beside(position, goal, state.human_radius[e], j, key, attempt)
         return marked
     draw_human_start(position[j], key, j, robots + j, attempt, speed, layout, p)
     while _is_occupied(position[j], attempt, occupied) or not has_room(state, e, j, j, p):
         attempt += 1
-        if attempt >= _MOST_ATTEMPTS:
+        if attempt >= MOST_ATTEMPTS:
             return NOT_PLACED
         if attempt == _ATTEMPTS_WITHOUT_MAP:
             _mark_cells(state, e, marked, robots + j, p, occupied)
@@ -267,16 +269,19 @@ def _distance(a, b):
     return math.sqrt(dx * dx + dy * dy)
 
 
-# `begin_episodes.variant` replaces these in places with walls, see `mrsan.kernels.walled_spawn`.
+# `begin_episodes.variant` replaces these in places with walls, see `mrsan.kernels.walled_spawn`,
+# and for people who react to robots or walk in groups, see `mrsan.kernels.society`.
 most_places = 1
 draw_walls = no_walls
 draw_route = draw_open_route
 route_length = straight_length
-place_human = _place_on_floor
+place_human = place_on_floor
 
 
 @kernel
-def begin_episodes(chunks, worlds, state, p, place_parameters, fixed_map, recording, problem):
+def begin_episodes(
+    chunks, worlds, state, p, place_parameters, fixed_map, recording, social, problem
+):
     """Begin an episode in each world of a mask: write its state at step 0.
 
     Args:
@@ -287,6 +292,7 @@ def begin_episodes(chunks, worlds, state, p, place_parameters, fixed_map, record
         place_parameters: the numbers of `mrsan.place.Place`.
         fixed_map: the walls of a map file, see `mrsan.maps.FixedMap`.
         recording: the tracks of recorded people.
+        social: how people react to robots and form groups, see `mrsan.kernels.society`.
         problem: [E] int8, written: 0, or `NO_ROOM_FOR_*` in a world that could not begin.
     """
     total = worlds.shape[0]
@@ -302,6 +308,7 @@ def begin_episodes(chunks, worlds, state, p, place_parameters, fixed_map, record
                         e,
                         p,
                         recording,
+                        social,
                         occupied,
                         candidates,
                         draw_route,

@@ -42,10 +42,17 @@ def straight_progress(state, e, i, progress, p):
     return progress
 
 
-# The functions of a crowd model, see `mrsan.crowds`, and those that know the place, see
-# `mrsan.kernels.walled`; `advance.variant` replaces them.
+@function
+def no_groups(state, e, p, settings):
+    """Count no robots in groups, without groups."""
+
+
+# The functions of a crowd model, see `mrsan.crowds`, those that know the place, see
+# `mrsan.kernels.walled`, and those that know groups, see `mrsan.kernels.groups`; `advance.variant`
+# replaces them.
 touches_wall = no_wall
 route_progress = straight_progress
+count_intrusions = no_groups
 update_presence = enter_and_leave
 choose_velocities = walk_to_goals
 crowd_velocity = orca_crowd
@@ -113,6 +120,7 @@ def advance(chunks, state, action, p, crowd_settings, recording, reward, parts):
             _move_robots(state, e, action, p, displacement, contact, touches_wall)
             _move_humans(state, e, p, present, human_velocities)
             _find_contacts(state, e, p, present, displacement, human_gap, contact)
+            count_intrusions(state, e, p, crowd_settings)
             _finish_step(
                 state, e, p, displacement, human_gap, contact, reward, parts, route_progress
             )

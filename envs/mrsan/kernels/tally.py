@@ -20,7 +20,8 @@ TALLY = (
     "comfort_steps",  # ending within 0.25 m of the nearest human
     "still_steps",  # consecutive steps until now in which every driving robot stood
     "deadlocks",  # times that they reached `mrsan.parameters.DEADLOCK_TIME`
+    "intrusion_steps",  # ending in the hull of a group of people, or too near to it
 )
 PATH_LENGTH, CLOSEST_HUMAN, DRIVEN_STEPS, CLOSE_STEPS, PERSONAL_STEPS, SOCIAL_STEPS = range(6)
 STANDING_STEPS, JERK_SUM, HEADING_CHANGE, SOONEST_COLLISION, RAN_INTO = range(6, 11)
-CONTACTS, COMFORT_STEPS, STILL_STEPS, DEADLOCKS = range(11, 15)
+CONTACTS, COMFORT_STEPS, STILL_STEPS, DEADLOCKS, INTRUSION_STEPS = range(11, 16)

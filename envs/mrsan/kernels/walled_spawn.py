@@ -68,7 +68,7 @@ def length_of_route(state, e, i):
 
 
 @function
-def place_human_in_zone(state, e, j, key, layout, p, occupied, candidates, marked):
+def place_human_in_zone(state, e, j, key, layout, p, social, occupied, candidates, marked):
     """Draw start and goal of human `j`; return `marked`, or `NOT_PLACED`."""
     position, goal = state.human_position[e], state.human_goal[e]
     agent = state.robot_heading.shape[1] + j
