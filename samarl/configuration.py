@@ -22,6 +22,7 @@ from mrsan import ConfigurationError, Scenario
 from samarl.evaluation.runner import Evaluation
 from samarl.files import find_folder
 from samarl.messages import choice_hint, describe
+from samarl.physics.engine import ENGINES, Engine
 
 T = TypeVar("T")
 
@@ -35,6 +36,7 @@ class Config:
     scenario: Any = MISSING
     agent: Any = MISSING
     evaluation: Any = MISSING
+    engine: Any = MISSING
     checkpoint: str | None = None
     plugins: list[str] = field(default_factory=list)
 
@@ -53,6 +55,8 @@ def register_schemas() -> None:
         OmegaConf.set_struct(scenario[name], False)
     store.store(group="scenario", name="schema", node=scenario)
     store.store(group="evaluation", name="schema", node=Evaluation)
+    for engine, cls in ENGINES.items():
+        store.store(group="engine", name=f"{engine}_schema", node=cls)
 
 
 def scenario_in(config: DictConfig) -> Scenario:
@@ -73,7 +77,19 @@ def evaluation_in(config: DictConfig) -> Evaluation:
     return _object_in(config, "evaluation", Evaluation, "default")
 
 
-def _object_in(config: DictConfig, group: str, kind: type[T], shipped: str) -> T:
+def engine_in(config: DictConfig) -> Engine:
+    """Return the checked settings of the engine that moves the robots.
+
+    Raises:
+        ConfigurationError: the settings are not valid.
+    """
+    kinds: tuple[type[Engine], ...] = tuple(ENGINES.values())
+    return _object_in(config, "engine", kinds, "mrsan_schema")
+
+
+def _object_in(
+    config: DictConfig, group: str, kind: type[T] | tuple[type[T], ...], shipped: str
+) -> T:
     values = config[group]
     instance = None if values is None else OmegaConf.to_object(values)
     if not isinstance(instance, kind):

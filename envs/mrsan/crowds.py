@@ -18,6 +18,7 @@ import numpy as np
 from mrsan.choices import Crowd
 from mrsan.fields import ConfigurationError, check_numbers, kernel_form
 from mrsan.kernels import function, kernel
+from mrsan.kernels.along import move_along_path, pieces_of_path
 from mrsan.kernels.people import (
     enter_and_leave,
     follow_recording,
@@ -247,27 +248,32 @@ def check_crowd(name: Any, settings: Any) -> None:
 
 
 @cache
-def step_kernel(model: CrowdModel, walled: bool = False) -> kernel:
+def step_kernel(model: CrowdModel, walled: bool = False, along_paths: bool = False) -> kernel:
     """Return the kernel that moves worlds whose people follow a crowd model.
 
     Args:
         model: the crowd model.
         walled: in places with walls.
+        along_paths: robots move along paths (`mrsan.kernels.along`) instead of by actions.
     """
+    name, functions = model.variant, {"update_presence": model.update_presence}
+    if along_paths:
+        name += "_along"
+        functions |= {"pieces": pieces_of_path, "move_robot": move_along_path}
     if not walled:
         return advance.variant(
-            model.variant,
+            name,
             choose_velocities=model.choose_velocities,
-            update_presence=model.update_presence,
             crowd_velocity=model.crowd_velocity,
+            **functions,
         )
     past_walls = model.crowd_velocity_past_walls or model.crowd_velocity
     walks = model.choose_velocities is walk_to_goals
     return advance.variant(
-        f"{model.variant}_walled",
+        f"{name}_walled",
         choose_velocities=walk_along_routes if walks else model.choose_velocities,
-        update_presence=model.update_presence,
         crowd_velocity=past_walls,
         touches_wall=robot_touches_wall,
         route_progress=progress_along_route,
+        **functions,
     )

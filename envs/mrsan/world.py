@@ -15,6 +15,8 @@ from numpy.typing import ArrayLike
 from mrsan.crowds import crowd_model, step_kernel
 from mrsan.features import OTHER_FEATURES
 from mrsan.fields import ConfigurationError
+from mrsan.kernels import kernel
+from mrsan.kernels.along import PATH_COLUMNS
 from mrsan.kernels.places import MOST_ZONES
 from mrsan.kernels.routes import CORNER_ROWS
 from mrsan.kernels.spawn import NO_ROOM_FOR_ROBOTS, begin_episodes
@@ -91,6 +93,7 @@ class World:
         self.state = _empty_state(worlds, scenario, history)
         crowd = crowd_model(scenario.crowd)
         self._advance = step_kernel(crowd, scenario.has_walls)
+        self._advance_along = step_kernel(crowd, scenario.has_walls, along_paths=True)
         self._begin_episodes = walled_begin() if scenario.has_walls else begin_episodes
         self._crowd_settings = crowd.kernel_settings(scenario)
         self._recording = scenario.load_recording()
@@ -211,18 +214,45 @@ class World:
         Raises:
             ActionError: an action is not a number, is out of range or has the wrong shape.
         """
+        return self._step(self._advance, self._checked_actions(actions))
+
+    def step_along(self, paths: ArrayLike) -> Step:
+        """Move every world by one time step, its robots along paths from elsewhere.
+
+        A physics engine drives robots this way: people, contacts, arrivals, rewards and records
+        are those of `step`. Robots may leave the arena, and walls do not stop them.
+
+        Args:
+            paths: [E, N, K, 5] `mrsan.kernels.along.PATH_COLUMNS` of each robot at K evenly spaced
+                moments, the last one at the end of the step; between them it moves straight.
+
+        Raises:
+            ActionError: a path is not finite or has the wrong shape.
+        """
+        path = np.ascontiguousarray(paths, np.float32)
+        e, n, columns = self.worlds, self.scenario.robots, len(PATH_COLUMNS)
+        if path.ndim != 4 or path.shape != (e, n, max(path.shape[2], 1), columns):
+            raise ActionError(
+                f"paths have shape {path.shape}; they must have ({e}, {n}, K, {columns})"
+            )
+        if not np.isfinite(path).all():
+            e, n = np.argwhere(~np.isfinite(path).all((2, 3)))[0]
+            raise ActionError(f"the path of robot {n} in world {e} is not finite; it must be")
+        return self._step(self._advance_along, path)
+
+    def _step(self, advance: kernel, motion: Floats) -> Step:
+        """Move every world by one time step; `motion` is what the kernel `advance` takes."""
         state = self.state
         if (state.episode < 0).any():
             number = int(np.flatnonzero(state.episode < 0)[0])
             raise RuntimeError(f"world {number} has not been reset; call reset() before step()")
-        action = self._checked_actions(actions)
-        reward = np.empty(action.shape[:2], np.float32)
+        reward = np.empty(motion.shape[:2], np.float32)
         terms = np.zeros((len(RewardParts._fields), *reward.shape), np.float32)
         running = ~state.done
-        self._advance(
+        advance(
             self.worlds,
             state,
-            action,
+            motion,
             self._parameters,
             self._crowd_settings,
             self._recording,

@@ -11,16 +11,17 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
-from mrsan import Episodes, Outcome, social_score
-from samarl.agents import build_agent
+from mrsan import Episodes, Outcome, Scenario, social_score
+from samarl.agents import Agent, build_agent
 from samarl.commands.agents import check_agent, print_scope_warning, selected_agent
 from samarl.commands.cli import command_line, run_command
-from samarl.configuration import evaluation_in, load_scenario, scenario_in
-from samarl.evaluation.runner import run_cases
+from samarl.configuration import engine_in, evaluation_in, load_scenario, scenario_in
+from samarl.evaluation.runner import Evaluation, run_cases
 from samarl.evaluation.summary import Row, summarise
 from samarl.evaluation.sweep import read_cell
 from samarl.evaluation.table import rows_as_markdown
 from samarl.files import code_version, write_json, write_text
+from samarl.physics.engine import Engine, MrsanEngine
 
 _PER_EPISODE = ("case", "episode", "duration", "outcome", "steps", "deadlock")
 _PER_ROBOT = [name for name in Episodes._fields if name not in _PER_EPISODE]
@@ -40,6 +41,7 @@ def evaluate(config: DictConfig) -> Row:
     hydra = HydraConfig.get()
     folder = Path(hydra.runtime.output_dir)
     row_path = folder / "row.json"
+    engine = engine_in(config)
     agent = build_agent(selected_agent(config), scenario)
     marker = {"config": _plain(config), "commit": code_version(), "agent": agent.version()}
     cell = read_cell(row_path) if hydra.mode == RunMode.MULTIRUN else None
@@ -49,21 +51,41 @@ def evaluate(config: DictConfig) -> Row:
         return finished_row
     print_scope_warning(agent)
     name = str(hydra.runtime.choices.agent)
-    episodes = run_cases(agent, scenario, evaluation.case_numbers(), evaluation.batch, name)
+    episodes, further_fields = _run(agent, scenario, engine, evaluation, name)
     command = command_line("samarl-evaluate")
     seed = int(evaluation.case_numbers()[0])
     named = load_scenario(scenario.name)
     row = summarise(episodes, scenario, name, command, marker["commit"], seed, named)
+    row |= further_fields
+    row["changes"] = " ".join(filter(None, [row["changes"], *engine.changes()]))
     write_text(folder / "episodes.jsonl", episodes_as_jsonl(episodes))
     write_json(row_path, {"row": row, **marker})  # last: it marks the cell as finished
     print(rows_as_markdown([row]))
+    if "tracking_error" in row:
+        print(
+            f"after a decision, robots are {100 * row['tracking_error']:.1f} cm from where it leads"
+        )
     print(f"written to {folder}")
     return row
+
+
+def _run(
+    agent: Agent, scenario: Scenario, engine: Engine, evaluation: Evaluation, name: str
+) -> tuple[Episodes, Row]:
+    """Return the records of all cases, and fields of the row that only this engine has."""
+    cases = evaluation.case_numbers()
+    if isinstance(engine, MrsanEngine):
+        return run_cases(agent, scenario, cases, evaluation.batch, name), {}
+    from samarl.physics.runner import run_physics_cases  # imports MuJoCo
+
+    run = run_physics_cases(agent, scenario, engine, cases, name)
+    return run.episodes, {"tracking_error": round(run.tracking_error, 4)}
 
 
 def check_cell(config: DictConfig) -> None:
     """Check the configuration of a cell of a sweep without running it."""
     evaluation_in(config)
+    engine_in(config).check(scenario_in(config))
     check_agent(config)
 
 
