@@ -11,7 +11,7 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
-from mrsan import Episodes, Outcome, Scenario, social_score
+from mrsan import Episodes, Outcome, social_score
 from samarl.agents import Agent, build_agent
 from samarl.commands.agents import check_agent, print_scope_warning, selected_agent
 from samarl.commands.cli import command_line, run_command
@@ -51,13 +51,8 @@ def evaluate(config: DictConfig) -> Row:
         return finished_row
     print_scope_warning(agent)
     name = str(hydra.runtime.choices.agent)
-    episodes, further_fields = _run(agent, scenario, engine, evaluation, name)
     command = command_line("samarl-evaluate")
-    seed = int(evaluation.case_numbers()[0])
-    named = load_scenario(scenario.name)
-    row = summarise(episodes, scenario, name, command, marker["commit"], seed, named)
-    row |= further_fields
-    row["changes"] = " ".join(filter(None, [row["changes"], *engine.changes()]))
+    episodes, row = evaluate_agent(agent, name, engine, evaluation, command)
     write_text(folder / "episodes.jsonl", episodes_as_jsonl(episodes))
     write_json(row_path, {"row": row, **marker})  # last: it marks the cell as finished
     print(rows_as_markdown([row]))
@@ -69,17 +64,31 @@ def evaluate(config: DictConfig) -> Row:
     return row
 
 
-def _run(
-    agent: Agent, scenario: Scenario, engine: Engine, evaluation: Evaluation, name: str
+def evaluate_agent(
+    agent: Agent, name: str, engine: Engine, evaluation: Evaluation, command: str
 ) -> tuple[Episodes, Row]:
-    """Return the records of all cases, and fields of the row that only this engine has."""
-    cases = evaluation.case_numbers()
-    if isinstance(engine, MrsanEngine):
-        return run_cases(agent, scenario, cases, evaluation.batch, name), {}
-    from samarl.physics.runner import run_physics_cases  # imports MuJoCo
+    """Run the cases in an engine and return their records and the row of the table.
 
-    run = run_physics_cases(agent, scenario, engine, cases, name)
-    return run.episodes, {"tracking_error": round(run.tracking_error, 4)}
+    Args:
+        agent: built for the scenario.
+        name: of the agent in `conf/agent/`.
+        engine: what moves the robots.
+        evaluation: the cases.
+        command: the command that reproduces the row.
+    """
+    scenario, cases = agent.scenario, evaluation.case_numbers()
+    further_fields: Row = {}
+    if isinstance(engine, MrsanEngine):
+        episodes = run_cases(agent, scenario, cases, evaluation.batch, name)
+    else:
+        from samarl.physics.runner import run_physics_cases  # imports MuJoCo
+
+        episodes, error = run_physics_cases(agent, engine, cases, name)
+        further_fields["tracking_error"] = round(error, 4)
+    named = load_scenario(scenario.name)
+    row = summarise(episodes, scenario, name, command, code_version(), int(cases[0]), named)
+    row["changes"] = " ".join(filter(None, [row["changes"], *engine.changes()]))
+    return episodes, row | further_fields
 
 
 def check_cell(config: DictConfig) -> None:

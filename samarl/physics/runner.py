@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from mrsan import Episodes, Scenario
+from mrsan import Episodes
 from samarl.agents import Agent
 from samarl.physics.controllers import Controller, controller_of
 from samarl.physics.engine import MujocoEngine
@@ -26,7 +26,6 @@ class PhysicsRun(NamedTuple):
 
 def run_physics_cases(
     agent: Agent,
-    scenario: Scenario,
     engine: MujocoEngine,
     cases: NDArray[np.int64],
     name: str,
@@ -35,8 +34,7 @@ def run_physics_cases(
     """Run every case in MuJoCo and return its record, in the order of `cases`.
 
     Args:
-        agent: the controller of all robots; a policy is exported first.
-        scenario: the task.
+        agent: the controller of all robots, built for the scenario; a policy is exported first.
         engine: the settings of the physics.
         cases: [B] case numbers.
         name: of the agent in `conf/agent/`.
@@ -45,7 +43,7 @@ def run_physics_cases(
     Raises:
         ConfigurationError: the engine cannot play the scenario, or the policy cannot be exported.
     """
-    world = PhysicsWorld(scenario, engine)
+    world = PhysicsWorld(agent.scenario, engine)
     controller = controller_of(agent, name)
     records, errors = [], []
     for case in tqdm(cases, name, unit="case", leave=False, disable=not shows_progress or None):
