@@ -9,6 +9,7 @@ from typing import Any
 
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import MISSING, DictConfig
+from tqdm import tqdm
 
 from mrsan import ConfigurationError, Split
 from mrsan.cases import CASES_PER_SPLIT
@@ -16,9 +17,11 @@ from mrsan.fields import check_numbers, number
 from samarl.agents import build_agent
 from samarl.commands.agents import check_agent, print_scope_warning, selected_agent
 from samarl.commands.cli import run_command
-from samarl.configuration import load_agent, scenario_in
+from samarl.configuration import engine_in, load_agent, scenario_in
 from samarl.evaluation.trajectory import Trajectory, record_episode
 from samarl.files import check_writable
+from samarl.physics.engine import MujocoEngine
+from samarl.physics.offscreen import prepare_renderer
 
 
 @dataclass
@@ -30,6 +33,7 @@ class Render:
     output: str = MISSING
     scenario: Any = MISSING
     agent: Any = MISSING
+    engine: Any = MISSING
     against: str | None = None
     checkpoint: str | None = None
     plugins: list[str] = field(default_factory=list)
@@ -47,9 +51,13 @@ def render(config: DictConfig) -> None:
     split, index = config.split, config.case
     if index >= CASES_PER_SPLIT:  # a case number as in episodes.jsonl
         split, index = Split.of(index)
-    path = Path(config.output)
+    path, engine = Path(config.output), engine_in(config)
     save = picture_writer(path)
     check_writable(path, "output")
+    if isinstance(engine, MujocoEngine):
+        _render_physics(config, engine, split.case(index), path)
+        print(f"written to {path}")
+        return
     agents: list[tuple[str, Any]] = [
         (HydraConfig.get().runtime.choices.agent, selected_agent(config))
     ]
@@ -67,6 +75,35 @@ def render(config: DictConfig) -> None:
         trajectories.append((trajectory, title))
     save(trajectories, path)
     print(f"written to {path}")
+
+
+def _render_physics(config: DictConfig, engine: MujocoEngine, case: int, path: Path) -> None:
+    """Run one case in MuJoCo and write its film.
+
+    Raises:
+        ConfigurationError: the output is no film, there are two agents, or the engine cannot play
+            the scenario.
+    """
+    if path.suffix.lower() not in (".gif", ".mp4"):
+        raise ConfigurationError(
+            f"output is {str(path)!r}; it must end in .gif or .mp4 with engine=mujoco"
+        )
+    if config.against is not None:
+        raise ConfigurationError(
+            f"against is {config.against!r}; it must be null with engine=mujoco"
+        )
+    scenario, name = scenario_in(config), str(HydraConfig.get().runtime.choices.agent)
+    engine.check(scenario)
+    prepare_renderer()  # before MuJoCo is imported
+    from samarl.physics.controllers import controller_of
+    from samarl.physics.rendering import rendered_frames
+    from samarl.physics.world import PhysicsWorld
+    from samarl.report.animation import write_frames
+
+    world = PhysicsWorld(scenario, engine)
+    agent = build_agent(selected_agent(config), scenario)
+    frames = rendered_frames(world, controller_of(agent, name), case)
+    write_frames(path, tqdm(frames, path.name, unit="frame", disable=None), scenario.time_step)
 
 
 def picture_writer(path: Path) -> Callable[[Sequence[tuple[Trajectory, str]], Path], None]:

@@ -82,6 +82,10 @@ class Bodies:
         self.data.ctrl[:] = (velocities @ self._wheel_speeds.T).ravel()
         mujoco.mj_step(self.model, self.data, self._steps)
 
+    def update_geometry(self) -> None:
+        """Move all geometries, which a step leaves where it began, to the current state."""
+        mujoco.mj_kinematics(self.model, self.data)
+
     @property
     def position(self) -> NDArray[np.float64]:
         """Return the positions of the robots, [N, 2] m."""
@@ -100,6 +104,8 @@ class Bodies:
 
     def scan(self, robot: int, heading: float) -> NDArray[np.float64]:
         """Return the ranges of a robot's lidar by casting rays, [L] m; the greatest if none hits.
+
+        The geometry must be up to date.
 
         Args:
             robot: which one.

@@ -41,7 +41,7 @@ class MujocoEngine:
         100.0, 20.0, 1000.0, unit="Hz", help="rate at which wheels receive new set points"
     )
     physics_step: float = number(
-        0.0025, 1e-4, 0.005, unit="s", help="longest time step of the physics engine"
+        0.005, 1e-4, 0.01, unit="s", help="longest time step of the physics engine"
     )
     mass: float = number(20.0, 1.0, 1000.0, unit="kg", help="mass of a robot")
     motor_torque: float = number(

@@ -17,8 +17,8 @@ FLOOR, WALLS, AGENTS = range(3)  # groups of geometries
 PERSON_HEIGHT = 1.7  # m
 _WHEEL_MASS = 0.05  # of each wheel, as a share of the robot's
 _CASTER_TIME = 0.02  # time constant of the springs of casters, s
-_FULL_TORQUE_AT = 0.5  # error of a wheel's speed at which its motor gives all its torque, rad/s
-_ROTOR_INERTIA = 0.01  # of a motor behind its gearbox, kg m^2
+_SERVO_TIME = 0.01  # time constant with which motors correct the speed of the robot, s
+_ROTOR_INERTIA = 0.05  # of a motor behind its gearbox, as a share of mass times radius squared
 _WALL_HEIGHT, _WALL_THICKNESS = 0.6, 0.02  # m
 _THIN_WALL = 0.002  # thickness of walls with floor on both sides, m
 _HIDDEN = -10.0  # height of people who are not present, m
@@ -45,7 +45,7 @@ def case_xml(
     half = scenario.half_extent + 3.0
     robots = [_robot(i, scenario, engine, drive, state) for i in range(scenario.robots)]
     motors = [
-        _motor(i, k, wheel, engine)
+        _motor(i, k, wheel, engine, drive.wheel_radius)
         for i in range(scenario.robots)
         for k, wheel in enumerate(drive.wheels)
     ]
@@ -117,23 +117,21 @@ def _wheel(i: int, k: int, wheel: Wheel, engine: MujocoEngine, radius: float) ->
     joint = 'type="ball"' if wheel.is_free else f'type="hinge" axis="{axis}"'
     return (
         f'<body pos="{wheel.x} {wheel.y} 0"><joint name="wheel{i}_{k}" {joint} '
-        f'armature="{_ROTOR_INERTIA}"/>'
+        f'armature="{_ROTOR_INERTIA * engine.mass * radius**2}"/>'
         f'<geom type="sphere" size="{radius}" mass="{engine.mass * _WHEEL_MASS}" '
         f'friction="{engine.friction} 0 0" priority="1" rgba="0.1 0.1 0.1 1" '
         f'group="{AGENTS}"/></body>'
     )
 
 
-def _motor(i: int, k: int, wheel: Wheel, engine: MujocoEngine) -> str:
+def _motor(i: int, k: int, wheel: Wheel, engine: MujocoEngine, radius: float) -> str:
     torque = engine.motor_torque * wheel.gearing
     transmission = f'joint="wheel{i}_{k}"'
     if wheel.is_free:
         axis = f"{wheel.axis[0]} {wheel.axis[1]} 0 0 0 0"
         transmission = f'jointinparent="wheel{i}_{k}" gear="{axis}"'
-    return (
-        f'<velocity {transmission} kv="{torque / _FULL_TORQUE_AT}" '
-        f'forcerange="{-torque} {torque}"/>'
-    )
+    gain = engine.mass * radius**2 / (2.0 * _SERVO_TIME)  # two wheels share the mass ahead
+    return f'<velocity {transmission} kv="{gain}" forcerange="{-torque} {torque}"/>'
 
 
 def _person(j: int, radius: float) -> str:

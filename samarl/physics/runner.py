@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from mrsan import Episodes
+from mrsan import Episodes, Observation
 from samarl.agents import Agent
 from samarl.physics.controllers import Controller, controller_of
 from samarl.physics.engine import MujocoEngine
@@ -59,7 +59,13 @@ def run_case(world: PhysicsWorld, controller: Controller, case: int) -> None:
     observation = world.reset(case)
     controller.reset()
     while not world.done:
-        state = world.world.state
-        time = float(state.clock[0]) * world.scenario.time_step
-        motion = controller.decide(observation, ~state.arrived[0], time)
-        observation = world.step(motion)
+        observation = decide_and_step(world, controller, observation)
+
+
+def decide_and_step(
+    world: PhysicsWorld, controller: Controller, observation: Observation
+) -> Observation:
+    """Let the robots decide and move until the next decision; return what they perceive then."""
+    state = world.world.state
+    time = float(state.clock[0]) * world.scenario.time_step
+    return world.step(controller.decide(observation, ~state.arrived[0], time))

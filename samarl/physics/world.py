@@ -100,6 +100,7 @@ class PhysicsWorld:
 
     def observe(self) -> Observation:
         """Return what the robots perceive, with the errors of their odometry, [1, N, ...]."""
+        self.bodies.update_geometry()
         observation = self.world.observe()
         if "lidar" in observation.sensors:
             self._scan(observation.sensors["lidar"][0])
