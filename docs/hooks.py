@@ -35,4 +35,10 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
         path = (ROOT / "docs" / target).resolve().relative_to(ROOT)
         return f"`{path}`" if text.strip("`") == str(path) else f"{text} (`{path}`)"
 
+    def table(match: re.Match[str]) -> str:
+        """Insert a file of tables, one heading level deeper."""
+        content = (ROOT / match[1]).read_text(encoding="utf-8")
+        return re.sub("^#", "##", content, flags=re.MULTILINE)
+
+    markdown = re.sub(r"<!-- (results/\w+\.md) -->", table, markdown)
     return re.sub(r"\[([^\]]+)\]\((\.\./[^)]+)\)", named, markdown)

@@ -103,7 +103,8 @@ def _render_physics(config: DictConfig, engine: MujocoEngine, case: int, path: P
     world = PhysicsWorld(scenario, engine)
     agent = build_agent(selected_agent(config), scenario)
     frames = rendered_frames(world, controller_of(agent, name), case)
-    write_frames(path, tqdm(frames, path.name, unit="frame", disable=None), scenario.time_step)
+    shown = tqdm(frames, path.name, unit="frame", disable=None)
+    write_frames(path, iter(shown), scenario.time_step)
 
 
 def picture_writer(path: Path) -> Callable[[Sequence[tuple[Trajectory, str]], Path], None]:

@@ -15,7 +15,7 @@ from samarl.physics.world import PhysicsWorld
 
 _WIDTH, _HEIGHT = 640, 480  # pixels
 _ELEVATION = -50.0  # of the camera above the floor, degrees below the horizon
-_DISTANCE = 2.4  # of the camera, as a share of the size of the place
+_DISTANCE = 2.1  # of the camera, as a share of the size of the place
 
 
 def rendered_frames(
