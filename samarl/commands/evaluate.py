@@ -75,7 +75,11 @@ def evaluate_agent(
         engine: what moves the robots.
         evaluation: the cases.
         command: the command that reproduces the row.
+
+    Raises:
+        ConfigurationError: the engine cannot play the scenario or drive the agent.
     """
+    engine.check(agent.scenario)
     scenario, cases = agent.scenario, evaluation.case_numbers()
     further_fields: Row = {}
     if isinstance(engine, MrsanEngine):

@@ -8,6 +8,7 @@ from importlib.util import find_spec
 from mrsan import ConfigurationError, Kinematics, Scenario
 from mrsan.fields import check_numbers, number
 
+_PACKAGES = ("mujoco", "onnx", "onnxruntime")  # policies are exported
 _ROUNDING = 1e-9  # of the number of control periods in a duration
 
 
@@ -60,14 +61,16 @@ class MujocoEngine:
         check_numbers(self, "engine")
 
     def check(self, scenario: Scenario) -> None:
-        """Check that MuJoCo is installed and that this engine can play a scenario.
+        """Check that this engine is installed and that it can play a scenario.
 
         Raises:
-            ConfigurationError: it is not, or names the setting.
+            ConfigurationError: names the missing packages or the setting.
         """
-        if find_spec("mujoco") is None:
+        missing = [name for name in _PACKAGES if find_spec(name) is None]
+        if missing:
             raise ConfigurationError(
-                "engine is mujoco, which is not installed; pip install 'samarl[physics]' does"
+                f"engine is mujoco, which needs {', '.join(missing)}; it must be mrsan, or "
+                "installed by pip install 'samarl[physics]'"
             )
         if scenario.arena_radius is not None:
             raise ConfigurationError(

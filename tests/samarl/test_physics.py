@@ -10,7 +10,7 @@ from mrsan.features import GOAL, HEADING_COS, HEADING_SIN, ORIGIN
 from mrsan.rendering import walls_of
 from samarl.agents import build_agent
 from samarl.configuration import load_agent
-from samarl.physics.controllers import controller_of
+from samarl.evaluation.runner import run_cases
 from samarl.physics.engine import MujocoEngine
 from samarl.physics.odometry import Odometry
 from samarl.physics.runner import run_physics_cases
@@ -229,19 +229,26 @@ def test_an_exported_policy_arrives_and_every_run_has_the_same_bits() -> None:
         np.testing.assert_array_equal(values, getattr(second.episodes, name), name)
 
 
-def test_a_planner_drives_as_in_mrsan() -> None:
-    """Straight on, without anybody: the same outcome, time and path."""
-    scenario = Scenario(humans=0)
+@DRIVES
+def test_a_planner_drives_as_in_mrsan(kinematics: str) -> None:
+    """Straight on until they meet: the same outcome, at most one step sooner or later."""
+    scenario = Scenario(humans=0, robots=2, kinematics=kinematics)
     agent = build_agent(load_agent("straight"), scenario)
-    world, controller = PhysicsWorld(scenario, MujocoEngine()), controller_of(agent, "straight")
-    episodes = run_physics_cases(agent, MujocoEngine(), np.array([0]), "straight").episodes
-    expected = World(scenario)
-    observation = expected.reset([0])
-    while not expected.state.done[0]:
-        observation = expected.step(agent.act(observation)).observation
-    assert world.scenario is scenario
-    assert controller is not None
-    assert episodes.duration[0] == pytest.approx(expected.state.clock[0] * 0.25, abs=0.5)
+    cases = np.arange(3)
+    episodes = run_physics_cases(agent, MujocoEngine(), cases, "straight").episodes
+    expected = run_cases(agent, scenario, cases, 3)
+    np.testing.assert_array_equal(episodes.outcome, expected.outcome)
+    np.testing.assert_allclose(episodes.duration, expected.duration, atol=0.25)
+    np.testing.assert_allclose(episodes.path_length, expected.path_length, atol=0.25)
+
+
+def test_a_missing_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(
+        "samarl.physics.engine.find_spec", lambda name: None if name == "mujoco" else name
+    )
+    with pytest.raises(ConfigurationError, match="needs mujoco") as error:
+        MujocoEngine().check(Scenario())
+    assert "pip install 'samarl[physics]'" in str(error.value)
 
 
 @pytest.mark.parametrize(
