@@ -126,7 +126,9 @@ def main() -> None:
             rows.append(run.row(arguments.cases))
             write_json(output, {"rows": rows, **provenance("physics")})
             write_text(output.with_suffix(".md"), page(rows, arguments.cases))
-    print(page(rows, arguments.cases))
+    text = page(rows, arguments.cases)
+    write_text(output.with_suffix(".md"), text)
+    print(text)
     print(f"written to {output} and {output.with_suffix('.md').name}")
 
 
@@ -137,7 +139,7 @@ def page(rows: list[Row], cases: int) -> str:
     def found(run: Run) -> Row | None:
         return by_command.get(run.command(cases))
 
-    text = ""
+    text = "# Robots in MuJoCo\n\n"
     for scenario, agents in AGENTS.items():
         lines = []
         for agent in agents:
@@ -158,8 +160,12 @@ def page(rows: list[Row], cases: int) -> str:
             kept = 100 * row["success_rate"] / baseline["success_rate"]
             lines.append([setting or "defaults", *_cells(row), f"{kept:.0f}"])
     header = ["setting", *_HEADER[2:], "share of success in mrsan %"]
-    text += f"## What SAMARL withstands\n\n{markdown_table(header, lines)}\n"
-    return text
+    text += f"## What SAMARL withstands\n\n{markdown_table(header, lines)}\n\n"
+    commits = ", ".join(sorted({row["commit"] for row in rows}))
+    return (
+        f"{text}The first {cases} test cases per row. Created by `python -m benchmarks.physics` at "
+        f"commit {commits}; `physics.json` has the command that reproduces each row.\n"
+    )
 
 
 _ENGINES = ("mrsan", "MuJoCo", f"MuJoCo, {1000 * LATENCY:g} ms")

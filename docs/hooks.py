@@ -36,8 +36,8 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
         return f"`{path}`" if text.strip("`") == str(path) else f"{text} (`{path}`)"
 
     def table(match: re.Match[str]) -> str:
-        """Insert a file of tables, one heading level deeper."""
-        content = (ROOT / match[1]).read_text(encoding="utf-8")
+        """Insert a file of tables without its title, one heading level deeper."""
+        _, content = (ROOT / match[1]).read_text(encoding="utf-8").split("\n", 1)
         return re.sub("^#", "##", content, flags=re.MULTILINE)
 
     markdown = re.sub(r"<!-- (results/\w+\.md) -->", table, markdown)

@@ -71,7 +71,7 @@ def row_of(run: Run, success: float) -> dict:
     names = "human_collision_rate robot_collision_rate timeout_rate cir success_low success_high"
     row: dict = dict.fromkeys(names.split(), 1.0)
     row |= {"path_length": None, "time_to_goal": 12.0, "success_rate": success}
-    return row | {"command": run.command(100), "method": run.agent}
+    return row | {"command": run.command(100), "method": run.agent, "commit": "0123abc"}
 
 
 def test_the_page_compares_engines_and_says_what_share_of_success_is_kept() -> None:
@@ -82,6 +82,7 @@ def test_the_page_compares_engines_and_says_what_share_of_success_is_kept() -> N
     text = page([row_of(ideal, 80.0), row_of(plain, 78.0), row_of(late, 72.0)], 100)
     kept = [line.split("|")[-2].strip() for line in text.splitlines() if "| " in line]
     assert kept[-2:] == ["98", "90"]  # 78 / 80 and 72 / 80
+    assert "at commit 0123abc" in text
     assert f"{PAPER_INTRUSIONS['msa3cpred']:.2f}" in text
 
 
