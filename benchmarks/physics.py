@@ -104,8 +104,8 @@ def engines_of(scenario: str, agent: str) -> list[Run]:
 def all_runs() -> list[Run]:
     """Return all rows, the most important first."""
     compared = [run for s, agents in AGENTS.items() for a in agents for run in engines_of(s, a)]
-    compared.sort(key=lambda run: run.agent not in ("samarl", "msa3c", "msa3cpred"))
-    return [*compared, *(Run("samarl", "samarl", changes=dict(changes)) for changes in HARDER)]
+    harder = [Run("samarl", "samarl", changes=changes) for changes in HARDER]
+    return sorted([*compared, *harder], key=lambda run: run.agent not in FIRST)
 
 
 def main() -> None:
