@@ -6,7 +6,7 @@ BIN := .venv/bin
 
 .DEFAULT_GOAL := help
 .PHONY: help setup bench test test-browser lint train results sweeps pictures report docs latency \
-  throughput soak malformed kills wheel check-wheel clean python
+  throughput soak physics malformed kills wheel check-wheel clean python
 
 help: python ## List all targets
 	@$(PYTHON) -m tools.list_targets $(firstword $(MAKEFILE_LIST))
@@ -62,6 +62,9 @@ soak: setup ## Step worlds with random actions 1e9 times, or resume an interrupt
 
 places: setup ## Certify 10,000 cases of each family of places, and watch people walk there (half an hour)
 	@$(BIN)/python -m benchmarks.places
+
+physics: setup ## Play cases in MuJoCo beside the simulator, or resume an interrupted run (an hour)
+	@$(BIN)/python -m benchmarks.physics
 
 malformed: setup ## Load 10,000 malformed files and configurations: no traceback, no hang (minutes)
 	@$(BIN)/python -m benchmarks.malformed

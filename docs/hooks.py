@@ -10,7 +10,16 @@ from mkdocs.structure.files import File, Files
 from tools.update_docs import fill, without_marks
 
 ROOT = Path(__file__).parents[1]
-RESULTS = ("table1", "table2", "transfer", "places", "robustness", "ablations", "prediction")
+RESULTS = (
+    "table1",
+    "table2",
+    "transfer",
+    "places",
+    "robustness",
+    "physics",
+    "ablations",
+    "prediction",
+)
 # Pages from other folders: the file in the repository, and the page that shows it.
 PAGES = {f"results/{name}.md": f"tables/{name}.md" for name in RESULTS} | {
     "examples/README.md": "examples.md",

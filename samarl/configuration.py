@@ -25,6 +25,7 @@ from mrsan.suggestions import choice_hint
 from samarl.evaluation.runner import Evaluation
 from samarl.files import find_folder
 from samarl.messages import describe
+from samarl.physics.engine import ENGINES, Engine
 
 T = TypeVar("T")
 
@@ -47,6 +48,7 @@ class Config:
     scenario: Any = MISSING
     agent: Any = open_mapping()  # a subclass of Agent; files may leave fields at their defaults
     evaluation: Any = MISSING
+    engine: Any = MISSING
     checkpoint: str | None = None
     plugins: list[str] = field(default_factory=list)
 
@@ -65,6 +67,8 @@ def register_schemas() -> None:
         OmegaConf.set_struct(node, False)  # their keys depend on what is registered
     store.store(group="scenario", name="schema", node=scenario)
     store.store(group="evaluation", name="schema", node=Evaluation)
+    for engine, cls in ENGINES.items():
+        store.store(group="engine", name=f"{engine}_schema", node=cls)
 
 
 def scenario_in(config: DictConfig) -> Scenario:
@@ -85,7 +89,19 @@ def evaluation_in(config: DictConfig) -> Evaluation:
     return _object_in(config, "evaluation", Evaluation, "default")
 
 
-def _object_in(config: DictConfig, group: str, kind: type[T], shipped: str) -> T:
+def engine_in(config: DictConfig) -> Engine:
+    """Return the checked settings of the engine that moves the robots.
+
+    Raises:
+        ConfigurationError: the settings are not valid.
+    """
+    kinds: tuple[type[Engine], ...] = tuple(ENGINES.values())
+    return _object_in(config, "engine", kinds, "mrsan_schema")
+
+
+def _object_in(
+    config: DictConfig, group: str, kind: type[T] | tuple[type[T], ...], shipped: str
+) -> T:
     values = config[group]
     instance = None if values is None else OmegaConf.to_object(values)
     if not isinstance(instance, kind):

@@ -72,7 +72,9 @@ def _compile(part: str, scenario: Scenario) -> None:
     if part == "begin":
         world._begin(np.ones(_WORLDS, np.bool_))
     else:
-        world._move(np.zeros((_WORLDS, scenario.robots, scenario.action_size), np.float32))
+        world._move(
+            world._advance, np.zeros((_WORLDS, scenario.robots, scenario.action_size), np.float32)
+        )
 
 
 if __name__ == "__main__":

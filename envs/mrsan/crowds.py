@@ -19,6 +19,7 @@ from mrsan.choices import Crowd
 from mrsan.fields import ConfigurationError, check_numbers, kernel_form
 from mrsan.groups import group_parameters
 from mrsan.kernels import function, kernel
+from mrsan.kernels.along import move_along_path, pieces_of_path
 from mrsan.kernels.groups import count_intrusions
 from mrsan.kernels.people import (
     enter_and_leave,
@@ -279,15 +280,18 @@ def social_settings(scenario: Any, crowd_settings: tuple[Any, ...]) -> tuple[Any
 
 
 @cache
-def step_kernel(model: CrowdModel, walled: bool = False, social: bool = False) -> kernel:
+def step_kernel(
+    model: CrowdModel, walled: bool = False, social: bool = False, along_paths: bool = False
+) -> kernel:
     """Return the kernel that moves worlds whose people follow a crowd model.
 
     Args:
         model: the crowd model.
         walled: in places with walls.
         social: people react to robots or walk in groups.
+        along_paths: robots move along paths (`mrsan.kernels.along`) instead of by actions.
     """
-    name = f"{model.variant}{'_walled' * walled}{'_social' * social}"
+    name = f"{model.variant}{'_walled' * walled}{'_social' * social}{'_along' * along_paths}"
     functions = {
         "choose_velocities": model.choose_velocities,
         "update_presence": model.update_presence,
@@ -296,6 +300,8 @@ def step_kernel(model: CrowdModel, walled: bool = False, social: bool = False) -
     if walled:
         functions |= {"touches_wall": robot_touches_wall, "route_progress": progress_along_route}
         functions["crowd_velocity"] = model.crowd_velocity_past_walls or model.crowd_velocity
+    if along_paths:
+        functions |= {"pieces": pieces_of_path, "move_robot": move_along_path}
     if social:
         functions["count_intrusions"] = count_intrusions
     if model.choose_velocities is walk_to_goals:

@@ -16,6 +16,7 @@ from mrsan.crowds import begin_kernel, crowd_model, social_settings, step_kernel
 from mrsan.features import OTHER_FEATURES
 from mrsan.fields import ConfigurationError
 from mrsan.kernels import kernel
+from mrsan.kernels.along import PATH_COLUMNS
 from mrsan.kernels.places import MOST_ZONES
 from mrsan.kernels.routes import CORNER_ROWS
 from mrsan.kernels.social_state import SOCIAL
@@ -94,6 +95,7 @@ class World:
         crowd = crowd_model(scenario.crowd)
         walled, social = scenario.has_walls, scenario.is_social
         self._advance = step_kernel(crowd, walled, social)
+        self._advance_along = step_kernel(crowd, walled, social, along_paths=True)
         self._begin_episodes = begin_kernel(walled, social)
         self._crowd_settings = crowd.kernel_settings(scenario)
         self._social = social_settings(scenario, self._crowd_settings)
@@ -221,13 +223,41 @@ class World:
         Raises:
             ActionError: an action is not a number, is out of range or has the wrong shape.
         """
+        return self._step(self._advance, self._checked_actions(actions))
+
+    def step_along(self, paths: ArrayLike) -> Step:
+        """Move every world by one time step, its robots along paths from elsewhere.
+
+        A physics engine drives robots this way: people, contacts, arrivals, rewards and records
+        are those of `step`. Robots may leave the arena, and walls do not stop them.
+
+        Args:
+            paths: [E, N, K, 5] `mrsan.kernels.along.PATH_COLUMNS` of each robot at K evenly spaced
+                moments, the last one at the end of the step; between them it moves straight.
+
+        Raises:
+            ActionError: a path is not finite or has the wrong shape.
+        """
+        path = np.ascontiguousarray(paths, np.float32)
+        e, n, columns = self.worlds, self.scenario.robots, len(PATH_COLUMNS)
+        if path.ndim != 4 or path.shape != (e, n, max(path.shape[2], 1), columns):
+            raise ActionError(
+                f"paths have shape {path.shape}; they must have ({e}, {n}, K, {columns})"
+            )
+        if not np.isfinite(path).all():
+            e, n = np.argwhere(~np.isfinite(path).all((2, 3)))[0]
+            raise ActionError(f"the path of robot {n} in world {e} is not finite; it must be")
+        return self._step(self._advance_along, path)
+
+    def _step(self, advance: kernel, motion: Floats) -> Step:
+        """Move every world by one time step; `motion` is what the kernel `advance` takes."""
         state = self.state
         if (state.episode < 0).any():
             number = int(np.flatnonzero(state.episode < 0)[0])
             raise RuntimeError(f"world {number} has not been reset; call reset() before step()")
         running = ~state.done
         driving = running[:, None] & ~state.arrived
-        reward, parts = self._move(self._checked_actions(actions))
+        reward, parts = self._move(advance, motion)
         observation = self.observe()
         if self._lookahead:
             self._add_lookahead(self._lookahead, observation, running, reward, parts)
@@ -245,14 +275,14 @@ class World:
         self._sensors.observe(state, done, observation)
         return Step(observation, reward, parts, terminated, truncated, final, finished)
 
-    def _move(self, action: Floats) -> tuple[Floats, RewardParts]:
+    def _move(self, advance: kernel, motion: Floats) -> tuple[Floats, RewardParts]:
         """Move every world that has not ended; return the reward [E, N] and its terms."""
-        reward = np.empty(action.shape[:2], np.float32)
+        reward = np.empty(motion.shape[:2], np.float32)
         terms = np.zeros((len(RewardParts._fields), *reward.shape), np.float32)
-        self._advance(
+        advance(
             self.worlds,
             self.state,
-            action,
+            motion,
             self._parameters,
             self._social or self._crowd_settings,
             self._recording,

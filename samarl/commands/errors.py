@@ -54,7 +54,7 @@ def explain(error: BaseException, folder: Path | None = None) -> str:
     if isinstance(error, MissingConfigException) and error.missing_cfg_file:
         group, _, name = error.missing_cfg_file.rpartition("/")
         group = group or "--config-name"
-        names = [option for option in error.options or () if option != "schema"]
+        names = [option for option in error.options or () if not option.endswith("schema")]
         file = re.match(r"In '(.+/.+)':", str(error))
         where = f"{file[1]}.yaml: " if file else ""
         return f"{where}{group} is {name!r}, which does not exist; {choice_hint(name, names)}"

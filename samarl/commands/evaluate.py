@@ -12,15 +12,16 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
 from mrsan import Episodes, Outcome, social_score
-from samarl.agents import build_agent
+from samarl.agents import Agent, build_agent
 from samarl.commands.agents import check_agent, compile_for, print_scope_warning, selected_agent
 from samarl.commands.cli import command_line, run_command
-from samarl.configuration import evaluation_in, load_scenario, scenario_in
-from samarl.evaluation.runner import run_cases
+from samarl.configuration import engine_in, evaluation_in, load_scenario, scenario_in
+from samarl.evaluation.runner import Evaluation, run_cases
 from samarl.evaluation.summary import Row, summarise
 from samarl.evaluation.sweep import read_cell
 from samarl.evaluation.table import rows_as_markdown
 from samarl.files import code_version, write_json, write_text
+from samarl.physics.engine import Engine, MrsanEngine
 from samarl.progress import progress_bar
 
 _PER_EPISODE = ("case", "episode", "duration", "outcome", "steps", "deadlock")
@@ -41,6 +42,7 @@ def evaluate(config: DictConfig) -> Row:
     hydra = HydraConfig.get()
     folder = Path(hydra.runtime.output_dir)
     row_path = folder / "row.json"
+    engine = engine_in(config)
     agent = build_agent(selected_agent(config), scenario)
     marker = {"config": _plain(config), "commit": code_version(), "agent": agent.version()}
     cell = read_cell(row_path) if hydra.mode == RunMode.MULTIRUN else None
@@ -48,25 +50,59 @@ def evaluate(config: DictConfig) -> Row:
         print(f"already finished: {folder}")
         finished_row: Row = cell["row"]
         return finished_row
-    named = load_scenario(scenario.name)
     print_scope_warning(agent)
     name = str(hydra.runtime.choices.agent)
-    cases = evaluation.case_numbers()
-    compile_for(config.agent, scenario)
-    with progress_bar(total=len(cases), desc=name, unit="case", leave=False) as bar:
-        episodes = run_cases(agent, scenario, cases, evaluation.batch, bar.update)
     command = command_line("samarl-evaluate")
-    row = summarise(episodes, scenario, name, command, marker["commit"], int(cases[0]), named)
+    if isinstance(engine, MrsanEngine):
+        compile_for(config.agent, scenario)
+    episodes, row = evaluate_agent(agent, name, engine, evaluation, command)
     write_text(folder / "episodes.jsonl", episodes_as_jsonl(episodes))
     write_json(row_path, {"row": row, **marker})  # last: it marks the cell as finished
     print(rows_as_markdown([row]))
+    if "tracking_error" in row:
+        print(
+            f"after a decision, robots are {100 * row['tracking_error']:.1f} cm from where it leads"
+        )
     print(f"written to {folder}")
     return row
+
+
+def evaluate_agent(
+    agent: Agent, name: str, engine: Engine, evaluation: Evaluation, command: str
+) -> tuple[Episodes, Row]:
+    """Run the cases in an engine and return their records and the row of the table.
+
+    Args:
+        agent: built for the scenario.
+        name: of the agent in `conf/agent/`.
+        engine: what moves the robots.
+        evaluation: the cases.
+        command: the command that reproduces the row.
+
+    Raises:
+        ConfigurationError: the engine cannot play the scenario or drive the agent.
+    """
+    engine.check(agent.scenario)
+    scenario, cases = agent.scenario, evaluation.case_numbers()
+    named = load_scenario(scenario.name)
+    further_fields: Row = {}
+    if isinstance(engine, MrsanEngine):
+        with progress_bar(total=len(cases), desc=name, unit="case", leave=False) as bar:
+            episodes = run_cases(agent, scenario, cases, evaluation.batch, bar.update)
+    else:
+        from samarl.physics.runner import run_physics_cases  # imports MuJoCo
+
+        episodes, error = run_physics_cases(agent, engine, cases, name)
+        further_fields["tracking_error"] = round(error, 4)
+    row = summarise(episodes, scenario, name, command, code_version(), int(cases[0]), named)
+    row["changes"] = " ".join(filter(None, [row["changes"], *engine.changes()]))
+    return episodes, row | further_fields
 
 
 def check_cell(config: DictConfig) -> None:
     """Check the configuration of a cell of a sweep without running it."""
     evaluation_in(config)
+    engine_in(config).check(scenario_in(config))
     check_agent(config)
 
 

@@ -51,7 +51,7 @@ def help_text(config_name: str, command: CommandLine) -> str:
     config = OmegaConf.masked_copy(config, [str(key) for key in config if key != "hydra"])
     meanings = _meanings(config, folder / f"{config_name}.yaml", choices)
     groups = [
-        f"{group}: {', '.join(name for name in names if name != 'schema')}"
+        f"{group}: {', '.join(name for name in names if not name.endswith('schema'))}"
         for group, names in options.items()
     ]
     return "\n".join(
@@ -162,6 +162,8 @@ def _classes(config: DictConfig) -> dict[str, Any]:
         classes |= _scenario_classes("scenario")
     if "evaluation" in config:
         classes["evaluation"] = Evaluation
+    if "engine" in config:
+        classes["engine"] = OmegaConf.get_type(config.engine)
     if "agent" in config:
         classes["agent"] = find_class(config.agent._target_)
     if "training" in config:

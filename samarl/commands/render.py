@@ -16,9 +16,12 @@ from mrsan.fields import check_numbers, number
 from samarl.agents import build_agent
 from samarl.commands.agents import check_agent, compile_for, print_scope_warning, selected_agent
 from samarl.commands.cli import run_command
-from samarl.configuration import load_agent_config, open_mapping, scenario_in
+from samarl.configuration import engine_in, load_agent_config, open_mapping, scenario_in
 from samarl.evaluation.trajectory import Trajectory, record_episode
 from samarl.files import check_writable
+from samarl.physics.engine import MujocoEngine
+from samarl.physics.offscreen import prepare_renderer
+from samarl.progress import progress_bar
 
 
 @dataclass
@@ -30,6 +33,7 @@ class Render:
     output: str = MISSING
     scenario: Any = MISSING
     agent: Any = open_mapping()
+    engine: Any = MISSING
     against: str | None = None
     checkpoint: str | None = None
     plugins: list[str] = field(default_factory=list)
@@ -46,8 +50,13 @@ def render(config: DictConfig) -> None:
     check_numbers(Render(case=config.case, split=config.split), "")
     case = config.split.number(config.case)
     path = Path(config.output)
+    engine = engine_in(config)
     save = picture_writer(path)
     check_writable(path, "output")
+    if isinstance(engine, MujocoEngine):
+        _render_physics(config, engine, case, path)
+        print(f"written to {path}")
+        return
     agents: list[tuple[str, Any]] = [
         (HydraConfig.get().runtime.choices.agent, selected_agent(config))
     ]
@@ -71,6 +80,36 @@ def title_of(name: str, trajectory: Trajectory) -> str:
         f"{name}, {split.name} case {index}: {scenario.fov_degrees:g}° view, "
         f"{scenario.humans} humans, {scenario.robots} robots"
     )
+
+
+def _render_physics(config: DictConfig, engine: MujocoEngine, case: int, path: Path) -> None:
+    """Run one case in MuJoCo and write its film.
+
+    Raises:
+        ConfigurationError: the output is no film, there are two agents, or the engine cannot play
+            the scenario.
+    """
+    if path.suffix.lower() not in (".gif", ".mp4"):
+        raise ConfigurationError(
+            f"output is {str(path)!r}; it must end in .gif or .mp4 with engine=mujoco"
+        )
+    if config.against is not None:
+        raise ConfigurationError(
+            f"against is {config.against!r}; it must be null with engine=mujoco"
+        )
+    scenario, name = scenario_in(config), str(HydraConfig.get().runtime.choices.agent)
+    engine.check(scenario)
+    prepare_renderer()  # before MuJoCo is imported
+    from samarl.physics.controllers import controller_of
+    from samarl.physics.rendering import rendered_frames
+    from samarl.physics.world import PhysicsWorld
+    from samarl.report.animation import write_frames
+
+    world = PhysicsWorld(scenario, engine)
+    agent = build_agent(selected_agent(config), scenario)
+    frames = rendered_frames(world, controller_of(agent, name), case)
+    shown = progress_bar(frames, desc=path.name, unit="frame")
+    write_frames(path, iter(shown), scenario.time_step)
 
 
 def picture_writer(path: Path) -> Callable[[Sequence[tuple[Trajectory, str]], Path], None]:

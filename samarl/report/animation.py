@@ -42,7 +42,6 @@ def save_animation(trajectories: Sequence[tuple[Trajectory, str]], path: Path) -
         ConfigurationError: the encoder for .mp4 is not installed.
     """
     kind = path.suffix.lower()
-    write = {".gif": _write_gif, ".mp4": _write_mp4}[kind]
     figure = Figure(figsize=(6.0 * len(trajectories), 6.4), dpi=_DPI[kind], layout="constrained")
     steps = max(len(trajectory.robot_position) for trajectory, _ in trajectories) - 1
     time_step = trajectories[0][0].scenario.time_step
@@ -50,8 +49,23 @@ def save_animation(trajectories: Sequence[tuple[Trajectory, str]], path: Path) -
     images = progress_bar(
         _frames(figure, trajectories, times), total=len(times), desc=path.name, unit="frame"
     )
+    write_frames(path, iter(images), seconds)
+
+
+def write_frames(path: Path, frames: Iterator[NDArray[np.uint8]], seconds: float) -> None:
+    """Write a .gif or .mp4, atomically.
+
+    Args:
+        path: output file.
+        frames: pictures [H, W, 3].
+        seconds: from one to the next.
+
+    Raises:
+        ConfigurationError: the encoder for .mp4 is not installed.
+    """
+    write = {".gif": _write_gif, ".mp4": _write_mp4}[path.suffix.lower()]
     with atomic_write(path) as part:
-        write(part, iter(images), seconds)
+        write(part, frames, seconds)
 
 
 def frame_times(steps: int, time_step: float, rate: float) -> tuple[NDArray[np.float64], float]:

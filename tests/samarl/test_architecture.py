@@ -20,6 +20,7 @@ ROOMS = [
     "samarl.algorithms",
     "samarl.agents",
     "samarl.export",
+    "samarl.physics",
     "samarl.evaluation",
     "samarl.prediction",
     "samarl.configuration",

@@ -1,4 +1,4 @@
-"""Two discs in straight motion: their closest approach, and when they touch."""
+"""Two discs in piecewise straight motion: their closest approach, and when they touch."""
 
 import math
 
@@ -9,6 +9,7 @@ from mrsan.kernels import function
 _ZERO = np.float32(0.0)
 _ONE = np.float32(1.0)
 _TWO = np.float32(2.0)
+_FAR = np.float32(np.inf)
 
 
 @function
@@ -20,6 +21,40 @@ def closest_approach(x0, y0, x1, y1):
         s = min(max(-(x0 * dx + y0 * dy) / length_squared, _ZERO), _ONE)
         x0, y0 = x0 + s * dx, y0 + s * dy
     return math.sqrt(x0 * x0 + y0 * y0)
+
+
+@function
+def closest_to_human(x, y, human_x, human_y, remaining):
+    """Return the smallest distance of a robot to a human during a step.
+
+    The human ends the step at (x, y) relative to the robot and moves straight by (human_x, human_y)
+    in it; `remaining` [K, 2] is that of the robot.
+    """
+    count = remaining.shape[0]
+    from_x, from_y = x - human_x + remaining[0, 0], y - human_y + remaining[0, 1]
+    closest = _FAR
+    for k in range(1, count):
+        share = np.float32(count - k) / np.float32(count)
+        to_x = x - human_x * share + remaining[k, 0]
+        to_y = y - human_y * share + remaining[k, 1]
+        closest = min(closest, closest_approach(from_x, from_y, to_x, to_y))
+        from_x, from_y = to_x, to_y
+    return min(closest, closest_approach(from_x, from_y, x, y))
+
+
+@function
+def closest_to_robot(x, y, own, other):
+    """Return the smallest distance of two robots during a step, at whose end they are (x, y) apart.
+
+    `own` and `other` [K, 2] are the `remaining` displacements of the two.
+    """
+    from_x, from_y = x - other[0, 0] + own[0, 0], y - other[0, 1] + own[0, 1]
+    closest = _FAR
+    for k in range(1, own.shape[0]):
+        to_x, to_y = x - other[k, 0] + own[k, 0], y - other[k, 1] + own[k, 1]
+        closest = min(closest, closest_approach(from_x, from_y, to_x, to_y))
+        from_x, from_y = to_x, to_y
+    return min(closest, closest_approach(from_x, from_y, x, y))
 
 
 @function

@@ -6,7 +6,12 @@ import numpy as np
 from numba import prange
 
 from mrsan.kernels import function, kernel
-from mrsan.kernels.contact import closest_approach, comes_to_the_other, time_to_collision
+from mrsan.kernels.contact import (
+    closest_to_human,
+    closest_to_robot,
+    comes_to_the_other,
+    time_to_collision,
+)
 from mrsan.kernels.kinematics import brake, next_velocity, wrap_angle
 from mrsan.kernels.orca import orca_room
 from mrsan.kernels.people import enter_and_leave, orca_crowd, walk_to_goals
@@ -47,9 +52,48 @@ def no_groups(state, e, p, settings):
     """Count no robots in groups, without groups."""
 
 
-# The functions of a crowd model, see `mrsan.crowds`, those that know the place, see
-# `mrsan.kernels.walled`, and those that know groups, see `mrsan.kernels.groups`; `advance.variant`
-# replaces them.
+@function
+def one_piece(action):
+    """Return in how many straight pieces robots move: in one, if they move by actions."""
+    return 1
+
+
+@function
+def move_by_action(state, e, i, action, p, remaining, touches_wall):
+    """Return the next position, velocity and heading of a robot, and whether it touches a wall.
+
+    SAMARL, Eq. 1-3, within the arena.
+    """
+    x, y = state.robot_position[e, i, 0], state.robot_position[e, i, 1]
+    vx, vy = state.robot_velocity[e, i, 0], state.robot_velocity[e, i, 1]
+    heading, arrived = state.robot_heading[e, i], state.arrived[e, i]
+    dt, wall = p.time_step, p.arena_radius - p.robot_radius
+    if arrived:
+        new_vx, new_vy, heading = brake(vx, vy, heading, p)
+    else:
+        new_vx, new_vy, heading = next_velocity(vx, vy, heading, action[e, i], p)
+    if p.instant_velocity:
+        new_x, new_y = x + new_vx * dt, y + new_vy * dt
+    else:
+        new_x = x + _HALF * (vx + new_vx) * dt  # Eq. 1
+        new_y = y + _HALF * (vy + new_vy) * dt
+    distance = math.sqrt(new_x * new_x + new_y * new_y)
+    if distance > wall:
+        new_x, new_y = new_x * wall / distance, new_y * wall / distance
+        new_vx = new_vy = _ZERO
+    hits_wall = touches_wall(state, e, x, y, new_x - x, new_y - y, p)
+    if hits_wall and (arrived or not p.collisions_end):  # it stops there
+        new_x, new_y = x, y
+        new_vx = new_vy = _ZERO
+    remaining[0, i, 0], remaining[0, i, 1] = new_x - x, new_y - y
+    return new_x, new_y, new_vx, new_vy, heading, hits_wall
+
+
+# How robots move, see also `mrsan.kernels.along`; the functions of a crowd model, see
+# `mrsan.crowds`, those that know the place, see `mrsan.kernels.walled`, and those that know groups,
+# see `mrsan.kernels.groups`; `advance.variant` replaces them.
+pieces = one_piece
+move_robot = move_by_action
 touches_wall = no_wall
 route_progress = straight_progress
 count_intrusions = no_groups
@@ -82,7 +126,7 @@ def advance(chunks, state, action, p, crowd_settings, recording, reward, parts):
     Args:
         chunks: number of pieces the loop over worlds is cut into.
         state: the worlds.
-        action: [E, N, A] in [-1, 1].
+        action: [E, N, A] in [-1, 1], or what the variant of `move_robot` takes instead.
         p: the scenario's parameters.
         crowd_settings: the settings of the crowd model, see `mrsan.crowds`.
         recording: the tracks of recorded people.
@@ -95,7 +139,8 @@ def advance(chunks, state, action, p, crowd_settings, recording, reward, parts):
         agents, scratch = orca_room(people + robots)
         slots = np.empty(people, np.int32)
         human_velocities = np.empty((people, 2), np.float32)
-        displacement = np.empty((robots, 2), np.float32)
+        # Displacement of each robot from K moments of the step, the first at its start, to its end.
+        remaining = np.empty((pieces(action), robots, 2), np.float32)
         human_gap = np.empty(robots, np.float32)
         contact = np.empty(robots, np.int8)
         for e in range(chunk * total // chunks, (chunk + 1) * total // chunks):
@@ -117,12 +162,12 @@ def advance(chunks, state, action, p, crowd_settings, recording, reward, parts):
                 scratch,
                 crowd_velocity,
             )
-            _move_robots(state, e, action, p, displacement, contact, touches_wall)
+            _move_robots(state, e, action, p, remaining, contact, move_robot, touches_wall)
             _move_humans(state, e, p, present, human_velocities)
-            _find_contacts(state, e, p, present, displacement, human_gap, contact)
+            _find_contacts(state, e, p, present, remaining, human_gap, contact)
             count_intrusions(state, e, p, crowd_settings)
             _finish_step(
-                state, e, p, displacement, human_gap, contact, reward, parts, route_progress
+                state, e, p, remaining[0], human_gap, contact, reward, parts, route_progress
             )
 
 
@@ -138,36 +183,21 @@ def _list_present(present, slots):
 
 
 @function
-def _move_robots(state, e, action, p, displacement, contact, touches_wall):
-    """Move the robots (SAMARL, Eq. 1-3), write their displacements and update their tallies.
+def _move_robots(state, e, action, p, remaining, contact, move_robot, touches_wall):
+    """Move the robots, write `remaining` and update their tallies.
 
     `contact` is 0, or `HIT_WALL` for a robot that touches a wall on its way.
     """
     position, velocity = state.robot_position, state.robot_velocity
     headings, arrived, acceleration = state.robot_heading, state.arrived, state.robot_acceleration
-    dt, wall, tally = p.time_step, p.arena_radius - p.robot_radius, state.tally
-    for i in range(displacement.shape[0]):
-        x, y, vx, vy = position[e, i, 0], position[e, i, 1], velocity[e, i, 0], velocity[e, i, 1]
-        if arrived[e, i]:
-            new_vx, new_vy, heading = brake(vx, vy, headings[e, i], p)
-        else:
-            new_vx, new_vy, heading = next_velocity(vx, vy, headings[e, i], action[e, i], p)
-        if p.instant_velocity:
-            new_x, new_y = x + new_vx * dt, y + new_vy * dt
-        else:
-            new_x = x + _HALF * (vx + new_vx) * dt  # Eq. 1
-            new_y = y + _HALF * (vy + new_vy) * dt
-        distance = math.sqrt(new_x * new_x + new_y * new_y)
-        if distance > wall:
-            new_x, new_y = new_x * wall / distance, new_y * wall / distance
-            new_vx = new_vy = _ZERO
-        contact[i] = 0
-        if touches_wall(state, e, x, y, new_x - x, new_y - y, p):
-            contact[i] = HIT_WALL
-            if arrived[e, i] or not p.collisions_end:  # it stops there
-                new_x, new_y = x, y
-                new_vx = new_vy = _ZERO
-        dx, dy = new_x - x, new_y - y
+    dt, tally = p.time_step, state.tally
+    for i in range(contact.shape[0]):
+        vx, vy = velocity[e, i, 0], velocity[e, i, 1]
+        new_x, new_y, new_vx, new_vy, heading, hits_wall = move_robot(
+            state, e, i, action, p, remaining, touches_wall
+        )
+        contact[i] = HIT_WALL if hits_wall else 0
+        dx, dy = remaining[0, i, 0], remaining[0, i, 1]
         if not arrived[e, i]:
             ax, ay = (new_vx - vx) / dt, (new_vy - vy) / dt
             jx = (ax - acceleration[e, i, 0]) / dt
@@ -179,7 +209,6 @@ def _move_robots(state, e, action, p, displacement, contact, touches_wall):
             tally[e, i, HEADING_CHANGE] += abs(wrap_angle(heading - headings[e, i]))
             if new_vx * new_vx + new_vy * new_vy < STANDING_SPEED * STANDING_SPEED:
                 tally[e, i, STANDING_STEPS] += _ONE
-        displacement[i, 0], displacement[i, 1] = dx, dy
         position[e, i, 0], position[e, i, 1] = new_x, new_y
         velocity[e, i, 0], velocity[e, i, 1] = new_vx, new_vy
         headings[e, i] = heading
@@ -195,7 +224,7 @@ def _move_humans(state, e, p, present, human_velocities):
 
 
 @function
-def _find_contacts(state, e, p, present, displacement, human_gap, contact):
+def _find_contacts(state, e, p, present, remaining, human_gap, contact):
     """Find the agents that robots touch during the step, and the distances to people.
 
     Args:
@@ -203,7 +232,8 @@ def _find_contacts(state, e, p, present, displacement, human_gap, contact):
         e: which of them.
         p: the scenario's parameters.
         present: the numbers of the humans who are present.
-        displacement: [N, 2] of the robots in this step, m.
+        remaining: [K, N, 2] displacement of each robot from K moments, evenly spaced from the start
+            of the step on, to its end, m; it moves straight between them.
         human_gap: [N], written: surface distance to the nearest human after the step, m.
         contact: [N], updated: 0 or `HIT_WALL` before, then what the robot touches (HIT_*); a human
             takes precedence, then a robot.
@@ -214,7 +244,7 @@ def _find_contacts(state, e, p, present, displacement, human_gap, contact):
     human_position, human_velocity = state.human_position, state.human_velocity
     human_radius = state.human_radius
     people = human_radius.shape[1]
-    dt, robot_radius, robots = p.time_step, p.robot_radius, displacement.shape[0]
+    dt, robot_radius, robots = p.time_step, p.robot_radius, remaining.shape[1]
     for i in range(robots):
         human_gap[i] = _FAR
         if arrived[e, i]:  # a parked robot takes part in no contacts
@@ -225,7 +255,7 @@ def _find_contacts(state, e, p, present, displacement, human_gap, contact):
                 tally[e, i, CONTACTS] += _ONE
             last_contact[e, i, people + i] = clock + 1
         x, y, vx, vy = position[e, i, 0], position[e, i, 1], velocity[e, i, 0], velocity[e, i, 1]
-        own_x, own_y = displacement[i, 0], displacement[i, 1]
+        own_x, own_y = remaining[0, i, 0], remaining[0, i, 1]
         nearest = _FAR
         closest, soonest = tally[e, i, CLOSEST_HUMAN], tally[e, i, SOONEST_COLLISION]
         for row in range(present.shape[0]):
@@ -235,7 +265,8 @@ def _find_contacts(state, e, p, present, displacement, human_gap, contact):
             radii = human_radius[e, j] + robot_radius
             before_x = dx - human_vx * dt + own_x
             before_y = dy - human_vy * dt + own_y
-            approach = closest_approach(before_x, before_y, dx, dy) - radii
+            approach = closest_to_human(dx, dy, human_vx * dt, human_vy * dt, remaining[:, i])
+            approach -= radii
             closest = min(closest, approach)
             nearest = min(nearest, math.sqrt(dx * dx + dy * dy) - radii)
             soonest = time_to_collision(dx, dy, human_vx - vx, human_vy - vy, radii, soonest)
@@ -253,7 +284,7 @@ def _find_contacts(state, e, p, present, displacement, human_gap, contact):
         tally[e, i, CLOSEST_HUMAN], tally[e, i, SOONEST_COLLISION] = closest, soonest
         with_robots = last_contact[e, i, people:]
         if _touches_robots(
-            i, position[e], displacement, arrived[e], robot_radius, clock, with_robots, tally[e, i]
+            i, position[e], remaining, arrived[e], robot_radius, clock, with_robots, tally[e, i]
         ):
             if contact[i] != HIT_HUMAN:
                 contact[i] = HIT_ROBOT
@@ -263,16 +294,14 @@ def _find_contacts(state, e, p, present, displacement, human_gap, contact):
 
 
 @function
-def _touches_robots(i, position, displacement, arrived, radius, clock, last_contact, tally):
+def _touches_robots(i, position, remaining, arrived, radius, clock, last_contact, tally):
     """Return whether robot `i` touches another one during the step; count the new contacts."""
     touches = False
     for k in range(position.shape[0]):
         if k == i:
             continue
         dx, dy = position[k, 0] - position[i, 0], position[k, 1] - position[i, 1]
-        before_x = dx - displacement[k, 0] + displacement[i, 0]
-        before_y = dy - displacement[k, 1] + displacement[i, 1]
-        if closest_approach(before_x, before_y, dx, dy) < radius + radius:
+        if closest_to_robot(dx, dy, remaining[:, i], remaining[:, k]) < radius + radius:
             touches = True
             if last_contact[k] != clock:
                 tally[CONTACTS] += _ONE if arrived[k] else _HALF

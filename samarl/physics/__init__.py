@@ -1,0 +1,1 @@
+"""Cases of `mrsan` in the physics engine MuJoCo: `pip install 'samarl[physics]'`."""

@@ -1,0 +1,92 @@
+"""MuJoCo on the command line."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from PIL import Image
+
+from benchmarks.physics import AGENTS, HARDER, PAPER_INTRUSIONS, Run, all_runs, engines_of, page
+
+
+def run(command: str, *words: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    module = f"samarl.commands.{command}"
+    return subprocess.run(
+        [sys.executable, "-m", module, *words], cwd=cwd, capture_output=True, text=True, timeout=500
+    )
+
+
+def test_a_row_names_its_engine_and_how_well_robots_follow_their_commands(tmp_path: Path) -> None:
+    words = ["agent=straight", "engine=mujoco", "engine.latency=0.1", "scenario.humans=0"]
+    done = run("evaluate", *words, "evaluation.cases=2", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "cm from where it leads" in done.stdout
+    folder = next((tmp_path / "outputs/evaluate").iterdir())
+    row = json.loads((folder / "row.json").read_text())["row"]
+    assert row["changes"] == "engine=mujoco engine.latency=0.1"
+    assert 0.001 < row["tracking_error"] < 0.1
+    assert len((folder / "episodes.jsonl").read_text().splitlines()) == 2
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["engine.latency=0.05"], "engine.latency is not known"),
+        (["engine=mujoco", "engine.latency=0.3"], "engine.latency is 0.3; it must lie in [0, 0.2]"),
+        (["engine=bullet"], "engine is 'bullet'"),
+        (["-m", "engine=mujoco", "scenario.arena_radius=8,9"], "scenario.arena_radius is 8.0"),
+    ],
+    ids=["without", "range", "unknown", "sweep"],
+)
+def test_mistakes_are_reported_in_one_line(words: list[str], message: str, tmp_path: Path) -> None:
+    done = run("evaluate", *words, cwd=tmp_path)
+    assert done.returncode == 2
+    assert message in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_a_film_has_a_picture_per_decision_where_the_machine_can_render(tmp_path: Path) -> None:
+    words = ["agent=orca", "engine=mujoco", "scenario.time_limit=1", "scenario.humans=2"]
+    done = run("render", *words, "output=film.gif", cwd=tmp_path)
+    if done.returncode:  # no OpenGL here
+        assert "MUJOCO_GL" in done.stderr
+        assert "Traceback" not in done.stderr
+        assert not (tmp_path / "film.gif").exists()
+        return
+    film = Image.open(tmp_path / "film.gif")
+    assert film.n_frames == 5  # the start and four decisions
+    assert len(film.convert("RGB").getcolors(2**16) or []) > 8  # not an empty picture
+
+
+def test_a_film_cannot_be_a_figure(tmp_path: Path) -> None:
+    done = run("render", "engine=mujoco", "output=case.png", cwd=tmp_path)
+    assert done.returncode == 2
+    assert "output is 'case.png'; it must end in .gif or .mp4" in done.stderr
+
+
+def row_of(run: Run, success: float) -> dict:
+    """A row as `evaluate_agent` returns it, of invented results."""
+    names = "human_collision_rate robot_collision_rate timeout_rate cir success_low success_high"
+    row: dict = dict.fromkeys(names.split(), 1.0)
+    row |= {"path_length": None, "time_to_goal": 12.0, "success_rate": success}
+    return row | {"command": run.command(100), "method": run.agent, "commit": "0123abc"}
+
+
+def test_the_page_compares_engines_and_says_what_share_of_success_is_kept() -> None:
+    ideal, plain, late = engines_of("samarl", "samarl")
+    assert late.command(100) == (
+        "samarl-evaluate agent=samarl engine=mujoco engine.latency=0.05 evaluation.cases=100"
+    )
+    text = page([row_of(ideal, 80.0), row_of(plain, 78.0), row_of(late, 72.0)], 100)
+    kept = [line.split("|")[-2].strip() for line in text.splitlines() if "| " in line]
+    assert kept[-2:] == ["98", "90"]  # 78 / 80 and 72 / 80
+    assert "at commit 0123abc" in text
+    assert f"{PAPER_INTRUSIONS['msa3cpred']:.2f}" in text
+
+
+def test_every_row_is_evaluated_once() -> None:
+    commands = [run.command(100) for run in all_runs()]
+    compared = 3 * sum(len(agents) for agents in AGENTS.values())
+    assert len(set(commands)) == len(commands) == compared + len(HARDER)
