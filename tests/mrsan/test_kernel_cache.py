@@ -80,3 +80,10 @@ def test_where_nothing_can_be_written_kernels_lie_in_a_private_temporary_folder(
     assert done.stdout.startswith(str(used))
     assert done.stderr.count("compiled kernels are cached in") == 1
     assert len(done.stderr.splitlines()) == 1
+
+
+def test_an_inlined_function_can_be_called_from_python() -> None:
+    """It has no wrapper of its own: without a version that has one, the process would crash."""
+    run = "from mrsan.kernels.contact import closest_approach as f; print(f(1.0, 0.0, 0.0, 1.0))"
+    done = subprocess.run([sys.executable, "-c", run], capture_output=True, text=True, check=True)
+    assert float(done.stdout) == pytest.approx(0.5**0.5)

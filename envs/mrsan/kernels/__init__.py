@@ -22,20 +22,42 @@ from pathlib import Path
 from typing import Any
 
 import numba
+from numba.core.registry import CPUDispatcher
 
 from mrsan.threads import kernel_threads, parallel_kernels
 
 # IEEE arithmetic (no fastmath): results do not depend on the number of worlds or threads.
-_inlined = partial(
-    numba.njit,
-    error_model="numpy",
-    forceinline=True,
-    no_cpython_wrapper=True,
-    no_cfunc_wrapper=True,
-)
+_compiled = partial(numba.njit, error_model="numpy")
+
+
+class _InlinedFunction(CPUDispatcher):
+    """A function without a wrapper for Python, which would double the time of its compilation."""
+
+    def __call__(self, *arguments: Any) -> Any:
+        """Call from Python, as tests do: compile a version with a wrapper on first use."""
+        if not hasattr(self, "_for_python"):
+            self._for_python = _compiled(self.py_func)
+        return self._for_python(*arguments)
+
+
+def _inlined(**settings: Any) -> Callable[[Callable[..., Any]], Any]:
+    """Return a decorator for functions that are copied into the kernels that call them."""
+    compiled = _compiled(
+        forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True, **settings
+    )
+
+    def decorate(source: Callable[..., Any]) -> Any:
+        dispatcher = compiled(source)
+        if isinstance(dispatcher, CPUDispatcher):  # not with NUMBA_DISABLE_JIT
+            dispatcher.__class__ = _InlinedFunction
+        return dispatcher
+
+    return decorate
+
+
 allocating = _inlined()
 function = _inlined(_nrt=False)
-separate = numba.njit(error_model="numpy", _nrt=False)
+separate = _compiled(_nrt=False)
 
 _PACKAGE = Path(__file__).resolve().parent.parent
 _CORE_SOURCES = [
