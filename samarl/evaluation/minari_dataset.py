@@ -6,7 +6,6 @@ import contextlib
 import copy
 import dataclasses
 import json
-import re
 import shutil
 import warnings
 from collections.abc import Callable, Iterator
@@ -23,7 +22,6 @@ from samarl.agents import Agent
 from samarl.files import check_writable, code_version
 
 _BATCH = 64  # worlds simulated in parallel
-_DATASET_ID = re.compile(r"([-\w]+/)*[-\w]+-v\d+")
 _ENVIRONMENT = "mrsan/SocialNavigation-v0"
 
 Array = NDArray[Any]
@@ -51,9 +49,11 @@ def check_dataset_id(dataset_id: str) -> Path:
             "Minari, which format=minari needs, is not installed; pip install '.[datasets]' "
             "installs it"
         )
+    from minari.dataset.minari_dataset import DATASET_ID_RE
     from minari.storage import get_dataset_path
 
-    if not _DATASET_ID.fullmatch(dataset_id):
+    match = DATASET_ID_RE.fullmatch(dataset_id)
+    if match is None or match["version"] is None:
         raise ConfigurationError(
             f"output is {dataset_id!r}; it must be the ID of a Minari dataset, such as "
             "samarl/perimeter-v0"
