@@ -273,5 +273,5 @@ def test_behaviour_cloning_on_a_dataset_beats_random_actions() -> None:
         run_cases(agent, scenario, others, 40).success.mean()
         for agent in (Cloned(dataset), Random())
     )
-    assert clone > 0.6
+    assert clone > 0.5
     assert random < 0.1
