@@ -1,35 +1,51 @@
-"""`samarl-record`: write where everybody is at every step of one case."""
+"""`samarl-record`: write the trajectories of one case, or a dataset of many cases."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
+from hydra.core.hydra_config import HydraConfig
+from numpy.typing import NDArray
 from omegaconf import MISSING, DictConfig
 
 from mrsan import ConfigurationError, Split
 from mrsan.cases import CASES_PER_SPLIT
 from mrsan.fields import check_numbers, number
-from samarl.agents import build_agent
+from samarl.agents import Agent, build_agent
 from samarl.commands.agents import check_agent, print_scope_warning, selected_agent
-from samarl.commands.cli import run_command
+from samarl.commands.cli import command_line, run_command
 from samarl.configuration import scenario_in
-from samarl.evaluation.trajectory import as_table, record_episode
+from samarl.evaluation.minari_dataset import check_dataset_id, write_dataset
+from samarl.evaluation.trajectory import Trajectory, as_table, record_episode
+from samarl.evaluation.trajnet import trajnet_lines
 from samarl.files import atomic_write, check_writable
+from samarl.progress import progress_bar
 
 if TYPE_CHECKING:
     from pandas import DataFrame
+
+
+class Format(Enum):
+    """What is written."""
+
+    table = "table"
+    minari = "minari"
+    trajnet = "trajnet"
 
 
 @dataclass
 class Record:
     """Schema of `conf/record.yaml`."""
 
-    case: int = number(MISSING, 0, len(Split) * CASES_PER_SPLIT - 1, help="case number")
+    case: int = number(MISSING, 0, len(Split) * CASES_PER_SPLIT - 1, help="first case number")
+    cases: int = number(MISSING, 1, 10**6, help="number of cases from `case` on")
     split: Split = Split.test
+    format: Format = Format.table
     output: str = MISSING
     scenario: Any = MISSING
     agent: Any = MISSING
@@ -43,18 +59,59 @@ def main() -> None:
 
 
 def record(config: DictConfig) -> None:
-    """Run one case and write its trajectories."""
+    """Run the cases and write what `format` names."""
     scenario = scenario_in(config)
-    check_numbers(Record(case=config.case, split=config.split), "")
-    path = Path(config.output)
-    write = table_writer(path)
-    check_writable(path, "output")
+    settings = Record(config.case, config.cases, config.split, config.format, config.output)
+    check_numbers(settings, "")
+    check_output(settings)
     agent = build_agent(selected_agent(config), scenario)
     print_scope_warning(agent)
-    table = as_table(record_episode(agent, scenario, config.split.number(config.case)))
-    with atomic_write(path) as temporary, temporary.open("wb") as file:
-        write(table, file)
-    print(f"written to {path}")
+    name = str(HydraConfig.get().runtime.choices.agent)
+    cases = settings.split.number(settings.case) + np.arange(settings.cases, dtype=np.int64)
+    with progress_bar(total=len(cases), desc=name, unit="case", leave=False) as bar:
+        if settings.format is Format.minari:
+            command = command_line("samarl-record")
+            target = write_dataset(settings.output, agent, cases, name, command, bar.update)
+        else:
+            target = settings.output
+            trajectories = _trajectories(agent, cases, bar.update)
+            with atomic_write(Path(target)) as temporary, temporary.open("wb") as file:
+                if settings.format is Format.trajnet:
+                    file.writelines(line.encode() for line in trajnet_lines(trajectories))
+                else:
+                    table_writer(Path(target))(as_table(next(trajectories)), file)
+    print(f"written to {target}")
+
+
+def check_output(settings: Record) -> None:
+    """Check that the cases can be written in this format.
+
+    Raises:
+        ConfigurationError: the output or the number of cases does not suit the format.
+    """
+    path = Path(settings.output)
+    if settings.format is Format.minari:
+        check_dataset_id(settings.output)
+        return
+    if settings.format is Format.trajnet:
+        if path.suffix.lower() != ".ndjson":
+            raise ConfigurationError(
+                f"output is {settings.output!r}; it must end in .ndjson for format=trajnet"
+            )
+    else:
+        table_writer(path)
+        if settings.cases != 1:
+            raise ConfigurationError(f"cases is {settings.cases}; it must be 1 for format=table")
+    check_writable(path, "output")
+
+
+def _trajectories(
+    agent: Agent, cases: NDArray[np.int64], advance: Callable[[int], Any]
+) -> Iterator[Trajectory]:
+    """Yield the trajectory of each case."""
+    for case in cases.tolist():
+        yield record_episode(agent, agent.scenario, case)
+        advance(1)
 
 
 def table_writer(path: Path) -> Callable[[DataFrame, BinaryIO], None]:
