@@ -115,7 +115,7 @@ def test_the_reader_chooses_the_runs_of_the_chart(page: Page, site: Path) -> Non
     page.get_by_label("fast (2 seeds)").uncheck()
     assert page.eval_on_selector_all("#chart [data-run]", runs) == ["slow"]
     page.locator("#quantity").select_option("losses: macro critic")
-    assert "macro critic" in page.locator("#chart text").all_inner_texts()
+    assert "macro critic" in page.locator("#chart text").all_text_contents()
     page.click("#none")
     assert page.locator("#chart [data-run]").count() == 0
     page.click("#all")

@@ -3,7 +3,8 @@
 
 const groups = JSON.parse(document.getElementById("curves").textContent);
 const [task, quantity, boxes, chart] = ["task", "quantity", "runs", "chart"].map((id) => document.getElementById(id));
-const DASHES = ["", "7 4", "2 3"];
+const COLOURS = 7; // then the next dashes, as in the figures
+const DASHES = ["", "7 4", "2 3", "7 3 2 3"];
 
 function shape(name, attributes, text = "") { // of an SVG
   const drawn = document.createElementNS(chart.namespaceURI, name);
@@ -28,7 +29,7 @@ function chooseTask() {
   draw();
 }
 
-const stroke = (i) => `stroke: var(--series-${i % 6}); stroke-dasharray: ${DASHES[Math.floor(i / 6) % 3] || "none"}`;
+const stroke = (i) => `stroke: var(--series-${i % COLOURS}); stroke-dasharray: ${DASHES[Math.floor(i / COLOURS) % DASHES.length] || "none"}`;
 
 function sample(i) {
   const drawn = shape("svg", { viewBox: "0 0 24 8", "aria-hidden": "true" });
@@ -66,9 +67,9 @@ function draw() {
   for (const [i, [steps, mean, lowest, highest]] of lines) {
     const path = (values) => values.map((v, k) => `${x(steps[k]).toFixed(1)} ${y(v).toFixed(1)}`);
     const band = [...path(lowest), ...path(highest).reverse()];
-    if (group.runs[i].seeds > 1) chart.append(shape("path", { d: `M${band.join("L")}Z`, class: "band", style: `fill: var(--series-${i % 6})` }));
+    if (group.runs[i].seeds > 1) chart.append(shape("path", { d: `M${band.join("L")}Z`, class: "band", style: `fill: var(--series-${i % COLOURS})` }));
     const line = steps.length > 1 ? shape("path", { d: `M${path(mean).join("L")}`, class: "curve", style: stroke(i) })
-      : shape("circle", { cx: x(steps[0]), cy: y(mean[0]), r: 4, style: `fill: var(--series-${i % 6})` });
+      : shape("circle", { cx: x(steps[0]), cy: y(mean[0]), r: 4, style: `fill: var(--series-${i % COLOURS})` });
     line.dataset.run = group.runs[i].name;
     line.append(shape("title", {}, group.runs[i].name));
     chart.append(line);
