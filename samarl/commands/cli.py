@@ -203,7 +203,9 @@ def command_line(program: str) -> str:
     words = [*launcher(), program]
     for source in hydra_config.runtime.config_sources:
         if source.provider == "command-line":
-            words += ["--config-dir", source.path]
+            folder, here = Path(source.path), Path.cwd()
+            shown = folder.relative_to(here) if folder.is_relative_to(here) else folder
+            words += ["--config-dir", str(shown)]
     return shlex.join([*words, *hydra_config.overrides.task])
 
 

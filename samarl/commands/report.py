@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,6 @@ from mrsan import ConfigurationError, Scenario, Split
 from samarl.agents import Agent, build_agent
 from samarl.commands.cli import command_line, run_command
 from samarl.configuration import available_agents, load_agent_config, scenario_of
-from samarl.evaluation.seeds import without_seed
 from samarl.evaluation.trajectory import Trajectory, record_episode
 from samarl.files import check_writable, find_folder
 from samarl.progress import progress_bar
@@ -51,7 +49,7 @@ def report(config: DictConfig) -> None:
     check_writable(output / "index.html", "output")
     scenarios = [scenario_of(OmegaConf.to_container(column)) for column in config.columns]
     methods = _methods(config.agents, results)
-    agents = list(_agents(methods, scenarios))
+    agents = _agents(methods, scenarios)
     runs = [(*agent, case) for agent in agents for case in config.cases]
     trajectories: list[tuple[str, int, Trajectory]] = [
         (name, case, record_episode(agent, scenario, config.split.case(case)))
@@ -65,43 +63,41 @@ def report(config: DictConfig) -> None:
 
 
 def _methods(names: list[str] | None, results: Path) -> dict[str, dict[str, Any]]:
-    """Return the configurations of all agents and shipped policies, one training seed each.
+    """Return the configurations of the agents, by default of all in `conf/agent/`.
 
-    Policies without an agent of their own use the configuration of the first learned agent.
+    A checkpoint that is also in the results folder is loaded from there.
     """
-    configs = {
-        str(name): load_agent_config(str(name), "agents")
-        for name in (available_agents() if names is None else names)
-    }
-    learned = [config for config in configs.values() if "checkpoint" in config]
-    paths = sorted((results / "checkpoints").glob("*.safetensors"))
-    shipped = {path.stem: str(path) for path in paths if without_seed(path.stem) == path.stem}
-    methods: dict[str, dict[str, Any]] = {}
-    for name, config in configs.items():
+    shipped = {path.stem: str(path) for path in (results / "checkpoints").glob("*.safetensors")}
+    methods = {}
+    for name in map(str, available_agents() if names is None else names):
+        config = load_agent_config(name, "agents")
         checkpoint = config.get("checkpoint")
-        if checkpoint is None or not shipped:
-            methods[name] = config
-        elif checkpoint in shipped:
-            methods[name] = config | {"checkpoint": shipped[checkpoint]}
-    named = {config["checkpoint"] for config in learned}
-    for checkpoint, path in shipped.items() if learned else ():
-        if checkpoint not in named:
-            methods[checkpoint] = learned[0] | {"checkpoint": path}
+        methods[name] = (
+            config | {"checkpoint": shipped[checkpoint]} if checkpoint in shipped else config
+        )
     return methods
 
 
 def _agents(
     methods: dict[str, dict[str, Any]], scenarios: list[Scenario]
-) -> Iterator[tuple[str, Agent, Scenario]]:
-    """Yield every agent in every scenario; policies that do not fit are skipped with a message."""
-    for scenario in scenarios:
-        for name, config in methods.items():
+) -> list[tuple[str, Agent, Scenario]]:
+    """Return every agent in every scenario; print one line for each agent that does not fit all."""
+    agents = []
+    for name, config in methods.items():
+        errors = []
+        for scenario in scenarios:
             try:
-                yield name, build_agent(config, scenario), scenario
+                agents.append((name, build_agent(config, scenario), scenario))
             except ConfigurationError as error:
                 if "checkpoint" not in config:
                     raise
-                print(f"skipped: {name}, {scenario.fov_degrees:g}° view: {error}")
+                errors.append(error)
+        if errors:
+            print(
+                f"skipped: {name} in {len(errors)} of {len(scenarios)} scenarios: "
+                + "; ".join(dict.fromkeys(map(str, errors)))
+            )
+    return agents
 
 
 if __name__ == "__main__":

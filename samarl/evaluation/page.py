@@ -70,24 +70,34 @@ def _unsolved_cases(rows: Sequence[Row]) -> str:
 
 
 def _improvement(rows: Sequence[Row], improvement_of: Sequence[str]) -> str:
-    """Return the table of probabilities that a seed of one method is better than one of another."""
+    """Return two matrices of probabilities that a seed of one method is better than of another.
+
+    Each has a line per method and a column per method in `improvement_of` and column of the table.
+    """
     with_seeds = [row for row in rows if "success_of_seeds" in row]
-    lines = []
-    for ours in (row for row in with_seeds if row["method"] in improvement_of):
+    ours = [row for method in improvement_of for row in with_seeds if row["method"] == method]
+    matrices = []
+    for title, key in (("Success", "success_of_seeds"), ("Social score", "social_of_seeds")):
+        lines: dict[str, list[str]] = {}
         for theirs in with_seeds:
-            same_cases = all(ours[key] == theirs[key] for key in ("episodes", "seed"))
-            if not same_cases or column_of(theirs) != column_of(ours) or theirs is ours:
-                continue
-            names = [f"{row['method']} ({row['training_seeds']} seeds)" for row in (ours, theirs)]
-            estimates = [
-                probability_of_improvement(ours[key], theirs[key])
-                for key in ("success_of_seeds", "social_of_seeds")
-            ]
-            cells = ["{:.2f} [{:.2f}, {:.2f}]".format(*estimate) for estimate in estimates]
-            lines.append([*names, column_name(column_of(ours)), *cells])
-    if not lines:
+            for i, row in enumerate(ours):
+                same_cases = all(row[field] == theirs[field] for field in ("episodes", "seed"))
+                if same_cases and column_of(row) == column_of(theirs) and row is not theirs:
+                    estimate = probability_of_improvement(row[key], theirs[key])
+                    cells = lines.setdefault(_with_seeds(theirs), [""] * len(ours))
+                    cells[i] = "{:.2f} [{:.2f}, {:.2f}]".format(*estimate)
+        if lines:
+            heads = [f"{row['method']}, {column_name(column_of(row))}" for row in ours]
+            table = [[name, *cells] for name, cells in lines.items()]
+            matrices.append(f"{title}:\n\n{markdown_table(['better than', *heads], table)}\n")
+    if not matrices:
         return ""
-    header = ("a seed of", "is better than one of", "in", "success", "social score")
-    return (
-        f"\nProbability of improvement (Agarwal et al., 2021):\n\n{markdown_table(header, lines)}\n"
-    )
+    about = """
+Probability of improvement (Agarwal et al., 2021): how often a seed of the method of a column is
+better than a seed of the method of a line, with the 95 % interval. 0.5 means no difference.
+"""
+    return "\n".join([about, *matrices])
+
+
+def _with_seeds(row: Row) -> str:
+    return f"{row['method']} ({row['training_seeds']} seeds)"

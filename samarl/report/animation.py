@@ -18,7 +18,7 @@ from matplotlib.patches import Circle, Wedge
 from numpy.typing import NDArray
 from PIL import Image, ImageColor
 
-from mrsan import ConfigurationError
+from mrsan import ConfigurationError, Outcome
 from samarl.evaluation.trajectory import Trajectory
 from samarl.files import atomic_write
 from samarl.progress import progress_bar
@@ -28,11 +28,18 @@ from samarl.report.trajectories import HITS, draw_walls
 _GIF_COLOURS = 64
 _DPI = {".gif": 80, ".mp4": 140}
 _FRAMES_PER_SECOND = {".gif": 10.0, ".mp4": 20.0}  # lower bound; the rate is below twice that
-_HOLD_SECONDS = 1.5  # for which the last frame is shown
+_HOLD_SECONDS = 3.0  # for which the last frame, which tells the outcome, is shown
+_MAX_SECONDS = 20.0  # of the whole animation; longer episodes are sped up
+_CAUSES = {  # of a failed episode; robots that were interrupted did not cause it
+    Outcome.hit_human: "hit a person",
+    Outcome.hit_robot: "hit a robot",
+    Outcome.hit_wall: "hit a wall",
+    Outcome.timeout: "ran out of time",
+}
 
 
 def save_animation(trajectories: Sequence[tuple[Trajectory, str]], path: Path) -> None:
-    """Write a .gif or .mp4 in real time, atomically.
+    """Write a .gif or .mp4, atomically: in real time, but at most 20 s long.
 
     Args:
         trajectories: each with its title, drawn side by side.
@@ -45,9 +52,10 @@ def save_animation(trajectories: Sequence[tuple[Trajectory, str]], path: Path) -
     figure = Figure(figsize=(6.0 * len(trajectories), 6.4), dpi=_DPI[kind], layout="constrained")
     steps = max(len(trajectory.robot_position) for trajectory, _ in trajectories) - 1
     time_step = trajectories[0][0].scenario.time_step
-    times, seconds = frame_times(steps, time_step, _FRAMES_PER_SECOND[kind])
+    speed = playback_speed(steps * time_step)
+    times, seconds = frame_times(steps, time_step / speed, _FRAMES_PER_SECOND[kind])
     images = progress_bar(
-        _frames(figure, trajectories, times), total=len(times), desc=path.name, unit="frame"
+        _frames(figure, trajectories, times, speed), total=len(times), desc=path.name, unit="frame"
     )
     write_frames(path, iter(images), seconds)
 
@@ -66,6 +74,11 @@ def write_frames(path: Path, frames: Iterator[NDArray[np.uint8]], seconds: float
     write = {".gif": _write_gif, ".mp4": _write_mp4}[path.suffix.lower()]
     with atomic_write(path) as part:
         write(part, frames, seconds)
+
+
+def playback_speed(duration: float) -> float:
+    """Return how many times faster than real time an episode of `duration` s is shown."""
+    return max(1.0, math.ceil(10 * duration / (_MAX_SECONDS - _HOLD_SECONDS - 0.5)) / 10)
 
 
 def frame_times(steps: int, time_step: float, rate: float) -> tuple[NDArray[np.float64], float]:
@@ -145,14 +158,20 @@ def _write_mp4(path: Path, frames: Iterator[NDArray[np.uint8]], seconds: float) 
     writer.send(None)
     try:
         writer.send(first.tobytes())
+        pixels = first
         for pixels in frames:
+            writer.send(pixels.tobytes())
+        for _ in range(round(_HOLD_SECONDS / seconds)):
             writer.send(pixels.tobytes())
     finally:
         writer.close()
 
 
 def _frames(
-    figure: Figure, trajectories: Sequence[tuple[Trajectory, str]], times: NDArray[np.float64]
+    figure: Figure,
+    trajectories: Sequence[tuple[Trajectory, str]],
+    times: NDArray[np.float64],
+    speed: float,
 ) -> Iterator[NDArray[np.uint8]]:
     """Yield the frames [height, width, 3] at `times` in steps; ended episodes show their last."""
     canvas = FigureCanvasAgg(figure)
@@ -164,7 +183,7 @@ def _frames(
             artists: list[Artist] = []
             for axes, (trajectory, _) in zip(stages, trajectories, strict=True):
                 artists += _draw_state(
-                    axes, trajectory, min(time, len(trajectory.robot_position) - 1)
+                    axes, trajectory, min(time, len(trajectory.robot_position) - 1), speed
                 )
             canvas.draw()
             if time == 0:
@@ -203,15 +222,55 @@ def _draw_stage(axes: Axes, trajectory: Trajectory, title: str) -> None:
         axes.plot(*goal, marker="*", markersize=14, color=_colour(i), markeredgecolor="white")
 
 
-def _draw_state(axes: Axes, trajectory: Trajectory, time: float) -> list[Artist]:
+def _draw_state(
+    axes: Axes, trajectory: Trajectory, time: float, speed: float = 1.0
+) -> list[Artist]:
     """Draw everything that moves at a time in steps, interpolated linearly between steps."""
     robots = _between(trajectory.robot_position, time)
     artists = _draw_humans(axes, trajectory, time, robots)
     for i in range(len(robots)):
         artists += _draw_robot(axes, trajectory, time, i, robots[i])
     clock = f"{time * trajectory.scenario.time_step:.1f} s"
+    if speed > 1.0:
+        clock += f"  (speed {speed:g})"
     artists.append(axes.text(0.02, 0.98, clock, transform=axes.transAxes, va="top", fontsize=11))
+    if time >= len(trajectory.robot_position) - 1:
+        artists.append(_draw_ending(axes, trajectory))
     return artists
+
+
+def _draw_ending(axes: Axes, trajectory: Trajectory) -> Artist:
+    """Draw a box that tells how the episode ended."""
+    outcomes = trajectory.episodes.outcome[0]
+    success = bool(trajectory.episodes.success[0])
+    return axes.text(
+        0.5,
+        0.03,
+        ending(outcomes),
+        transform=axes.transAxes,
+        ha="center",
+        va="bottom",
+        fontsize=12,
+        fontweight="bold",
+        color=INK if success else CONTACT,
+        zorder=10,
+        bbox={"facecolor": "white", "edgecolor": INK if success else CONTACT, "pad": 5},
+    )
+
+
+def ending(outcomes: Sequence[int] | NDArray[np.int8]) -> str:
+    """Return how an episode ended, as text, from the outcome of each robot."""
+    robots: dict[Outcome, list[str]] = {}
+    for i, value in enumerate(outcomes):
+        robots.setdefault(Outcome(value), []).append(str(i))
+    if set(robots) == {Outcome.arrived}:
+        return "Success: all robots arrived"
+    causes = [
+        f"robot{'s' if len(who) > 1 else ''} {' and '.join(who)} {_CAUSES[outcome]}"
+        for outcome, who in robots.items()
+        if outcome in _CAUSES
+    ]
+    return "\n".join(["Failure:", *causes]) if len(causes) > 1 else f"Failure: {causes[0]}"
 
 
 def _draw_humans(

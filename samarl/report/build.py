@@ -31,8 +31,8 @@ from samarl.evaluation.table import (
 from samarl.evaluation.trajectory import Trajectory
 from samarl.files import atomic_write, code_version, write_text
 from samarl.progress import progress_bar
+from samarl.report.curves import Runs, chart_data, group_runs, is_performance
 from samarl.report.figures import (
-    Curve,
     baselines,
     curve_title,
     draw_curves,
@@ -45,14 +45,6 @@ from samarl.report.replays import as_replay
 from samarl.report.style import PALETTE, save_figure
 
 _TEMPLATES = Path(__file__).parent / "site"
-KINDS = {  # of curves: the first kind whose pattern matches the name of the column
-    "Performance": "success|score",
-    "Statistics of the policy and its updates": (
-        "kl|clip_fraction|entropy|effective|explained|gradient|epochs|unsafe"
-    ),
-    "Speed": "charts/",
-    "Losses": "",
-}
 _MARKER = "viewer.js"  # identifies the folder of an earlier report
 
 
@@ -168,10 +160,12 @@ def _build_pages(
         write("transfer.html", tables=transfer, headlines=headlines)
     if runs:
         rows = [row for table in tables for row in table.rows]
-        write("curves.html", figures=_draw_runs(runs, rows, site), runs=runs)
+        groups = group_runs(runs, results / "checkpoints")
+        figures = _draw_runs(groups, rows, site)
+        write("curves.html", figures=figures, chart=chart_data(groups))
     if sweeps:
-        figures = {sweep.name: _draw_sweep(sweep, site) for sweep in sweeps}
-        write("sweeps.html", sweeps=sweeps, figures=figures)
+        drawn = {sweep.name: _draw_sweep(sweep, site) for sweep in sweeps}
+        write("sweeps.html", sweeps=sweeps, figures=drawn)
     if trajectories:
         write("replays.html", replays=_write_replays(trajectories, split, site))
     for script in _TEMPLATES.glob("*.js"):
@@ -204,22 +198,23 @@ def _environment(**variables: Any) -> Environment:
 
 
 def read_tables(folder: Path) -> list[Table]:
-    """Return the tables in the JSON files of a folder that contain rows.
+    """Return the tables in the JSON files of a folder that contain rows, those of papers first.
 
     Raises:
         ConfigurationError: a file is not JSON, or a field of a row is missing or invalid.
     """
     tables = []
-    for path in sorted(folder.glob("*.json")):
+    paths = sorted(folder.glob("*.json"))
+    for path in sorted(paths, key=lambda path: not path.stem.startswith("table")):
         rows = read_rows(path)
         if rows is not None:
             tables.append(Table(readable(path.stem), rows))
     return tables
 
 
-def read_runs(folder: Path) -> dict[str, list[Curve]]:
+def read_runs(folder: Path) -> Runs:
     """Return the curves of a folder by run; files `NAME_seedK.csv` belong to one run."""
-    runs: dict[str, list[Curve]] = {}
+    runs: Runs = {}
     for path in sorted(folder.glob("*.csv")):
         curve = read_curve(path)
         if curve:
@@ -228,15 +223,22 @@ def read_runs(folder: Path) -> dict[str, list[Curve]]:
 
 
 def _draw_runs(
-    runs: dict[str, list[Curve]], rows: Sequence[Row], site: Path
+    groups: dict[str, Runs], rows: Sequence[Row], site: Path
 ) -> dict[str, list[SavedFigure]]:
-    """Draw the figures of all columns, grouped by `KINDS`."""
-    columns = list(dict.fromkeys(c for curves in runs.values() for curve in curves for c in curve))
-    figures: dict[str, list[SavedFigure]] = {kind: [] for kind in KINDS}
-    for column in progress_bar(columns, desc="curves", unit="figure"):
-        kind = next(kind for kind, pattern in KINDS.items() if re.search(pattern, column))
-        figure = draw_curves(runs, column, baselines(rows, column))
-        figures[kind].append(_save(figure, f"curve-{column}", curve_title(column), site))
+    """Draw success and social score of every group of runs."""
+    pairs = [
+        (task, column)
+        for task, runs in groups.items()
+        for column in dict.fromkeys(
+            c for curves in runs.values() for curve in curves for c in curve
+        )
+        if is_performance(column)
+    ]
+    figures: dict[str, list[SavedFigure]] = {task: [] for task in groups}
+    for task, column in progress_bar(pairs, desc="curves", unit="figure"):
+        figure = draw_curves(groups[task], column, baselines(rows, column))
+        title = f"{task}, {curve_title(column)}"
+        figures[task].append(_save(figure, f"curve-{task}-{column}", title, site))
     return figures
 
 

@@ -25,6 +25,16 @@ Points = tuple[NDArray[np.float64], NDArray[np.float64]]  # steps and values
 Curve = dict[str, Points]  # by column
 _BASELINES = ("model_predictive", "perimeter")  # planners shown beside learning curves
 _AXES = {"fov_degrees": "field of view, degrees", "humans": "humans", "robots": "robots"}
+_UNITS = {  # of fields of the scenario that sweeps vary
+    "position_noise": "m",
+    "radius_noise": "m",
+    "velocity_noise": "m/s",
+    "missed_detection": "probability",
+    "sensing_range": "m",
+    "team_range": "m",
+    "team_delay": "s",
+    "team_loss": "probability",
+}
 _POINTS = 200  # drawn per curve
 _DASHES = ("-", "--", ":", "-.")  # the next style once all colours are used
 _PANELS = 5  # of a table, per line
@@ -89,59 +99,76 @@ def draw_curves(
         if (seeds := [curve[column] for curve in curves if column in curve])
     }
     entries = len(drawn) + len(levels or {})
-    size = (4.6, 3.0) if entries <= len(COLOURS) else (7.0, max(3.0, 0.6 + 0.185 * entries))
+    size = (4.6, 3.0 if entries <= len(COLOURS) else 3.0 + 0.2 * entries)
     with rc_context(STYLE):
         figure = Figure(figsize=size, layout="constrained")
         axes = figure.add_subplot()
         for i, name in enumerate(runs):  # a run has the same colour in every figure
             if name in drawn:
-                _draw_run(axes, i, name, drawn[name], 100.0 if "success" in column else 1.0)
+                _draw_run(axes, i, name, drawn[name], 100.0 if is_success(column) else 1.0)
         for i, (name, level) in enumerate((levels or {}).items()):
             dots = (0, (1 + 2 * i, 1 + i))
             axes.axhline(level, color=MUTED, linewidth=1.2, linestyle=dots, label=name)
         axes.set_title(curve_title(column), loc="left")
-        axes.set_ylabel(_unit(column))
+        axes.set_ylabel(curve_unit(column))
         axes.set_xlabel("world steps")
         axes.xaxis.set_major_formatter(EngFormatter(sep=""))
         if "success" in column or "score" in column:
             axes.set_ylim(-2, 102)
         if entries > len(COLOURS):
-            figure.legend(fontsize=8, loc="outside right upper")
+            figure.legend(loc="outside lower left")
         elif entries:
-            axes.legend(fontsize=8, loc="best")
+            axes.legend(fontsize=10, loc="best")
     return figure
 
 
 def _draw_run(axes: Axes, i: int, name: str, seeds: Sequence[Points], scale: float) -> None:
-    """Draw the mean and the range of the seeds of run `i`, up to the last step all have reached."""
-    last = min(steps[-1] for steps, _ in seeds)
-    grid = np.unique(np.concatenate([steps for steps, _ in seeds]))
-    grid = grid[grid <= last]
-    grid = grid[np.linspace(0, len(grid) - 1, min(len(grid), _POINTS)).astype(int)]
-    values = scale * np.stack([np.interp(grid, *curve) for curve in seeds])
+    """Draw the mean and the range of the seeds of run `i`."""
+    grid, *values = mean_and_range(seeds)
+    mean, low, high = (scale * value for value in values)
     colour, dashes = COLOURS[i % len(COLOURS)], _DASHES[i // len(COLOURS) % len(_DASHES)]
     label = f"{name} ({len(seeds)} seed{'s' if len(seeds) > 1 else ''})"
-    axes.plot(grid, values.mean(0), dashes, color=colour, linewidth=1.5, label=label)
+    marker = "o" if len(grid) == 1 else None  # a single point has no line
+    axes.plot(grid, mean, dashes, marker=marker, color=colour, linewidth=1.5, label=label)
     if len(seeds) > 1:
-        low, high = values.min(0), values.max(0)
         axes.fill_between(grid, low, high, color=colour, alpha=0.18, linewidth=0)
 
 
-def _unit(column: str) -> str:
+def mean_and_range(
+    seeds: Sequence[Points], points: int = _POINTS
+) -> tuple[NDArray[np.float64], ...]:
+    """Return steps, mean, lowest and highest value, up to the last step all seeds have reached.
+
+    Args:
+        seeds: the points of each seed.
+        points: largest number of steps.
+    """
+    last = min(steps[-1] for steps, _ in seeds)
+    grid = np.unique(np.concatenate([steps for steps, _ in seeds]))
+    grid = grid[grid <= last]
+    grid = grid[np.linspace(0, len(grid) - 1, min(len(grid), points)).astype(int)]
+    values = np.stack([np.interp(grid, *curve) for curve in seeds])
+    return grid, values.mean(0), values.min(0), values.max(0)
+
+
+def is_success(column: str) -> bool:
+    """Return whether a column holds success rates, which are shown in %."""
+    return "success" in column
+
+
+def curve_unit(column: str) -> str:
     """Return the axis label of a column's values."""
     if "success" in column:
         return "success %"
     if "score" in column:
-        return "social score"
+        return "social score, 0 to 100"
     return column.rpartition("/")[2].replace("_", " ")
 
 
 def curve_title(column: str) -> str:
     """Return the title of a column of a learning curve."""
     group, _, name = column.rpartition("/")
-    name = re.sub(
-        r"_([\d.]+)_(\d+h)_(\d+r)$", r", \1° \2 \3", name
-    )  # evaluated in a column of the table
+    name = re.sub(r"_([\d.]+)_(\d+h)_(\d+r)$", r", \1° \2 \3", name)  # column of a table
     name = name.replace("success", "success %").replace("_", " ")
     return f"{'training' if group == 'charts' else group}: {name}"
 
@@ -155,7 +182,7 @@ def draw_heat_map(rows: Sequence[Row], title: str) -> Figure:
         cell = crowds.index((row["humans"], row["robots"])), views.index(row["fov_degrees"])
         success[cell] = row["success_rate"]
     with rc_context(STYLE):
-        figure = Figure(figsize=(4.6, 1.5 + 0.34 * len(crowds)), layout="constrained")
+        figure = Figure(figsize=(4.6, 1.5 + 0.3 * len(crowds)), layout="constrained")
         axes = figure.add_subplot()
         axes.grid(visible=False)
         axes.spines[:].set_visible(False)
@@ -169,12 +196,13 @@ def draw_heat_map(rows: Sequence[Row], title: str) -> Figure:
                     f"{value:.0f}",
                     ha="center",
                     va="center",
-                    fontsize=8,
+                    fontsize=10,
                     color=_LIGHT_TEXT if value < 55 else _DARK_TEXT,
                 )
         axes.set_xticks(np.arange(len(views)) + 0.5, [f"{view:g}°" for view in views])
         axes.set_yticks(np.arange(len(crowds)) + 0.5, [f"{h}h {r}r" for h, r in crowds])
-        axes.set_xlabel("field of view")
+        axes.set_xlabel("field of view, degrees")
+        axes.set_ylabel("humans (h), robots (r)")
         axes.set_title(title, loc="left")
         figure.colorbar(mesh, label="success %", pad=0.02).outline.set_visible(False)
     return figure
@@ -207,9 +235,9 @@ def draw_lines(
             axes.fill_between(x, low, high, color=colour, alpha=0.18, linewidth=0)
         axes.set_ylim(0, 100)
         axes.set_xlabel(name)
-        axes.set_ylabel("success %, with the 95 % interval")
+        axes.set_ylabel("success %, 95 % interval")
         axes.set_title(title, loc="left")
-        figure.legend(fontsize=8, loc="outside lower left")
+        figure.legend(fontsize=10, loc="outside lower left")
     return figure
 
 
@@ -243,17 +271,18 @@ def draw_bars(rows: Sequence[Row], title: str) -> Figure:
         axes.set_yticks(range(len(settings)), settings)
         axes.invert_yaxis()
         axes.set_xlim(0, 100)
-        axes.set_xlabel("success %, with the 95 % interval")
+        axes.set_xlabel("success %, 95 % interval")
         axes.set_title(title, loc="left")
-        axes.legend(fontsize=8, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2)
+        axes.legend(fontsize=10, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2)
     return figure
 
 
 def draw_table(rows: Sequence[Row]) -> Figure:
     """Draw success with its interval and the social score of all methods, one panel per column."""
     grid = grid_of(rows)
-    methods = [line.name for line in reversed(ranked(rows))]  # the first is drawn at the top
-    y = np.arange(len(methods))
+    lines = ranked(rows)[::-1]  # the first is drawn at the top
+    methods = [line.name for line in lines]
+    y = np.arange(len(lines))
     with rc_context({**STYLE, "axes.grid.axis": "x"}):
         height = math.ceil(len(grid.columns) / _PANELS)
         width = math.ceil(len(grid.columns) / height)
@@ -264,7 +293,7 @@ def draw_table(rows: Sequence[Row]) -> Figure:
             unused.set_visible(False)
         panels = panels[: len(grid.columns)]
         for c, (axes, column) in enumerate(zip(panels, grid.columns, strict=True)):
-            cells = [grid.ours[name][c] for name in methods]
+            cells = [line.rows[c] for line in lines]
             filled = np.array([row is not None for row in cells])
             rate, low, high, social = (
                 np.array([row[key] for row in cells if row is not None])
@@ -281,11 +310,14 @@ def draw_table(rows: Sequence[Row]) -> Figure:
                 error_kw={"elinewidth": 1, "capsize": 2},
             )
             axes.plot(social, y[filled], "D", color=COLOURS[1], markersize=4, label="social score")
+            for line in y[~filled]:
+                axes.text(2, line, "not played", va="center", fontsize=9, color=MUTED)
             axes.set_xlim(0, 100)
             axes.set_title(column_name(column), loc="left")
+            axes.set_xlabel("success %, score")
         panels[0].set_yticks(y, methods)
         figure.legend(
-            *panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=2, fontsize=8
+            *panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=2, fontsize=10
         )
     return figure
 
@@ -363,4 +395,5 @@ def _single_number(labels: Sequence[str]) -> tuple[str, list[float]] | None:
     name = names.pop()
     default = str(getattr(Scenario(), name, ""))
     values = [_number(value if sign else default) for _, sign, value in pairs]
-    return (name.replace("_", " "), values) if np.isfinite(values).all() else None
+    title = ", ".join(filter(None, (name.replace("_", " "), _UNITS.get(name))))
+    return (title, values) if np.isfinite(values).all() else None

@@ -36,9 +36,12 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
         header = "steps,seconds,charts/success,validation/success_90_10h_3r,losses/macro_critic"
         (results / f"curves/{name}.csv").write_text("\n".join([header, *lines]))
     save_policy(results / "checkpoints/mine.safetensors", small_policy(), "hierarchical", {})
+    (folder / "conf/agent").mkdir(parents=True)
+    (folder / "conf/agent/mine.yaml").write_text("defaults:\n  - samarl\ncheckpoint: mine\n")
     done = report(
+        "--config-dir=conf",
         "results=results",
-        "agents=[straight,perimeter,samarl]",
+        "agents=[straight,perimeter,mine]",
         "cases=[0,3]",
         "output=site",
         cwd=folder,

@@ -18,7 +18,8 @@ from samarl.evaluation.metrics import METRICS, Metric, Tables
 from samarl.evaluation.summary import Column, Row, column_of
 from samarl.evaluation.trajectory import record_episode
 from samarl.files import find_folder
-from samarl.report.build import build_site, slug
+from samarl.report.build import build_site, read_runs, read_tables, slug
+from samarl.report.curves import chart_data, group_runs
 from samarl.report.figures import (
     baselines,
     draw_curves,
@@ -99,9 +100,8 @@ def test_all_results_are_shown(site: Path) -> None:
     figures = {figure.stem for figure in (site / "figures").glob("*.svg")}
     assert figures == {figure.stem for figure in (site / "figures").glob("*.png")}
     assert figures == {
-        "curve-charts-success",
-        "curve-validation-success-90-10h-3r",
-        "curve-losses-macro-critic",
+        "curve-other-runs-charts-success",
+        "curve-other-runs-validation-success-90-10h-3r",
         "noise-90-10h-3r",
         "table-1",
         "places-other-layouts",
@@ -137,14 +137,23 @@ def test_methods_are_in_groups_best_first_with_a_description(site: Path) -> None
         "ablation",
     )
     for group in GROUPS:
-        means = [line.success for line in ranking if line.group == group]
-        assert means == sorted(means, reverse=True)
+        order = [(-line.rows.count(None), line.success) for line in ranking if line.group == group]
+        assert order == sorted(order, reverse=True)
     best = {(column_of(row), row["success_rate"]) for row in rows if is_best(row, rows)}
     assert len(best) == 4
     assert index.count('class="best"') >= 4
     named = {line.name: line for line in ranking}
     assert named["samarl_unshielded"].checkpoint == "samarl"
-    assert named["samarl_narrow"].checkpoint == "samarl_narrow"
+    assert "samarl_narrow" not in named  # its rows are in the empty columns of `samarl`
+    assert [row and row["method"] for row in named["samarl"].rows] == [
+        *["samarl_narrow"] * 2,
+        *["samarl"] * 2,
+    ]
+    assert [table.name for table in read_tables(find_folder("results"))][:2] == [
+        "Table 1",
+        "Table 2",
+    ]
+    assert '<td data-value="-1" class="absent">not played</td>' in index
     assert html.escape(named["perimeter"].description, quote=False) in index
     assert rows[0]["command"] in index
     assert f"{rows[0]['episodes']} cases" in index
@@ -188,6 +197,9 @@ def test_a_curve_is_the_mean_of_its_seeds_and_their_range(site: Path) -> None:
     assert values.tolist() == [0.5] * 3
     axes = draw_curves({"fast": curves}, "charts/success").axes[0]
     np.testing.assert_allclose(axes.lines[0].get_ydata(), 60.0)
+    assert axes.lines[0].get_marker() == "None"
+    point = draw_curves({"short": [{"charts/success": ([5.0], [0.4])}]}, "charts/success").axes[0]
+    assert point.lines[0].get_marker() == "o"  # a line of one point would be invisible
     low, high = axes.collections[0].get_paths()[0].get_extents().get_points()[:, 1]
     assert (low, high) == (pytest.approx(50.0), pytest.approx(70.0))
 
@@ -201,10 +213,29 @@ def test_a_validation_curve_has_the_planners_of_its_column(site: Path) -> None:
     assert baselines(rows, "charts/success") == {}
     axes = draw_curves({}, "validation/social_score_360_10h_5r", levels).axes[0]
     assert [line.get_ydata()[0] for line in axes.lines] == list(levels.values())
-    assert (axes.get_xlabel(), axes.get_ylabel()) == ("world steps", "social score")
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("world steps", "social score, 0 to 100")
     page = (site / "curves.html").read_text()
-    assert "samarl-report results=results" in html.unescape(page)
-    assert page.index("curve-charts-success") < page.index("<summary>Losses</summary>")
+    assert "samarl-report --config-dir conf results=results" in html.unescape(page)
+
+
+def test_curves_are_grouped_by_the_task_of_the_training() -> None:
+    results = find_folder("results")
+    runs = read_runs(results / "curves")
+    groups = group_runs(runs, results / "checkpoints")
+    task = {name: task for task, names in groups.items() for name in names}
+    assert task.keys() == runs.keys()
+    assert task["samarl"] == task["cadrl"] == "SAMARL's circle, 360° view"
+    assert task["samarl_narrow"] == "SAMARL's circle, 90° view"
+    assert task["msa3c"] == task["sarl"] == "MSA3C's circle, holonomic robots"
+    assert task["samarl_places"] == "Places with walls"
+    assert task["samarl_recorded"] == "Recorded people"
+    assert task["samarl_general"] == "Any layout"
+    (cadrl,) = [
+        run for group in chart_data(groups) for run in group["runs"] if run["name"] == "cadrl"
+    ]
+    steps, mean, low, high = cadrl["lines"]["charts/success"]
+    assert len(steps) == 60
+    assert all(0 <= a <= b <= c <= 100 for a, b, c in zip(low, mean, high, strict=True))
 
 
 def test_settings_labels_distinguish_rows() -> None:
@@ -226,7 +257,7 @@ def test_the_figure_of_a_sweep_depends_on_what_it_varies() -> None:
 
     numbers = drawn([with_setting("position_noise=0.1"), with_setting("position_noise=0")])
     (axes,) = numbers.values()
-    assert axes.get_xlabel() == "position noise"
+    assert axes.get_xlabel() == "position noise, m"
     np.testing.assert_allclose(axes.lines[0].get_xdata(), [0.0, 0.1])
     (axes,) = drawn([with_setting("team_delay=0.5"), one]).values()  # 0 by default
     np.testing.assert_allclose(axes.lines[0].get_xdata(), [0.0, 0.5])
@@ -243,7 +274,7 @@ def test_the_figure_of_a_sweep_depends_on_what_it_varies() -> None:
     (axes,) = drawn([one | {"humans": 5}, one]).values()
     assert axes.get_xlabel() == "humans"
     (axes,) = drawn([one | {"humans": 5}, one | {"robots": 8}]).values()
-    assert axes.get_xlabel() == "field of view"  # a map
+    assert axes.get_xlabel() == "field of view, degrees"  # a map
 
 
 def index_of(results: Path, output: Path) -> str:
@@ -333,12 +364,15 @@ def test_a_replay_marks_the_steps_with_a_replaced_action() -> None:
     ]
 
 
-def test_a_policy_is_shown_with_its_own_agent() -> None:
-    methods = _methods(None, find_folder("results"))
-    assert set(available_agents()) <= set(methods)
-    for name in available_agents():
+def test_only_the_named_agents_play_each_by_its_own_configuration() -> None:
+    results = find_folder("results")
+    assert list(_methods(["orca", "cadrl"], results)) == ["orca", "cadrl"]
+    methods = _methods(None, results)
+    assert list(methods) == available_agents()
+    assert not methods["cadrl"].get("shield")
+    for name, method in methods.items():
         config = load_agent_config(name)
-        shown = {**methods[name], "checkpoint": Path(methods[name].get("checkpoint", "")).stem}
+        shown = {**method, "checkpoint": Path(method.get("checkpoint", "")).stem}
         assert shown == {**config, "checkpoint": config.get("checkpoint", "")}
 
 
@@ -356,7 +390,7 @@ def test_an_agent_without_its_checkpoint_is_skipped(tmp_path: Path) -> None:
         "columns=[{robots: 2}]",
         cwd=tmp_path,
     )
-    assert done.stdout.startswith("skipped: mine, 360° view: checkpoint is 'nowhere'")
+    assert done.stdout.startswith("skipped: mine in 1 of 1 scenarios: checkpoint is 'nowhere'")
     assert [page.name for page in (tmp_path / "site").glob("*.html")] == ["index.html"]
     assert "The results folder contains no table." in (tmp_path / "site/index.html").read_text()
 

@@ -108,6 +108,31 @@ def test_a_heading_sorts_its_column_in_every_group(page: Page, site: Path) -> No
     assert sorted(page.eval_on_selector_all("tr[data-name]", names)) == sorted(before)
 
 
+def test_the_reader_chooses_the_runs_of_the_chart(page: Page, site: Path) -> None:
+    page.goto((site / "curves.html").as_uri())
+    runs = "shapes => shapes.map(shape => shape.dataset.run)"
+    assert page.eval_on_selector_all("#chart [data-run]", runs) == ["fast", "slow"]
+    page.get_by_label("fast (2 seeds)").uncheck()
+    assert page.eval_on_selector_all("#chart [data-run]", runs) == ["slow"]
+    page.locator("#quantity").select_option("losses: macro critic")
+    assert "macro critic" in page.locator("#chart text").all_text_contents()
+    page.click("#none")
+    assert page.locator("#chart [data-run]").count() == 0
+    page.click("#all")
+    assert page.locator("#chart .band").count() == 1  # the range of the two seeds
+
+
+@pytest.mark.parametrize("size", [(1366, 768), (1200, 900)])
+def test_the_player_does_not_cover_the_strip(page: Page, site: Path, size: tuple[int, int]) -> None:
+    page.set_viewport_size({"width": size[0], "height": size[1]})
+    show(page, site, BOTH)
+    strip, controls = (page.locator(name).bounding_box() for name in ("#strip", ".controls"))
+    assert strip
+    assert controls
+    assert strip["y"] + strip["height"] <= controls["y"] + 1
+    assert controls["y"] + controls["height"] <= size[1]
+
+
 def test_a_replay_plays_pauses_scrubs_and_ends(page: Page, site: Path) -> None:
     show(page, site, BOTH)
     assert steps(page) == ["0.000", "0.000"]

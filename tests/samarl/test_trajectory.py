@@ -12,14 +12,20 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 from PIL import Image, ImageColor
 
-from mrsan import ConfigurationError, Observation, Scenario, World
+from mrsan import ConfigurationError, Observation, Outcome, Scenario, World
 from samarl.agents import Agent, build_agent
 from samarl.agents.learned import DeployedPolicy
 from samarl.commands.render import picture_writer
 from samarl.encoders.transformer_layers import Pool
 from samarl.evaluation.trajectory import record_episode
 from samarl.policies.checkpoint import save_policy
-from samarl.report.animation import _draw_state, frame_times, save_animation
+from samarl.report.animation import (
+    _draw_state,
+    ending,
+    frame_times,
+    playback_speed,
+    save_animation,
+)
 from samarl.report.replays import as_replay
 from samarl.report.style import COLOURS
 from samarl.report.trajectories import save_trajectories
@@ -165,8 +171,26 @@ def test_animations_are_smooth_and_as_fast_as_the_episode(tmp_path: Path) -> Non
     save_animation([(trajectory, "a title")], tmp_path / "case.mp4")
     pictures = imageio_ffmpeg.read_frames(str(tmp_path / "case.mp4"))
     assert next(pictures)["fps"] == 20
-    assert sum(1 for _ in pictures) == 5 * steps + 1
+    assert sum(1 for _ in pictures) == 5 * steps + 1 + 3 * 20  # the last one is shown for 3 s
     assert sorted(file.name for file in tmp_path.iterdir()) == ["case.gif", "case.mp4"]
+
+
+def test_an_animation_tells_how_the_episode_ended() -> None:
+    assert ending([Outcome.arrived, Outcome.arrived]) == "Success: all robots arrived"
+    hit = [Outcome.hit_human, Outcome.interrupted, Outcome.arrived]
+    assert ending(hit) == "Failure: robot 0 hit a person"
+    assert ending([Outcome.hit_robot] * 2) == "Failure: robots 0 and 1 hit a robot"
+    both = [Outcome.timeout, Outcome.hit_wall]
+    assert ending(both) == "Failure:\nrobot 0 ran out of time\nrobot 1 hit a wall"
+
+
+@pytest.mark.parametrize(("steps", "time_step"), [(40, 0.25), (200, 0.25), (5000, 0.01)])
+def test_an_animation_takes_at_most_20_seconds(steps: int, time_step: float) -> None:
+    speed = playback_speed(steps * time_step)
+    for rate in (10.0, 20.0):
+        times, seconds = frame_times(steps, time_step / speed, rate)
+        assert len(times) * seconds + 3.0 <= 20.0
+    assert (speed == 1.0) == (steps == 40)
 
 
 @pytest.mark.parametrize(
