@@ -66,9 +66,10 @@ class Bench:
 
     name: str = MISSING
     about: str = MISSING
-    agents: Any = None
+    agents: list[str] | None = None
     leave_out: list[str] = field(default_factory=list)
     headline: list[str] = field(default_factory=list)
+    only_headline: bool = False
     improvement_of: list[str] = field(default_factory=list)
     columns: list[dict[str, Any]] = field(default_factory=list)
     recordings: str | None = None
@@ -172,15 +173,11 @@ def _agent_names(config: DictConfig) -> Sequence[str]:
     """Return the agents to evaluate.
 
     Raises:
-        ConfigurationError: there are none, or `agents` is not a list of names.
+        ConfigurationError: there are none.
     """
-    if config.agents is None:
+    names = config.headline if config.only_headline else config.agents
+    if names is None:
         return [name for name in available_agents() if name not in config.leave_out]
-    names = config.headline if config.agents == "headline" else config.agents
-    if isinstance(names, str):
-        raise ConfigurationError(
-            f"agents is {names!r}; it must be a list of names, headline, or null for all"
-        )
     if not names:
         raise ConfigurationError("agents is empty; it must name at least one")
     return list(names)

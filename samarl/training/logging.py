@@ -69,7 +69,9 @@ class Logger(contextlib.AbstractContextManager["Logger"]):
                 for key, value in row.items():
                     self._writer.add_scalar(key, value, steps_done)
         self._bar.set_postfix_str(f"success {100 * row['charts/success']:.1f} %")
-        self._bar.update(steps_done - self._bar.n)
+        self._bar.update(
+            min(steps_done, self._bar.total) - self._bar.n
+        )  # the last round may be longer
 
     def __exit__(self, *_: Any) -> None:
         """Write buffered scalars.

@@ -250,18 +250,7 @@ def test_names_of_other_simulators_are_understood(name: str, field: str) -> None
         ("bench", "agents={a: 3}", "agents is '{a: 3}'; it must be a list"),
         ("bench", "frame_seconds=[5]", "frame_seconds is '[5]'; it must be a mapping"),
         ("bench", "frame_seconds={a: x}", "frame_seconds.a is 'x'; it must be a number"),
-        (
-            "train",
-            "curriculum.stages=[{scenario: 5}]",
-            "curriculum.stages.scenario is '5'; it must be a mapping",
-        ),
-        (
-            "train",
-            "curriculum.stages=[{scenario: {human: 5}}]",
-            "curriculum.stages: scenario.human is not known; did you mean scenario.humans?",
-        ),
         ("train", "++encoder=gru", "encoder is a group; write encoder=NAME without +"),
-        ("train", "scenario=5p3r", "scenario is not a group of this command; see --help"),
         ("config", "scenario.reward={1: 2}", "scenario.reward.1 is not known; "),
     ],
 )

@@ -105,6 +105,15 @@ def test_a_crowd_model_of_your_own(tmp_path: Path) -> None:
     assert "crowd stroll crowd settings.pace 0.8" in run(text, tmp_path)
 
 
+def test_a_reward_term_of_your_own(tmp_path: Path) -> None:
+    text = section("A term of the reward")
+    (tmp_path / "my_terms.py").write_text(block(text, "python"))
+    run(text, tmp_path)
+    card = json.loads((tmp_path / "outputs/calm/last.json").read_text())
+    (stage,) = card["provenance"]["configuration"]["curriculum"]["stages"]
+    assert stage["scenario"]["reward"]["terms"] == {"calm": 0.1}
+
+
 def test_a_sensor_of_your_own(tmp_path: Path) -> None:
     text = section("A sensor")
     encoder = section("An encoder")
