@@ -49,6 +49,7 @@ class Logger(contextlib.AbstractContextManager["Logger"]):
             threading.excepthook = _ignore_write_errors
             with self._report_write_errors():
                 self._writer = SummaryWriter(str(self._folder), purge_step=steps_done + 1)
+        self._total_steps = total_steps
         self._bar = progress_bar(
             total=total_steps,
             initial=steps_done,
@@ -69,9 +70,8 @@ class Logger(contextlib.AbstractContextManager["Logger"]):
                 for key, value in row.items():
                     self._writer.add_scalar(key, value, steps_done)
         self._bar.set_postfix_str(f"success {100 * row['charts/success']:.1f} %")
-        self._bar.update(
-            min(steps_done, self._bar.total) - self._bar.n
-        )  # the last round may be longer
+        shown = min(steps_done, self._total_steps)  # the last round may exceed the total
+        self._bar.update(shown - self._bar.n)
 
     def __exit__(self, *_: Any) -> None:
         """Write buffered scalars.
