@@ -110,7 +110,7 @@ class Soak:
         now = time.perf_counter()
         if now - self._start > _WARM_UP_SECONDS + _SAMPLE_SECONDS * len(self._memory):
             self._memory.append(memory_in_use())
-            bar.set_postfix_str(f"{self._memory[-1]:.0f} MB")
+            bar.set_postfix_str(f"{self._memory[-1]:.0f} MB", refresh=False)
         if now - self._saved > SAVE_SECONDS:
             self.save()
 

@@ -80,7 +80,7 @@ def measure(seconds: float, cold: bool) -> dict[str, Any]:
     with progress_bar(total=points, desc="throughput", unit="point") as bar:
 
         def point(worlds: int, humans: int, robots: int) -> Point:
-            bar.set_postfix_str(f"{worlds} worlds, {humans} humans, {robots} robots")
+            bar.set_postfix_str(f"{worlds} worlds, {humans} humans, {robots} robots", refresh=False)
             rates = steps_per_second(RandomStepper(worlds, humans, robots).step, seconds)
             bar.update()
             return _point(worlds, humans, robots, [rate * worlds for rate in rates])
@@ -91,22 +91,22 @@ def measure(seconds: float, cold: bool) -> dict[str, Any]:
         by_robots = [point(WORLDS, HUMANS, robots) for robots in BY_ROBOTS]
         by_place = []
         for layout, rays in BY_PLACE:
-            bar.set_postfix_str(f"{layout}, {rays} rays")
+            bar.set_postfix_str(f"{layout}, {rays} rays", refresh=False)
             stepper = RandomStepper(WORLDS, HUMANS, ROBOTS, layout=layout, lidar_rays=rays)
             rates = [rate * WORLDS for rate in steps_per_second(stepper.step, seconds)]
             by_place.append({"place": layout, "rays": rays} | _point(WORLDS, HUMANS, ROBOTS, rates))
             bar.update()
-        bar.set_postfix_str("PettingZoo")
+        bar.set_postfix_str("PettingZoo", refresh=False)
         pettingzoo = _point(1, HUMANS, ROBOTS, steps_per_second(_pettingzoo_step(), seconds))
         bar.update()
-        bar.set_postfix_str("start")
+        bar.set_postfix_str("start", refresh=False)
         start: dict[str, float | None] = {
             "from_cache_seconds": _start_from_cache(),
             "compile_seconds": None,
             "first_command_seconds": None,
         }
         if cold:
-            bar.set_postfix_str("first compilation")
+            bar.set_postfix_str("first compilation", refresh=False)
             start["compile_seconds"] = _seconds_without_cache([sys.executable, "-c", _FIRST_STEP])
             start["first_command_seconds"] = _seconds_without_cache(_FIRST_COMMAND)
         bar.update()

@@ -44,7 +44,7 @@ def main() -> None:
     success = {}
     for name in arguments.agents:
         agent = build_agent(load_agent_config(name), STATION)
-        episodes = run_cases(agent, STATION, cases, batch=100, title=name)
+        episodes = run_cases(agent, STATION, cases, batch=100)
         row: dict[str, float] = {}
         for metric in ("success_rate", "social_score"):
             row |= METRICS[metric].row_fields(episodes)

@@ -61,7 +61,7 @@ class Reactions:
         3.0, 0.0, 100.0, unit="m/s", help="velocity away from the robot, at contact"
     )
     scared_range: float = number(
-        1.0, 0.01, 100.0, unit="m", help="distance over which that velocity falls by 1/e"
+        1.0, 0.01, 100.0, unit="m", help="distance in which that velocity decays by factor e"
     )
     threatening_time: float = number(
         10.0, 0.0, 1000.0, unit="s", help="time for which threatening people block the robot"

@@ -271,7 +271,11 @@ class Scenario:
         7.0, 0.0, 1000.0, unit="m/s^2", help="social force: repulsion at contact"
     )
     force_range: float = number(
-        0.3, 0.01, 10.0, unit="m", help="social force: distance over which repulsion falls by 1/e"
+        0.3,
+        0.01,
+        10.0,
+        unit="m",
+        help="social force: distance in which repulsion decays by factor e",
     )
 
     reward: Reward = field(default_factory=Reward)
@@ -288,7 +292,9 @@ class Scenario:
         self.place = from_mapping(Place, self.place, "scenario.place")
         check_reward_terms(self.reward.terms)
         check_place(self.place)
+        self.reactions = from_mapping(Reactions, self.reactions, "scenario.reactions")
         check_reactions(self.reactions)
+        self.groups = from_mapping(Groups, self.groups, "scenario.groups")
         check_groups(self.groups)
         check_crowd(self.crowd, self.crowd_settings)
         self.crowd = str(self.crowd)

@@ -113,7 +113,7 @@ class Learner:
             rounds, total=self.training.rounds, initial=self.round, desc="training", unit="round"
         )
         for self.round in bar:
-            bar.set_postfix_str(f"mean error {self._one_round():.3f} m")
+            bar.set_postfix_str(f"mean error {self._one_round():.3f} m", refresh=False)
             if (self.round + 1) % 10 == 0 or self.round + 1 == self.training.rounds:
                 self.save()
         self.round = self.training.rounds

@@ -69,7 +69,7 @@ class Logger(contextlib.AbstractContextManager["Logger"]):
             with self._report_write_errors():
                 for key, value in row.items():
                     self._writer.add_scalar(key, value, steps_done)
-        self._bar.set_postfix_str(f"success {100 * row['charts/success']:.1f} %")
+        self._bar.set_postfix_str(f"success {100 * row['charts/success']:.1f} %", refresh=False)
         shown = min(steps_done, self._total_steps)  # the last round may exceed the total
         self._bar.update(shown - self._bar.n)
 

@@ -192,7 +192,7 @@ def test_the_parts_add_up_to_the_reward_exactly(reward: Reward, lookahead: float
         assert all(p.dtype == np.float32 and p.shape == (worlds, 2) for p in step.reward_parts)
         np.testing.assert_array_equal(sum(step.reward_parts), step.reward)
         paid |= np.any(step.reward_parts, axis=(1, 2))
-    assert paid.tolist() == [*[True] * 7, lookahead > 0]
+    assert paid.tolist() == [*[True] * 7, lookahead > 0, False]  # the last: custom terms
 
 
 def test_every_weight_is_configurable() -> None:

@@ -254,5 +254,5 @@ def test_gymnasium_makes_it_by_its_id() -> None:
 def test_what_is_no_scenario_or_no_field_of_one_is_refused(wrapper: type) -> None:
     with pytest.raises(ConfigurationError, match="scenario is 64; it must be a Scenario"):
         wrapper(64)
-    with pytest.raises(ConfigurationError, match=r"argument 'human' \(5\); it must be a field"):
+    with pytest.raises(ConfigurationError, match=r"argument 'human' \(5\); did you mean humans"):
         wrapper(human=5)

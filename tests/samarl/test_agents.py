@@ -171,7 +171,7 @@ HERE = f"{__name__}.Waiting"
     [
         ({"_target_": "no.where.Nobody"}, r"agent._target_ is 'no.where.Nobody'; it must be"),
         ({"_target_": "mrsan.World"}, r"agent._target_ is 'mrsan.World'; it must be a subclass"),
-        ({}, r"agent._target_ is None"),
+        ({}, r"agent has no _target_"),
         ({"_target_": HERE}, r"patience"),
         ({"_target_": HERE, "patience": 11}, r"agent.patience is 11; .* in \[1, 10\]"),
         ({"_target_": HERE, "patience": 0}, r"agent.patience is 0"),
