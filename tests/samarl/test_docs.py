@@ -202,11 +202,11 @@ def test_links_have_targets(page: Path) -> None:
 
 
 def test_the_environment_is_made_as_printed() -> None:
-    """The quick starts of the three libraries run, on the page and in the README."""
+    """The quick starts of the four libraries run, on the page and in the README."""
     page = (DOCS / "quickstart.md").read_text().split("## Make the environment\n")[1]
     readme = (DOCS.parent / "README.md").read_text()
     codes = [part.split("```")[0] for part in page.split("## ")[0].split("```python\n")[1:]]
-    assert len(codes) == 3
+    assert len(codes) == 4
     for code in (*codes, block(readme, "python")):
         done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
         assert done.returncode == 0, done.stderr
