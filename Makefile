@@ -14,7 +14,7 @@ help: python ## List all targets
 setup: python ## Install the project and its dependencies into .venv, unless they are up to date
 	@$(PYTHON) -m tools.setup_venv
 
-bench: setup ## Evaluate the README's rows of Table I, 100 cases each (5 minutes); FULL=1: all rows and cases
+bench: setup ## Evaluate the README's rows of Table I, 100 cases each (2 minutes); FULL=1: all rows and cases
 	@$(BIN)/samarl-bench $(if $(TABLE),table=$(TABLE),$(if $(FULL),,only_headline=true)) \
 	  $(if $(CASES)$(FULL),$(if $(CASES),evaluation.cases=$(CASES)),evaluation.cases=100) \
 	  $(if $(LEARNED_CASES),learned_cases=$(LEARNED_CASES))
