@@ -2,7 +2,7 @@
 
 The same cases are played in `mrsan` and in MuJoCo (docs/physics.md): those of SAMARL and MSA3C's
 20p3r, which that paper played in PyBullet. Then SAMARL's robots get worse one setting at a time.
-Rows that the output already holds are kept, so an interrupted run resumes; delete it to start anew.
+An interrupted run resumes: rows in the output are not evaluated again; delete it to start over.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from samarl.configuration import load_agent_config, load_scenario
 from samarl.evaluation.runner import Evaluation
 from samarl.evaluation.summary import Row
 from samarl.evaluation.table import markdown_table
-from samarl.files import read_json, write_json, write_text
+from samarl.files import code_version, read_json, write_json, write_text
 from samarl.physics.engine import Engine, MrsanEngine, MujocoEngine
 from samarl.progress import progress_bar
 
@@ -80,7 +80,8 @@ class Run:
         if self.engine == "mujoco":
             engine = MujocoEngine(**self._of("engine"))
         evaluation = Evaluation(cases=cases)
-        return evaluate_agent(agent, self.agent, engine, evaluation, self.command(cases))[1]
+        command, commit = self.command(cases), code_version()
+        return evaluate_agent(agent, self.agent, engine, evaluation, command, commit)[1]
 
     def _of(self, group: str) -> dict[str, Any]:
         prefix = f"{group}."
@@ -135,7 +136,7 @@ def page(rows: list[Row], cases: int) -> str:
     """Return the tables as Markdown."""
     by_command = {row["command"]: row for row in rows}
 
-    def found(run: Run) -> Row | None:
+    def row_of(run: Run) -> Row | None:
         return by_command.get(run.command(cases))
 
     text = "# Robots in MuJoCo\n\n"
@@ -143,21 +144,21 @@ def page(rows: list[Row], cases: int) -> str:
         lines = []
         for agent in agents:
             for name, run in zip(_ENGINES, engines_of(scenario, agent), strict=True):
-                if (row := found(run)) is not None:
+                if (row := row_of(run)) is not None:
                     lines.append([agent, name, *_cells(row)])
             if scenario == "20p3r" and agent in PAPER_INTRUSIONS:
                 figures = ["", "", "", "", f"{PAPER_INTRUSIONS[agent]:.2f}", "", "", ""]
                 lines.append([agent, "paper: PyBullet", *figures])
         text += f"## {_TITLES[scenario]}\n\n{markdown_table(_HEADER, lines)}\n\n"
     ideal, *in_physics = engines_of("samarl", "samarl")
-    baseline = found(ideal)
+    baseline = row_of(ideal)
     lines = []
     for run in [*in_physics, *(Run("samarl", "samarl", changes=changes) for changes in HARDER)]:
-        row = found(run)
+        row = row_of(run)
         if row is not None and baseline is not None:
             setting = " ".join(f"{name}={value}" for name, value in run.changes.items())
-            kept = 100 * row["success_rate"] / baseline["success_rate"]
-            lines.append([setting or "defaults", *_cells(row), f"{kept:.0f}"])
+            share = 100 * row["success_rate"] / baseline["success_rate"]
+            lines.append([setting or "defaults", *_cells(row), f"{share:.0f}"])
     header = ["setting", *_HEADER[2:], "share of success in mrsan %"]
     text += f"## What SAMARL withstands\n\n{markdown_table(header, lines)}\n\n"
     commits = ", ".join(sorted({row["commit"] for row in rows}))

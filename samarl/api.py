@@ -285,14 +285,14 @@ def _name_of(agent: Agent) -> str:
 
 def _agent_settings(agent: Name) -> tuple[str, dict[str, Any]]:
     """Return the label and the settings of an agent that is named in one of several ways."""
-    from samarl.policies.checkpoint import find_policy, read_card  # import torch
-
     path = Path(agent)
     if path.suffix in _YAML:
         return path.stem, configuration.read_agent_config(path)
     names = configuration.available_agents()
     if str(agent) in names:
         return str(agent), configuration.load_agent_config(str(agent))
+    from samarl.policies.checkpoint import find_policy, read_card  # import torch
+
     try:
         checkpoint = find_policy(str(path / "best.safetensors" if path.is_dir() else path))
     except ConfigurationError:

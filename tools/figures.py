@@ -54,8 +54,8 @@ def find_row(name: str, method: str, column: str, conditions: Sequence[str] = ()
 
     rows = [row for row in result_rows(name) if row["method"] == method and matches(row)]
     if len(rows) != 1:
-        given = " ".join([column, *conditions])
-        raise ValueError(f"results/{name}.json has {len(rows)} rows of {method} in {given}; need 1")
+        cell = " ".join([column, *conditions])
+        raise ValueError(f"results/{name}.json has {len(rows)} rows of {method} in {cell}; need 1")
     return rows[0]
 
 

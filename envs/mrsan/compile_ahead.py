@@ -25,7 +25,7 @@ _WORLDS = 2  # one world may be simulated by another version of the kernels
 
 
 @contextlib.contextmanager
-def compile_ahead(scenario: Scenario) -> Iterator[None]:
+def compile_ahead(scenario: Scenario) -> Iterator[bool]:
     """Compile the kernels of a scenario while the body runs, unless they are cached.
 
     If a process fails, for example because it does not know a plugin's crowd model, its kernel is
@@ -33,16 +33,19 @@ def compile_ahead(scenario: Scenario) -> Iterator[None]:
 
     Args:
         scenario: the scenario to be simulated, in any number of worlds above one.
+
+    Yields:
+        Whether anything is compiled.
     """
     world = World(scenario, _WORLDS)
     parts = [name for name, kernel in world.kernels.items() if not kernel.is_cached]
     if not parts:
-        yield
+        yield False
         return
     print_compile_notice()
     processes = [_start(part, scenario) for part in parts]
     try:
-        yield
+        yield True
     except BaseException:
         for process in processes:
             process.kill()

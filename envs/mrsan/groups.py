@@ -53,14 +53,12 @@ class Groups:
     )
 
 
-def check_groups(groups: Any) -> None:
+def check_groups(groups: Groups) -> None:
     """Check the numbers of groups.
 
     Raises:
         ConfigurationError: a number is out of range, or the smallest size exceeds the largest one.
     """
-    if not isinstance(groups, Groups):
-        raise ConfigurationError(f"scenario.groups is {groups!r}; it must be a Groups")
     check_numbers(groups, "scenario.groups")
     if groups.size_min > groups.size_max:
         raise ConfigurationError(

@@ -74,14 +74,12 @@ class Reactions:
     )
 
 
-def check_reactions(reactions: Any) -> None:
+def check_reactions(reactions: Reactions) -> None:
     """Check the numbers of reactions.
 
     Raises:
         ConfigurationError: a number is out of range, or the shares exceed 1.
     """
-    if not isinstance(reactions, Reactions):
-        raise ConfigurationError(f"scenario.reactions is {reactions!r}; it must be a Reactions")
     check_numbers(reactions, "scenario.reactions")
     total = sum(_shares(reactions))
     if total > 1.0 + _ROUNDING:

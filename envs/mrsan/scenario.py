@@ -45,9 +45,9 @@ DEFAULT_NEAREST_WALLS = 12  # that robots see in places with walls
 class Scenario:
     """One multi-robot socially-aware navigation task; the defaults are SAMARL's.
 
-    Construct it, or change fields with `dataclasses.replace`; both check every number. `reward` and
-    `place` may be mappings, as in `Scenario(reward={"collision": -5.0})`; their other fields then
-    have their defaults.
+    Construct it, or change fields with `dataclasses.replace`; both check every number. `reward`,
+    `place`, `reactions` and `groups` may be mappings, as in `Scenario(reward={"collision": -5.0})`;
+    their other fields then have their defaults.
     """
 
     name: str = setting("samarl", help="file in conf/scenario/ that it is, or is a variant of")

@@ -7,6 +7,7 @@ frame of the observing robot (x ahead, y to the left).
 
 from __future__ import annotations
 
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -94,8 +95,8 @@ class World:
         self.state = _empty_state(worlds, scenario, history)
         crowd = crowd_model(scenario.crowd)
         walled, social = scenario.has_walls, scenario.is_social
-        self._advance = step_kernel(crowd, walled, social)
-        self._advance_along = step_kernel(crowd, walled, social, along_paths=True)
+        self._step_kernel = partial(step_kernel, crowd, walled, social)
+        self._advance = self._step_kernel()
         self._begin_episodes = begin_kernel(walled, social)
         self._crowd_settings = crowd.kernel_settings(scenario)
         self._social = social_settings(scenario, self._crowd_settings)
@@ -247,7 +248,7 @@ class World:
         if not np.isfinite(path).all():
             e, n = np.argwhere(~np.isfinite(path).all((2, 3)))[0]
             raise ActionError(f"the path of robot {n} in world {e} is not finite; it must be")
-        return self._step(self._advance_along, path)
+        return self._step(self._step_kernel(along_paths=True), path)
 
     def _step(self, advance: kernel, motion: Floats) -> Step:
         """Move every world by one time step; `motion` is what the kernel `advance` takes."""

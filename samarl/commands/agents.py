@@ -46,8 +46,9 @@ def selected_agent(config: DictConfig) -> DictConfig:
 
 def compile_for(agent: Mapping[str, Any], scenario: Scenario) -> None:
     """Compile what evaluating an agent needs, side by side, unless it is cached."""
-    with compile_ahead(scenario):
-        warm_up(build_agent(agent, scenario), scenario)
+    with compile_ahead(scenario) as compiles:
+        if compiles:
+            warm_up(build_agent(agent, scenario), scenario)
 
 
 def _check_policy_kind(name: str, checkpoint: str) -> None:

@@ -55,7 +55,7 @@ def evaluate(config: DictConfig) -> Row:
     command = command_line("samarl-evaluate")
     if isinstance(engine, MrsanEngine):
         compile_for(config.agent, scenario)
-    episodes, row = evaluate_agent(agent, name, engine, evaluation, command)
+    episodes, row = evaluate_agent(agent, name, engine, evaluation, command, marker["commit"])
     write_text(folder / "episodes.jsonl", episodes_as_jsonl(episodes))
     write_json(row_path, {"row": row, **marker})  # last: it marks the cell as finished
     print(rows_as_markdown([row]))
@@ -68,7 +68,7 @@ def evaluate(config: DictConfig) -> Row:
 
 
 def evaluate_agent(
-    agent: Agent, name: str, engine: Engine, evaluation: Evaluation, command: str
+    agent: Agent, name: str, engine: Engine, evaluation: Evaluation, command: str, commit: str
 ) -> tuple[Episodes, Row]:
     """Run the cases in an engine and return their records and the row of the table.
 
@@ -78,6 +78,7 @@ def evaluate_agent(
         engine: what moves the robots.
         evaluation: the cases.
         command: the command that reproduces the row.
+        commit: the version of the code.
 
     Raises:
         ConfigurationError: the engine cannot play the scenario or drive the agent.
@@ -86,15 +87,15 @@ def evaluate_agent(
     scenario, cases = agent.scenario, evaluation.case_numbers()
     named = load_scenario(scenario.name)
     further_fields: Row = {}
-    if isinstance(engine, MrsanEngine):
-        with progress_bar(total=len(cases), desc=name, unit="case", leave=False) as bar:
+    with progress_bar(total=len(cases), desc=name, unit="case", leave=False) as bar:
+        if isinstance(engine, MrsanEngine):
             episodes = run_cases(agent, scenario, cases, evaluation.batch, bar.update)
-    else:
-        from samarl.physics.runner import run_physics_cases  # imports MuJoCo
+        else:
+            from samarl.physics.runner import run_physics_cases  # imports MuJoCo
 
-        episodes, error = run_physics_cases(agent, engine, cases, name)
-        further_fields["tracking_error"] = round(error, 4)
-    row = summarise(episodes, scenario, name, command, code_version(), int(cases[0]), named)
+            episodes, error = run_physics_cases(agent, engine, cases, name, bar.update)
+            further_fields["tracking_error"] = round(error, 4)
+    row = summarise(episodes, scenario, name, command, commit, int(cases[0]), named)
     row["changes"] = " ".join(filter(None, [row["changes"], *engine.changes()]))
     return episodes, row | further_fields
 

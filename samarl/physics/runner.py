@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,6 @@ from samarl.agents import Agent
 from samarl.physics.controllers import Controller, controller_of
 from samarl.physics.engine import MujocoEngine
 from samarl.physics.world import PhysicsWorld
-from samarl.progress import progress_bar
 
 
 class PhysicsRun(NamedTuple):
@@ -29,7 +29,7 @@ def run_physics_cases(
     engine: MujocoEngine,
     cases: NDArray[np.int64],
     name: str,
-    shows_progress: bool = True,
+    advance: Callable[[int], Any] | None = None,
 ) -> PhysicsRun:
     """Run every case in MuJoCo and return its record, in the order of `cases`.
 
@@ -38,7 +38,7 @@ def run_physics_cases(
         engine: the settings of the physics.
         cases: [B] case numbers.
         name: of the agent in `conf/agent/`.
-        shows_progress: draw a progress bar.
+        advance: called with 1 after each case, to show progress.
 
     Raises:
         ConfigurationError: the engine cannot play the scenario, or the policy cannot be exported.
@@ -46,12 +46,12 @@ def run_physics_cases(
     world = PhysicsWorld(agent.scenario, engine)
     controller = controller_of(agent, name)
     records, errors = [], []
-    for case in progress_bar(
-        cases, desc=name, unit="case", leave=False, disable=not shows_progress
-    ):
+    for case in cases:
         run_case(world, controller, int(case))
         records.append(world.record())
         errors += world.tracking_errors
+        if advance is not None:
+            advance(1)
     episodes = Episodes(*(np.concatenate(parts) for parts in zip(*records, strict=True)))
     return PhysicsRun(episodes, float(np.mean(errors)))
 

@@ -42,7 +42,9 @@ class Mode(IntEnum):
 class HierarchicalConfig(PolicyConfig):
     """Numbers of the two levels."""
 
-    macro_steps: int = required(1, 200, help="most steps for which a waypoint is kept, K")
+    macro_steps: int = required(
+        1, 200, help="largest number of steps for which a waypoint is held, K"
+    )
     waypoint_ahead: float = required(
         0.1, 100.0, unit="m", help="distance of the default waypoint along the route"
     )

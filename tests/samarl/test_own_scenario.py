@@ -1,4 +1,4 @@
-"""Training in a scenario of one's own instead of a curriculum's."""
+"""Training in a custom scenario instead of a curriculum."""
 
 import json
 from dataclasses import replace

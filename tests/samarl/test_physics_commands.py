@@ -80,8 +80,8 @@ def test_the_page_compares_engines_and_says_what_share_of_success_is_kept() -> N
         "samarl-evaluate agent=samarl engine=mujoco engine.latency=0.05 evaluation.cases=100"
     )
     text = page([row_of(ideal, 80.0), row_of(plain, 78.0), row_of(late, 72.0)], 100)
-    kept = [line.split("|")[-2].strip() for line in text.splitlines() if "| " in line]
-    assert kept[-2:] == ["98", "90"]  # 78 / 80 and 72 / 80
+    shares = [line.split("|")[-2].strip() for line in text.splitlines() if "| " in line]
+    assert shares[-2:] == ["98", "90"]  # 78 / 80 and 72 / 80
     assert "at commit 0123abc" in text
     assert f"{PAPER_INTRUSIONS['msa3cpred']:.2f}" in text
 
