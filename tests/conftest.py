@@ -1,15 +1,17 @@
 """Settings shared by all tests."""
 
+import contextlib
 import os
-import subprocess
-import sys
 
 os.environ["NUMBA_NUM_THREADS"] = "2"  # on every machine: some tests compare one with two
 os.environ["OMP_NUM_THREADS"] = "1"  # PyTorch's: tests run side by side
 
 import hypothesis
+import numpy as np
 import pytest
 
+from mrsan import Crowd, CrowdReaction, Layout, Scenario, World
+from mrsan.compile_ahead import compile_ahead
 from mrsan.threads import use_threads
 
 # Kernels may compile inside the first example, and a suite must say the same twice.
@@ -23,26 +25,26 @@ hypothesis.settings.register_profile(
 hypothesis.settings.load_profile("suite")
 
 
-_STEP = """
-import numpy as np
-from mrsan import Scenario, World
-world = World(Scenario(), {worlds})
-world.reset(range({worlds}))
-world.step(np.zeros(({worlds}, 3, 3), np.float32))
-"""
-
-
 @pytest.hookimpl(tryfirst=True)
 def pytest_sessionstart(session: pytest.Session) -> None:
     """Compile the simulator once, before every worker would compile it for itself."""
     if not getattr(session.config.option, "numprocesses", None):
         return  # one process, or a worker
-    compiling = [
-        subprocess.Popen([sys.executable, "-c", _STEP.format(worlds=n)], stderr=subprocess.DEVNULL)
-        for n in (1, 2)  # the serial and the parallel kernels
+    with compile_ahead(Scenario()):
+        pass  # the others share most of what it needs
+    others = [
+        Scenario(crowd=Crowd.social_force),
+        Scenario(crowd_reaction=CrowdReaction.mixed),
+        Scenario(layout=Layout.rooms),
     ]
-    for process in compiling:
-        process.wait()
+    with contextlib.ExitStack() as compiling:
+        for scenario in others:
+            compiling.enter_context(compile_ahead(scenario))
+    for scenario in (Scenario(), *others):
+        for worlds in (1, 2):  # the serial and the parallel kernels
+            world = World(scenario, worlds)
+            world.reset(range(worlds))
+            world.step(np.zeros((worlds, scenario.robots, scenario.action_size), np.float32))
 
 
 @pytest.fixture(autouse=True)

@@ -1,0 +1,83 @@
+"""Draw one case of each layout: `python -m tools.draw_layouts docs/images`."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.patches import Circle
+
+from mrsan import Layout, Scenario, World
+from mrsan.place import FAMILIES
+from mrsan.place_shapes import polygons_of, route_of
+from mrsan.rendering import ROBOT_COLOURS
+
+_CASE = 4
+_ROBOTS = 3
+_OPEN = [Layout.circle, Layout.crossing, Layout.opposite, Layout.square]
+
+
+def main(folder: Path) -> None:
+    """Write the pictures of the layouts without walls and of those with walls."""
+    figure, axes = plt.subplots(1, 4, figsize=(10.5, 3.0), layout="constrained")
+    for place, layout in zip(axes.flat, _OPEN, strict=True):
+        _draw(place, Scenario(layout=layout, humans=10, robots=_ROBOTS))
+    figure.savefig(folder / "layouts.png", dpi=150)
+    figure, axes = plt.subplots(2, 3, figsize=(10.5, 7.0), layout="constrained")
+    for place, layout in zip(axes.flat, FAMILIES, strict=True):
+        _draw(place, Scenario(layout=layout, humans=5, robots=_ROBOTS))
+    figure.savefig(folder / "places.png", dpi=150)
+
+
+def _draw(axes: Axes, scenario: Scenario) -> None:
+    """Draw robots with their routes, people and, without walls, where people go."""
+    world = World(scenario)
+    world.reset([_CASE])
+    state = world.state
+    axes.set_title(scenario.layout.name, fontsize=11)
+    if scenario.has_walls:
+        _fill(axes, world)
+    else:
+        position, goal = state.human_position[0], state.human_goal[0]
+        axes.quiver(
+            *position.T,
+            *(goal - position).T,
+            angles="xy",
+            scale_units="xy",
+            scale=1.0,
+            width=0.005,
+            color="#C8C8C8",
+        )
+        axes.update_datalim(goal)
+    for i in range(_ROBOTS):
+        agent = scenario.humans + i
+        start, goal = state.robot_position[0, i], state.robot_goal[0, i]
+        route = np.stack([start, goal])
+        if scenario.has_walls:
+            route = route_of(state, 0, agent, start, goal)
+        colour = ROBOT_COLOURS[i]
+        axes.plot(*route.T, color=colour, linewidth=1.2, linestyle="--")
+        axes.plot(*route[-1], marker="x", color=colour, markersize=7, markeredgewidth=2)
+        axes.add_patch(Circle(tuple(route[0]), scenario.robot_radius, color=colour, zorder=3))
+    for j in np.flatnonzero(state.human_present[0]):
+        centre = tuple(state.human_position[0, j])
+        axes.add_patch(Circle(centre, float(state.human_radius[0, j]), color="#8C8C8C", zorder=3))
+    axes.set_aspect("equal")
+    axes.set_axis_off()
+
+
+def _fill(axes: Axes, world: World) -> None:
+    """Fill what is solid, and draw thin walls as lines."""
+    for number, polygon in enumerate(polygons_of(world.state, 0)):
+        if number == 0:
+            axes.fill(*polygon.T, color="#F6F6F3", zorder=0)
+        elif len(polygon) > 2:
+            axes.fill(*polygon.T, color="#4A4A4A", zorder=1)
+        axes.plot(*np.vstack([polygon, polygon[:1]]).T, color="#222222", linewidth=2.0, zorder=1)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))
