@@ -23,11 +23,13 @@ METHODS = (
     ("Around the crowd, shielded", "perimeter_shielded", "perimeter_shielded"),
     ("CADRL", "cadrl_narrow", "cadrl"),
     ("CADRL, shielded", "cadrl_narrow_shielded", "cadrl_shielded"),
-    ("SAMARL without its shield", "samarl_narrow_unshielded", "samarl_unshielded"),
-    ("SAMARL", "samarl_narrow", "samarl"),
+    ("SAMARL without its shield", "samarl_unshielded", "samarl_unshielded"),
+    ("SAMARL", "samarl", "samarl"),
 )
 # Their rivals without a policy for 90°.
 WIDE_METHODS = (
+    ("SAMARL with the paper's transformer", "samarl_transformer"),
+    ("SAMARL with the paper's transformer, without its shield", "samarl_transformer_unshielded"),
     ("SAMARL-PPO", "samarl_ppo"),
     ("SAMARL-PPO without its shield", "samarl_ppo_unshielded"),
     ("SAMARL-SRNN", "samarl_srnn"),
@@ -90,8 +92,9 @@ def _seeds_table(agents: Sequence[str], columns: Sequence[str], heads: Sequence[
 @table
 def seeds_wide() -> str:
     """Return success over training seeds of the policies with a full view."""
-    names = ("samarl", "samarl_flat", "samarl_ppo", "samarl_srnn", "samarl_general")
-    agents = [agent for n in (*names, "samarl_planned") for agent in (n, f"{n}_unshielded")]
+    others = ("flat", "ppo", "srnn", "general", "planned")
+    names = ("samarl", "samarl_transformer", *(f"samarl_{name}" for name in others))
+    agents = [agent for n in names for agent in (n, f"{n}_unshielded")]
     agents += ["cadrl_shielded", "cadrl"]
     return _seeds_table(agents, ["360/10/3", "360/10/5"], ["3 robots", "5 robots"])
 
@@ -99,7 +102,7 @@ def seeds_wide() -> str:
 @table
 def seeds_narrow() -> str:
     """Return success over training seeds of the policies with a view of 90°."""
-    names = ("cadrl_narrow", "cadrl_narrow_shielded", "samarl_narrow", "samarl_narrow_unshielded")
+    names = ("cadrl_narrow", "cadrl_narrow_shielded", "samarl", "samarl_unshielded")
     agents = (*names, "samarl_general", "samarl_planned")
     return _seeds_table(agents, ["90/10/3", "90/10/5"], ["3 robots", "5 robots"])
 

@@ -43,7 +43,9 @@ def _task(card: Mapping[str, Any]) -> str:
         return "Any layout"
     if _name(last, "kinematics", "acceleration_heading") == "holonomic":
         return "MSA3C's circle, holonomic robots"
-    return f"SAMARL's circle, {last['fov_degrees']:g}° view"
+    views = {scenario["fov_degrees"] for scenario in scenarios}
+    view = f"{last['fov_degrees']:g}° view" if len(views) == 1 else "any view"
+    return f"SAMARL's circle, {view}"
 
 
 def _name(scenario: Mapping[str, Any], field: str, default: str) -> str:

@@ -156,8 +156,8 @@ def test_an_agent_is_created_again_for_another_scenario() -> None:
 
 
 def test_a_foreign_view_is_a_warning() -> None:
-    with pytest.warns(UserWarning, match="samarl was trained for a view of 360 degrees"):
-        samarl.evaluate("samarl", replace(SMALL, fov_degrees=90.0), cases=1)
+    with pytest.warns(UserWarning, match="samarl_flat was trained for a view of 360 degrees"):
+        samarl.evaluate("samarl_flat", replace(SMALL, fov_degrees=90.0), cases=1)
 
 
 def test_a_record_is_the_motion_of_the_case() -> None:

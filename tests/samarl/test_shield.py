@@ -77,7 +77,7 @@ def test_invalid_shield_fields_are_reported(shield: object, message: str) -> Non
         build_agent({**load_agent_config("straight"), "shield": shield}, Scenario())
 
 
-@pytest.mark.parametrize("name", ["samarl", "samarl_narrow"])
+@pytest.mark.parametrize("name", ["samarl", "samarl_transformer"])
 def test_a_configured_shield_equals_a_wrapped_agent(name: str) -> None:
     scenario = Scenario(humans=16, fov_degrees=120.0)
     policy = build_agent(load_agent_config(name), scenario)

@@ -93,4 +93,4 @@ def test_the_headline_table_has_eight_rows_without_empty_cells() -> None:
     assert all(len(line) == 5 and all(line) and "-" not in line for line in lines)
     narrow, wide = lines[-1][1], lines[-1][4]  # SAMARL: 90° and 360°, three robots
     assert wide == figure(["table1", "samarl", "360/10/3", "both"])
-    assert narrow == figure(["table1", "samarl_narrow", "90/10/3", "both"])
+    assert narrow == figure(["table1", "samarl", "90/10/3", "both"])
