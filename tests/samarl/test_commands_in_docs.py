@@ -2,6 +2,7 @@
 
 import re
 import shlex
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -48,12 +49,16 @@ def command_lines() -> Iterator[tuple[str, str]]:
 
 @pytest.fixture(scope="module")
 def my_conf(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder that own_scenario.md describes; schemas are registered."""
+    """The folders of own_scenario.md and other_policies.md; schemas are registered."""
     folder = tmp_path_factory.mktemp("own")
     text = (ROOT / "docs/own_scenario.md").read_text()
     (folder / "my_conf/scenario").mkdir(parents=True)
     scenario = text.split("```yaml\n")[1].split("```")[0]
     (folder / "my_conf/scenario/mine.yaml").write_text(scenario)
+    other_policies = (ROOT / "docs/other_policies.md").read_text()
+    shutil.copytree(ROOT / "examples/other_policies/agent", folder / "agent")
+    agent = other_policies.split("```yaml\n")[1].split("```")[0]
+    (folder / "agent/sarl_transfer.yaml").write_text(agent)
     OmegaConf.register_new_resolver("first", first, replace=True)
     register_schemas()
     for name, schema in SCHEMAS.items():

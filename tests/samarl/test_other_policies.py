@@ -1,0 +1,399 @@
+"""Policies of other simulators: files, features, values, memory, and evaluations."""
+
+import math
+import os
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor, nn
+from torch.nn.functional import linear
+
+import samarl
+from mrsan import ConfigurationError, Entities, Kinematics, Observation, Scenario
+from mrsan.se2 import rotate_vectors, unrotate_vectors
+
+FOLDER = Path(__file__).parents[2] / "examples/other_policies"
+with pytest.MonkeyPatch.context() as patch:
+    patch.syspath_prepend(str(FOLDER))
+    conformal, crowdnav, graph = map(import_module, ("conformal", "crowdnav", "crowdnav_plus_plus"))
+
+ALONE = Scenario(robots=1, humans=3)
+NETWORKS = {
+    "crowdnav_sarl": crowdnav.SARLNetwork,
+    "crowdnav_cadrl": crowdnav.CADRLNetwork,
+    "crowdnav_plus_plus": lambda: graph.AttentionGraph(12, learns_deviation=True),
+    "sonic": lambda: graph.AttentionGraph(17, learns_deviation=False),
+}
+# Weights [out, in] of the linear layers of the published files; each has a bias [out] as well.
+LAYERS: dict[str, dict[str, tuple[int, int]]] = {
+    "crowdnav_sarl": {
+        "mlp1.0": (150, 13),
+        "mlp1.2": (100, 150),
+        "mlp2.0": (100, 100),
+        "mlp2.2": (50, 100),
+        "attention.0": (100, 200),
+        "attention.2": (100, 100),
+        "attention.4": (1, 100),
+        "mlp3.0": (150, 56),
+        "mlp3.2": (100, 150),
+        "mlp3.4": (100, 100),
+        "mlp3.6": (1, 100),
+    },
+    "crowdnav_cadrl": {
+        "value_network.0": (150, 13),
+        "value_network.2": (100, 150),
+        "value_network.4": (100, 100),
+        "value_network.6": (1, 100),
+    },
+    "crowdnav_plus_plus": {
+        "base.humanNodeRNN.encoder_linear": (64, 256),
+        "base.humanNodeRNN.edge_attention_embed": (64, 256),
+        "base.humanNodeRNN.output_linear": (256, 128),
+        "base.attn.temporal_edge_layer.0": (64, 256),
+        "base.attn.spatial_edge_layer.0": (64, 256),
+        "base.actor.0": (256, 256),
+        "base.actor.2": (256, 256),
+        "base.critic.0": (256, 256),
+        "base.critic.2": (256, 256),
+        "base.critic_linear": (1, 256),
+        "base.robot_linear.0": (256, 9),
+        "base.human_node_final_linear": (2, 256),
+        "base.spatial_attn.embedding_layer.0": (128, 12),
+        "base.spatial_attn.embedding_layer.2": (512, 128),
+        "base.spatial_attn.q_linear": (512, 512),
+        "base.spatial_attn.v_linear": (512, 512),
+        "base.spatial_attn.k_linear": (512, 512),
+        "base.spatial_attn.multihead_attn.out_proj": (512, 512),
+        "base.spatial_linear.0": (256, 512),
+        "dist.fc_mean": (2, 256),
+    },
+}
+OTHER_ENTRIES: dict[str, tuple[int, ...]] = {
+    "base.humanNodeRNN.gru.weight_ih_l0": (384, 128),
+    "base.humanNodeRNN.gru.weight_hh_l0": (384, 128),
+    "base.humanNodeRNN.gru.bias_ih_l0": (384,),
+    "base.humanNodeRNN.gru.bias_hh_l0": (384,),
+    "base.spatial_attn.multihead_attn.in_proj_weight": (1536, 512),
+    "base.spatial_attn.multihead_attn.in_proj_bias": (1536,),
+    "dist.logstd._bias": (2, 1),
+}
+
+
+def published_shapes(name: str) -> dict[str, tuple[int, ...]]:
+    layers = LAYERS["crowdnav_plus_plus" if name == "sonic" else name]
+    shapes: dict[str, tuple[int, ...]] = {}
+    for layer, (outputs, inputs) in layers.items():
+        shapes |= {f"{layer}.weight": (outputs, inputs), f"{layer}.bias": (outputs,)}
+    if name in ("crowdnav_plus_plus", "sonic"):
+        shapes |= OTHER_ENTRIES
+    if name == "sonic":  # five more features of each person; its deviation is not learned
+        shapes["base.spatial_attn.embedding_layer.0.weight"] = (128, 17)
+        del shapes["dist.logstd._bias"]
+    return shapes
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """Files with random weights of the published names and shapes."""
+    folder, generator = tmp_path_factory.mktemp("weights"), torch.Generator().manual_seed(0)
+    paths = {name: str(folder / f"{name}.pt") for name in NETWORKS}
+    for name, path in paths.items():
+        shapes = published_shapes(name)
+        weights = {k: 0.05 * torch.randn(s, generator=generator) for k, s in shapes.items()}
+        torch.save(weights, path)
+    return paths
+
+
+def load(name: str, files: dict[str, str], scenario: Scenario = ALONE, **fields: Any) -> Any:
+    return samarl.load_agent(FOLDER / f"agent/{name}.yaml", scenario, file=files[name], **fields)
+
+
+def observe(
+    heading: float,
+    people: list[list[float]],
+    position: tuple[float, float] = (1.0, 2.0),
+    goal: tuple[float, float] = (1.0, 5.0),
+    velocity: tuple[float, float] = (0.0, 0.5),
+) -> Observation:
+    """One robot among people [x, y, vx, vy], all in the axes of the map; the last is not seen."""
+    axes = np.array([math.cos(heading), math.sin(heading)])
+    here, moves = np.array(position), np.array(velocity)
+    ego = np.zeros((1, 1, 11), np.float32)
+    ego[0, 0, 0:2] = unrotate_vectors(np.array(goal) - here, axes)
+    ego[0, 0, 2:4] = unrotate_vectors(moves, axes)
+    ego[0, 0, 4:6] = unrotate_vectors(-here, axes)
+    ego[0, 0, 6:8], ego[0, 0, 8], ego[0, 0, 9] = axes, 0.3, 1.0
+    rows = np.array(people)
+    features = np.full((1, 1, len(people), 5), 0.3, np.float32)
+    features[0, 0, :, 0:2] = unrotate_vectors(rows[:, 0:2] - here, axes)
+    features[0, 0, :, 2:4] = unrotate_vectors(rows[:, 2:4] - moves, axes)
+    visible = np.ones((1, 1, len(people)), np.bool_)
+    visible[..., -1] = False
+    nobody = Entities(np.zeros((1, 1, 0, 5), np.float32), np.zeros((1, 1, 0), np.bool_))
+    return Observation(ego, {"humans": Entities(features, visible), "robots": nobody}, {}, {})
+
+
+UNSEEN = [1.0, 2.1, 0.0, 0.0]
+
+
+@pytest.mark.parametrize("name", NETWORKS)
+def test_networks_have_the_entries_of_the_published_files(name: str) -> None:
+    entries = NETWORKS[name]().state_dict()
+    assert {k: tuple(v.shape) for k, v in entries.items()} == published_shapes(name)
+
+
+def test_a_joint_state_is_relative_to_the_goal() -> None:
+    """The goal is 3 m to the left; the person is 2 m towards it and 1 m to its left."""
+    others = crowdnav.Others(
+        torch.tensor([[-1.0, 2.0]]),
+        torch.tensor([[0.0, -1.0]]),
+        torch.tensor([0.4]),
+        torch.tensor([True]),
+    )
+    goal, velocity = torch.tensor([0.0, 3.0]), torch.tensor([0.0, 0.5])
+    heading, radius = torch.tensor(math.pi / 2 + 0.2), torch.tensor(0.3)
+    state = crowdnav.joint_state(goal, velocity, heading, radius, 1.0, others)
+    expected = [3, 1, 0.2, 0.3, 0.5, 0, 2, 1, -1, 0, 0.4, math.sqrt(5), 0.7]
+    torch.testing.assert_close(state, torch.tensor([expected]))
+    holonomic = crowdnav.joint_state(goal, velocity, None, radius, 1.0, others)
+    assert holonomic[0, 2] == 0.0
+
+
+def closeness(network: nn.Module) -> None:
+    """Let CADRL's value be minus the distance to the goal."""
+    for parameter in network.parameters():
+        nn.init.zeros_(parameter)
+    for layer in list(network.value_network)[::2]:
+        layer.weight[0, 0] = 1.0
+    network.value_network[-1].weight[0, 0] = -1.0
+
+
+@torch.no_grad()
+def test_the_lookahead_chooses_the_best_velocity(files: dict[str, str]) -> None:
+    agent = load("crowdnav_cadrl", files)
+    closeness(agent.network)
+    far = observe(0.0, [[-5.0, 2.0, 0.0, 0.0], UNSEEN])
+    torch.testing.assert_close(agent.velocity(far), torch.tensor([[0.0, 1.0]]))  # to the goal
+    # A person stands 0.8 m ahead, so surfaces are 0.2 m apart. At full speed they touch.
+    scene = observe(0.0, [[1.0, 2.8, 0.0, 0.0], UNSEEN])
+    goal, radius = torch.tensor([[0.0, 3.0]]), torch.tensor([0.3])
+    others = crowdnav.others_of(scene)
+    velocity, value = agent.candidates(goal, radius, others)
+    assert value.shape == (1, 81)
+    speed = (math.exp(0.8) - 1) / (math.e - 1)  # the fourth of five
+    discount = 0.9**0.25
+    expected = {
+        0: -discount * 3.0,
+        4: -0.5 * 0.25 * speed * 0.25 - discount * (3.0 - 0.25 * speed),
+        5: -0.25 - discount * 2.75,
+    }
+    for command, number in expected.items():
+        assert value[0, command].item() == pytest.approx(number, abs=1e-5)
+    assert value.argmax() == 4
+    torch.testing.assert_close(velocity[0, 4], torch.tensor([0.0, speed]), atol=1e-6, rtol=0)
+    torch.testing.assert_close(agent.velocity(scene), velocity[:, 4])
+
+
+@torch.no_grad()
+@pytest.mark.parametrize("name", ["crowdnav_sarl", "crowdnav_cadrl"])
+def test_rotating_the_body_does_not_change_the_velocity(name: str, files: dict[str, str]) -> None:
+    agent = load(name, files)
+    people = [[2.0, 3.0, 0.3, -1.0], [0.2, 3.0, 0.7, 0.0], UNSEEN]
+    chosen = []
+    for heading in (0.0, 1.0, -2.5):
+        velocity = agent.velocity(observe(heading, people)).numpy()
+        axes = np.array([math.cos(heading), math.sin(heading)])
+        chosen.append(rotate_vectors(velocity, axes))
+    np.testing.assert_allclose(chosen[1:], chosen[:1] * 2, atol=1e-5)
+
+
+def test_a_unicycle_turns_by_at_most_45_degrees(files: dict[str, str]) -> None:
+    agent = load("crowdnav_sarl", files, unicycle=True)
+    others = crowdnav.others_of(observe(0.0, [[2.0, 3.0, 0.0, 0.0], UNSEEN]))
+    velocity, _ = agent.candidates(torch.tensor([[-3.0, 0.0]]), torch.tensor([0.3]), others)
+    turn = torch.atan2(velocity[0, 1:, 1], velocity[0, 1:, 0])
+    assert turn.abs().max().item() == pytest.approx(math.pi / 4)
+    assert velocity[0, 0].norm() == 0.0
+    assert velocity.norm(dim=-1).max().item() == pytest.approx(1.0)
+
+
+@torch.no_grad()
+def test_sarl_pools_whom_it_sees() -> None:
+    torch.manual_seed(0)
+    network = crowdnav.SARLNetwork()
+    state, visible = torch.randn(3, 13), torch.tensor([True, True, False])
+    state[:, :6] = state[0, :6]
+    embedded = network.mlp1(state[:2])
+    score = network.attention(torch.cat([embedded, embedded.mean(0).expand(2, -1)], -1))
+    share = score.exp() / score.exp().sum()
+    crowd = (share * network.mlp2(embedded)).sum(0)
+    expected = network.mlp3(torch.cat([state[0, :6], crowd])).squeeze()
+    torch.testing.assert_close(network(state, visible), expected)
+
+
+@torch.no_grad()
+def test_cadrl_counts_the_smallest_value() -> None:
+    torch.manual_seed(0)
+    network = crowdnav.CADRLNetwork()
+    state = torch.randn(4, 13)
+    value = network.value_network(state).squeeze(-1)
+    visible = value > value.min()  # everybody but the worst is seen
+    torch.testing.assert_close(network(state, visible), value[visible].min())
+
+
+def test_robots_know_their_state_in_the_axes_of_the_map() -> None:
+    ego = torch.from_numpy(observe(2.0, [UNSEEN]).ego)[0]
+    expected = torch.tensor([[0.0, 0.5, 1.0, 2.0, 0.3, 1.0, 5.0, 1.0, math.pi / 2]])
+    torch.testing.assert_close(graph.robot_state(ego), expected)
+
+
+def test_people_are_sorted_and_predicted_at_constant_velocity(files: dict[str, str]) -> None:
+    """One 3 m, one 2 m and one 5.7 m away, which is a gap of 5.1 m; one is not seen."""
+    people = [[4, 2, 0, 0.4], [1, 4, -1, 0], [1, -3.7, 0, 0], UNSEEN]
+    observation = observe(0.7, people)
+    agent = load("crowdnav_plus_plus", files)
+    ego, others = torch.from_numpy(observation.ego)[0], crowdnav.others_of(observation)
+    detected = graph.in_sensor_range(ego, others)
+    assert detected.tolist() == [[True, True, False, False]]
+    edges = agent.edges(ego, others, detected)
+    assert edges.shape == (1, 20, 12)
+    nearer = torch.tensor([[-0.25 * k, 2.0] for k in range(6)]).flatten()
+    farther = torch.tensor([[3.0, 0.1 * k] for k in range(6)]).flatten()
+    torch.testing.assert_close(edges[0, :2], torch.stack([nearer, farther]), atol=1e-5, rtol=0)
+    assert (edges[0, 2:] == 15.0).all()
+
+
+@torch.no_grad()
+def test_the_attention_graph_agrees_with_a_plain_one_for_one_person(files: dict[str, str]) -> None:
+    """All attention is on the only person; nothing depends on the empty slots."""
+    network = NETWORKS["crowdnav_plus_plus"]()
+    weights = torch.load(files["crowdnav_plus_plus"], weights_only=True)
+    network.load_state_dict(weights)
+
+    def layer(name: str, inputs: Tensor) -> Tensor:
+        return linear(inputs, weights[f"{name}.weight"], weights[f"{name}.bias"])
+
+    robot, edges, hidden = torch.randn(1, 9), torch.full((1, 20, 12), 15.0), torch.randn(1, 128)
+    edges[0, 0] = torch.randn(12)
+    spatial = "base.spatial_attn"
+    embedded = layer(f"{spatial}.embedding_layer.0", edges[0, :1]).relu()
+    embedded = layer(f"{spatial}.embedding_layer.2", embedded).relu()
+    in_proj = (weights[f"{spatial}.multihead_attn.in_proj_{part}"] for part in ("weight", "bias"))
+    value = linear(layer(f"{spatial}.v_linear", embedded), *(w[1024:] for w in in_proj))
+    person = layer(f"{spatial}.multihead_attn.out_proj", value)
+    person = layer("base.spatial_linear.0", person).relu()
+    own = layer("base.robot_linear.0", robot).relu()
+    node = "base.humanNodeRNN"
+    inputs = [layer(f"{node}.encoder_linear", own), layer(f"{node}.edge_attention_embed", person)]
+    cell = nn.GRUCell(128, 128)
+    cell.load_state_dict({k: weights[f"{node}.gru.{k}_l0"] for k in cell.state_dict()})
+    after = cell(torch.cat(inputs, -1).relu(), hidden)
+    action = layer(f"{node}.output_linear", after)
+    for k in (0, 2):
+        action = layer(f"base.actor.{k}", action).tanh()
+    expected = layer("dist.fc_mean", action)
+    mean, next_hidden = network(robot, edges, torch.tensor([1]), hidden)
+    torch.testing.assert_close(next_hidden, after)
+    torch.testing.assert_close(mean, expected)
+
+
+@torch.no_grad()
+@pytest.mark.parametrize("name", ["crowdnav_plus_plus", "sonic"])
+def test_memory_ends_with_the_episode(name: str, files: dict[str, str]) -> None:
+    """Two worlds with the same observations; one is reset before the third step."""
+    agent = load(name, files)
+    scenes = []
+    for t in range(2):
+        people = [[1.5, 3.0 + t, 0, -1], [1.0 + t, 3.0, 0.4, 0], UNSEEN]
+        scenes.append(observe(0.5, people).of_worlds(np.array([0, 0])))
+    agent.reset(np.array([True, True]))
+    first = agent.velocity(scenes[0])
+    torch.testing.assert_close(first[0], first[1])
+    agent.velocity(scenes[1])
+    agent.reset(np.array([False, True]))
+    third = agent.velocity(scenes[0])
+    torch.testing.assert_close(third[1], first[1])
+    assert (third[0] - first[0]).abs().max() > 1e-4
+
+
+def test_conformal_quantiles_follow_the_errors() -> None:
+    """The first prediction errs by 0.3 m: the quantile of 0.1 m rises by 0.9 of each rate."""
+    quantiles = conformal.ErrorQuantiles(robots=1, people=2, steps=2)
+    visible = torch.tensor([[True, False]])
+    predicted = torch.zeros(1, 2, 3, 2)  # stands still
+    first = quantiles.update(predicted, visible)
+    torch.testing.assert_close(first, torch.tensor([[[0.1, 0.2], [0.0, 0.0]]]))
+    moved = predicted + torch.tensor([0.3, 0.0])
+    second = quantiles.update(moved, visible)
+    rise = 0.9 * (0.05 + 0.1 + 0.2) / 3
+    torch.testing.assert_close(second[0, 0], torch.tensor([0.1 + rise, 0.2]))
+    third = quantiles.update(moved, visible)  # no error after one step, 0.3 m after two
+    assert third[0, 0, 0] < second[0, 0, 0]
+    torch.testing.assert_close(third[0, 0, 1].item(), 0.2 + rise)
+    quantiles.reset(torch.tensor([True]))
+    torch.testing.assert_close(quantiles.update(moved, visible), first)
+
+
+class Exploit:
+    """Its pickle would create a file."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return os.mkdir, (str(self.path),)
+
+
+def test_wrong_files_are_refused_in_one_line(files: dict[str, str], tmp_path: Path) -> None:
+    weights = torch.load(files["crowdnav_sarl"], weights_only=True)
+    occupancy_map = weights | {"mlp1.0.weight": torch.zeros(150, 61)}
+    incomplete = {k: v for k, v in weights.items() if k != "attention.4.bias"}
+    cases = {
+        "om.pth": (occupancy_map, r"mlp1\.0\.weight has the shape \(150, 61\); .* \(150, 13\)"),
+        "cut.pth": (incomplete, r"attention\.4\.bias is missing"),
+        "more.pth": (weights | {"extra": torch.zeros(1)}, "extra is not an entry of SARLNetwork"),
+        "code.pth": (Exploit(tmp_path / "executed"), "state_dict"),
+        "list.pth": ([1, 2], "state_dict"),
+    }
+    for name, (content, message) in cases.items():
+        torch.save(content, tmp_path / name)
+        with pytest.raises(ConfigurationError, match=rf"^agent\.file is .*{name}.*{message}") as e:
+            load("crowdnav_sarl", {"crowdnav_sarl": str(tmp_path / name)})
+        assert "\n" not in str(e.value)
+    assert not (tmp_path / "executed").exists()
+    (tmp_path / "text.pth").write_text("not weights")
+    for name, message in (("text.pth", "state_dict"), ("none.pth", "No such file")):
+        with pytest.raises(ConfigurationError, match=message):
+            load("crowdnav_sarl", {"crowdnav_sarl": str(tmp_path / name)})
+
+
+def test_files_in_the_old_format_of_pytorch_load(files: dict[str, str], tmp_path: Path) -> None:
+    old = tmp_path / "rl_model.pth"
+    weights = torch.load(files["crowdnav_cadrl"], weights_only=True)
+    torch.save(weights, old, _use_new_zipfile_serialization=False)
+    agent = load("crowdnav_cadrl", {"crowdnav_cadrl": str(old)})
+    assert torch.equal(agent.network.value_network[0].weight, weights["value_network.0.weight"])
+
+
+@pytest.mark.parametrize("name", NETWORKS)
+def test_an_evaluation_runs(name: str, files: dict[str, str]) -> None:
+    scenario = Scenario(robots=2, humans=3, time_limit=2.0)
+    agent = load(name, files, scenario)
+    assert agent.scope_warning() is None
+    assert samarl.evaluate(agent, cases=2).row["method"] == name
+    larger = Scenario(robots=1, humans=0, robot_radius=0.4, time_step=0.2, time_limit=1.0)
+    message = r"time_step is 0\.2 instead of 0\.25 and scenario\.robot_radius is 0\.4"
+    with pytest.warns(UserWarning, match=message):
+        samarl.evaluate(load(name, files, larger), cases=2)
+
+
+@pytest.mark.parametrize("kinematics", Kinematics)
+def test_with_nobody_in_view_it_drives_to_the_goal(
+    kinematics: Kinematics, files: dict[str, str]
+) -> None:
+    alone = Scenario(robots=1, humans=0, kinematics=kinematics)
+    assert samarl.evaluate(load("crowdnav_sarl", files, alone), cases=4).success.all()
