@@ -240,16 +240,18 @@ def _draw_state(
 
 
 def _draw_ending(axes: Axes, trajectory: Trajectory) -> Artist:
-    """Draw a box that tells how the episode ended."""
+    """Draw a box that tells how the episode ended, at the edge farther from the robots."""
     outcomes = trajectory.episodes.outcome[0]
+    height, (low, high) = trajectory.robot_position[-1, :, 1], axes.get_ylim()
+    top = high - height.max() > height.min() - low
     success = bool(trajectory.episodes.success[0])
     return axes.text(
         0.5,
-        0.03,
+        0.97 if top else 0.03,
         ending(outcomes),
         transform=axes.transAxes,
         ha="center",
-        va="bottom",
+        va="top" if top else "bottom",
         fontsize=12,
         fontweight="bold",
         color=INK if success else CONTACT,
