@@ -12,6 +12,7 @@ import pytest
 import torch
 from hydra import compose, initialize_config_dir
 from hydra.core.config_store import ConfigStore
+from hydra.core.hydra_config import HydraConfig
 from omegaconf import OmegaConf
 
 from mrsan import ConfigurationError, Scenario, World
@@ -55,8 +56,9 @@ TOGETHER = {
 
 
 @pytest.fixture(autouse=True)
-def conf() -> Iterator[None]:
-    """The folder of YAML files."""
+def conf(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """The folder of YAML files, and no command line left by a command in this process."""
+    monkeypatch.setattr(HydraConfig.instance(), "cfg", None)
     OmegaConf.register_new_resolver("first", first, replace=True)
     register_schemas()
     ConfigStore.instance().store(name="train_schema", node=train_schema())
