@@ -61,7 +61,7 @@ def is_best(row: Row, rows: Sequence[Row]) -> bool:
 def _merge_views(methods: dict[str, list[Row | None]]) -> dict[str, list[Row | None]]:
     """Fill the empty columns of a method with those of its policy for a narrow view.
 
-    `NAME_narrow` and `NAME_narrow_unshielded` are in the lines of `NAME` and `NAME_unshielded`,
+    `NAME_narrow` and `NAME_narrow_shielded` are in the lines of `NAME` and `NAME_shielded`,
     unless both have a row in the same column.
     """
     merged = dict(methods)
