@@ -36,7 +36,7 @@ ENUMS = ["scenario.crowd", "scenario.kinematics", "evaluation.split"]
 KNOBS = {
     "orca": ["neighbor_distance", "max_neighbors", "time_horizon", "safety_space"],
     "perimeter": ["radius", "lookahead", "entry_angle"],
-    "social_force": ["relaxation_time", "strength", "reach"],
+    "social_force": ["relaxation_time", "strength", "reach", "wall_strength", "wall_reach"],
     "model_predictive": ["horizon", "directions", "speeds", "holds", "collision_discount"],
 }
 WORDS = ["fov", "robot", "pedestrians", "seed", "speed", "noise", "lr", "gamma", "x", "Robots"]

@@ -50,6 +50,8 @@ def social_force_crowd(agents, count, i, preferred_x, preferred_y, max_speed, p,
         settings.relaxation_time,
         settings.force_strength,
         settings.force_range,
+        settings.force_strength,
+        settings.force_range,
         p.time_step,
         scratch,
     )

@@ -22,6 +22,8 @@ def social_force_velocity(
     relaxation_time,
     strength,
     reach,
+    wall_strength,
+    wall_reach,
     time_step,
     scratch,
 ):
@@ -37,6 +39,8 @@ def social_force_velocity(
         relaxation_time: time to reach the preferred velocity (s).
         strength: repulsion at contact (m/s^2).
         reach: distance over which repulsion falls by 1/e (m).
+        wall_strength: repulsion of walls at contact (m/s^2).
+        wall_reach: distance over which it falls by 1/e (m).
         time_step: length of a step (s).
         scratch: from `mrsan.kernels.orca.orca_room`, with the nearest points of walls.
     """
@@ -54,7 +58,7 @@ def social_force_velocity(
     for k in range(scratch.wall_counts[0]):
         dx, dy = agents[i, 0] - scratch.wall_points[k, 0], agents[i, 1] - scratch.wall_points[k, 1]
         distance = max(math.sqrt(dx * dx + dy * dy), _TINY)
-        push = strength * math.exp(min((agents[i, 4] - distance) / reach, _STEEPEST))
+        push = wall_strength * math.exp(min((agents[i, 4] - distance) / wall_reach, _STEEPEST))
         ax += push * dx / distance
         ay += push * dy / distance
     vx = agents[i, 2] + ax * time_step

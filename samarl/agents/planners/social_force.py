@@ -34,12 +34,23 @@ class SocialForce(Agent):
     )
     strength: float = required(0.0, 1000.0, unit="m/s^2", help="repulsion at contact")
     reach: float = required(0.01, 10.0, unit="m", help="distance over which repulsion falls by 1/e")
+    wall_strength: float = required(0.0, 1000.0, unit="m/s^2", help="repulsion of walls at contact")
+    wall_reach: float = required(0.01, 10.0, unit="m", help="distance over which it falls by 1/e")
 
     def act(self, observation: Observation) -> NDArray[np.float32]:
         """Return the actions that track the social-force velocity within the robot's limits."""
         worlds, robots = observation.ego.shape[:2]
         action = np.empty((worlds, robots, self.scenario.action_size), np.float32)
-        forces = (np.float32(x) for x in (self.relaxation_time, self.strength, self.reach))
+        forces = map(
+            np.float32,
+            (
+                self.relaxation_time,
+                self.strength,
+                self.reach,
+                self.wall_strength,
+                self.wall_reach,
+            ),
+        )
         _social_force(
             worlds,
             *observation.agents,
@@ -67,6 +78,8 @@ def _social_force(
     relaxation_time,
     strength,
     reach,
+    wall_strength,
+    wall_reach,
     action,
 ):
     total, no_margin = ego.shape[0], np.float32(0.0)
@@ -98,6 +111,8 @@ def _social_force(
                     relaxation_time,
                     strength,
                     reach,
+                    wall_strength,
+                    wall_reach,
                     p.time_step,
                     scratch,
                 )
