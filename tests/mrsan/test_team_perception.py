@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mrsan import Observation, Scenario, TeamPerception, World
+from mrsan import Layout, Observation, Scenario, TeamPerception, World
 
 NARROW = Scenario(fov_degrees=90.0, robots=4, humans=12)
+ROOMS = Scenario(fov_degrees=360.0, robots=4, humans=12, layout=Layout.rooms)  # walls hide people
 STEPS = 30
 
 
@@ -45,10 +46,13 @@ def in_world(observation: Observation, world: World, kind: str) -> np.ndarray:
     return np.concatenate(parts, -1)
 
 
-def test_a_robot_knows_who_any_in_reach_sees_and_where_they_are() -> None:
+@pytest.mark.parametrize("scenario", [NARROW, ROOMS], ids=["narrow_view", "walls"])
+def test_a_robot_knows_who_any_in_reach_sees_and_where_they_are(scenario: Scenario) -> None:
     heard = 0
-    for (observation, then), (alone, _) in zip(played(team()), played(NARROW), strict=True):
-        n = NARROW.robots
+    for (observation, then), (alone, _) in zip(
+        played(team(scenario)), played(scenario), strict=True
+    ):
+        n = scenario.robots
         anybody = alone.humans_visible.any(1, keepdims=True)
         np.testing.assert_array_equal(observation.humans_visible, anybody.repeat(n, 1))
         np.testing.assert_array_equal(observation.humans_reported, anybody & ~alone.humans_visible)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mrsan import ConfigurationError, Crowd, Kinematics, Observation, Scenario, Split, World
+from mrsan import ConfigurationError, Crowd, Kinematics, Layout, Observation, Scenario, Split, World
 from mrsan.fields import required
 from samarl.agents import Agent, build_agent
 from samarl.configuration import available_agents, load_agent_config
@@ -133,6 +133,17 @@ def test_every_agent_succeeds_without_people(name: str) -> None:
     if name in ("straight", "orca", "social_force", "model_predictive"):
         assert episodes.success.all()
     assert np.isinf(episodes.closest_human).all()
+
+
+@pytest.mark.parametrize(("wall_strength", "wall_reach"), [(10.0, 0.15), (20.0, 0.6)])
+def test_social_forces_pass_a_door_only_if_its_walls_repel_little(
+    wall_strength: float, wall_reach: float
+) -> None:
+    scenario = Scenario(layout=Layout.doorway, robots=1, humans=0)
+    changes = {"wall_strength": wall_strength, "wall_reach": wall_reach}
+    agent = build_agent(CONFIGS["social_force_places"] | changes, scenario)
+    passed = run_cases(agent, scenario, CASES, batch=40).success.mean()
+    assert passed > 0.9 if wall_reach < 0.3 else passed < 0.3
 
 
 def test_driving_around_the_crowd_beats_driving_through_it() -> None:
