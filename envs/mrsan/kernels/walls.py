@@ -134,6 +134,28 @@ def is_clear(walls, count, x, y, dx, dy, radius):
     return touched == 0
 
 
+@separate
+def is_clear_between(walls, count, x, y, dx, dy, radius):
+    """Return what `is_clear` does for a disc that is clear of all walls at both ends of its way.
+
+    Then only walls that cross the way and their vertices, each the start of a wall, can be in it.
+    """
+    touched = 0
+    squared = radius * radius
+    by_length = _ONE / max(dx * dx + dy * dy, _TINY)
+    for k in range(count):
+        ax, ay = walls[START_X, k] - x, walls[START_Y, k] - y
+        bx, by = walls[END_X, k] - x, walls[END_Y, k] - y
+        side_a, side_b = dx * ay - dy * ax, dx * by - dy * bx
+        ux, uy = bx - ax, by - ay
+        own, other = uy * ax - ux * ay, uy * (ax - dx) - ux * (ay - dy)
+        crossed = (side_a * side_b <= _ZERO) & (own * other <= _ZERO)
+        t = min(max((ax * dx + ay * dy) * by_length, _ZERO), _ONE)
+        px, py = ax - t * dx, ay - t * dy
+        touched += crossed | (px * px + py * py < squared)
+    return touched == 0
+
+
 @function
 def way_distance(walls, count, x, y, dx, dy):
     """Return the smallest distance to a wall on the way from (x, y) by (dx, dy); inf without, m."""
