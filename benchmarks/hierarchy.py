@@ -35,11 +35,8 @@ from samarl.progress import progress_bar
 COMMON = ["experiment=passages", "trainer.threads=1"]
 TEAM = [f"curriculum.stages.{stage}.scenario.team_perception=tracks" for stage in range(4)]
 TWO_LEVELS = [
-    "policy.local_goal=true",
-    "policy.arrival_bonus=0",  # the local level observes the goal, and circling does not pay
     "algorithm.local_discount=0.95",
     "algorithm.discount=0.998",  # waiting for 6 s would cost a fifth of the return with 0.99
-    "algorithm.macro_std=0.1",
 ]
 MODES = [*TWO_LEVELS, "policy.modes=true", "algorithm.macro_entropy_coefficient=0.05"]
 RECIPES = {  # settings, in addition to `COMMON`
