@@ -225,6 +225,25 @@ def learning_speed() -> str:
     )
 
 
+@table
+def hierarchy() -> str:
+    """Return success and deadlocks in a narrow doorway and corridor, means over training seeds."""
+    cells: dict[str, dict[str, list[float]]] = {}
+    for row in find_value("hierarchy", "rows"):
+        if row["width_min"] < row["width_max"]:  # doorways of a fixed width are in the figure
+            of_method = cells.setdefault(row["method"], {})
+            of_method.setdefault(f"{row['layout']} success", []).append(row["success"])
+            of_method.setdefault(f"{row['layout']} deadlock", []).append(row["deadlock"])
+    columns = [
+        f"{place} {value}" for place in ("doorway", "corridor") for value in ("success", "deadlock")
+    ]
+    lines = [
+        [method, *(_mean_and_range(of_method[column], 1, ".1f") for column in columns)]
+        for method, of_method in cells.items()
+    ]
+    return markdown_table(["method", *(f"{column}, %" for column in columns)], lines)
+
+
 def _mean_and_range(values: Sequence[float | None], unit: float, form: str) -> str:
     """Return `mean [smallest, largest]` in a unit, or `not reached` if a value is missing."""
     numbers = [value / unit for value in values if value is not None]
