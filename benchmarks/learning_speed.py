@@ -21,15 +21,10 @@ from benchmarks.workload import add_output, interruptible, positive_whole_number
 from samarl.evaluation.table import markdown_table
 from samarl.files import machine, write_json, write_text
 
-GOAL_HIDDEN = [
-    "policy.local_goal=false",
-    "policy.arrival_bonus=18.75",
-    "algorithm.macro_std=0.4",
-]
 RECIPES = {  # settings and world-steps
     "flat": (["policy=flat"], 3_000_000),
     "two levels": ([], 1_000_000),
-    "two levels, goal hidden": (GOAL_HIDDEN, 1_000_000),
+    "two levels, goal hidden": (["policy=goal_hidden", "algorithm.macro_std=0.4"], 1_000_000),
     "flat, REPPO": (["policy=flat", "algorithm=reppo"], 500_000),
     "flat, transformer": (["experiment=transformer", "policy=flat"], 1_000_000),
     "two levels, transformer": (["experiment=transformer"], 1_000_000),
