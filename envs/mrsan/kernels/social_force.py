@@ -38,9 +38,9 @@ def social_force_velocity(
         max_speed: speed limit (m/s).
         relaxation_time: time to reach the preferred velocity (s).
         strength: repulsion at contact (m/s^2).
-        reach: distance over which repulsion falls by 1/e (m).
+        reach: distance over which repulsion falls to 1/e (m).
         wall_strength: repulsion of walls at contact (m/s^2).
-        wall_reach: distance over which it falls by 1/e (m).
+        wall_reach: distance over which it falls to 1/e (m).
         time_step: length of a step (s).
         scratch: from `mrsan.kernels.orca.orca_room`, with the nearest points of walls.
     """

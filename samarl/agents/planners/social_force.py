@@ -33,9 +33,9 @@ class SocialForce(Agent):
         0.01, 10.0, unit="s", help="time to reach the preferred velocity"
     )
     strength: float = required(0.0, 1000.0, unit="m/s^2", help="repulsion at contact")
-    reach: float = required(0.01, 10.0, unit="m", help="distance over which repulsion falls by 1/e")
+    reach: float = required(0.01, 10.0, unit="m", help="distance over which repulsion falls to 1/e")
     wall_strength: float = required(0.0, 1000.0, unit="m/s^2", help="repulsion of walls at contact")
-    wall_reach: float = required(0.01, 10.0, unit="m", help="distance over which it falls by 1/e")
+    wall_reach: float = required(0.01, 10.0, unit="m", help="distance over which it falls to 1/e")
 
     def act(self, observation: Observation) -> NDArray[np.float32]:
         """Return the actions that track the social-force velocity within the robot's limits."""
