@@ -88,6 +88,30 @@ def _turns_left(walls, before, k):
     )
 
 
+@function
+def _squared(x, y):
+    return x * x + y * y
+
+
+@function
+def _sides(ax, ay, bx, by, dx, dy):
+    """Return two products that are negative if a wall from a to b and a way (dx, dy) cross.
+
+    The first is negative if the way's line separates the ends of the wall, the second if the wall's
+    line separates those of the way, which starts at the origin; 0 means that an end is on the line.
+    """
+    ux, uy = bx - ax, by - ay
+    of_wall = (dx * ay - dy * ax) * (dx * by - dy * bx)
+    return of_wall, (uy * ax - ux * ay) * (uy * (ax - dx) - ux * (ay - dy))
+
+
+@function
+def _from_way(px, py, dx, dy, by_length):
+    """Return the squared distance of a point from a way (dx, dy) that starts at the origin, m^2."""
+    t = min(max((px * dx + py * dy) * by_length, _ZERO), _ONE)
+    return _squared(px - t * dx, py - t * dy)
+
+
 @separate
 def sees(walls, count, x, y, dx, dy):
     """Return whether no wall crosses or touches the way from (x, y) to (x + dx, y + dy)."""
@@ -95,10 +119,8 @@ def sees(walls, count, x, y, dx, dy):
     for k in range(count):
         ax, ay = walls[START_X, k] - x, walls[START_Y, k] - y
         bx, by = walls[END_X, k] - x, walls[END_Y, k] - y
-        side_a, side_b = dx * ay - dy * ax, dx * by - dy * bx
-        ux, uy = bx - ax, by - ay
-        own, other = uy * ax - ux * ay, uy * (ax - dx) - ux * (ay - dy)
-        crossed += (side_a * side_b <= _ZERO) & (own * other <= _ZERO)
+        wall_sides, way_sides = _sides(ax, ay, bx, by, dx, dy)
+        crossed += (wall_sides <= _ZERO) & (way_sides <= _ZERO)
     return crossed == 0
 
 
@@ -111,19 +133,13 @@ def is_clear(walls, count, x, y, dx, dy, radius):
     for k in range(count):
         ax, ay = walls[START_X, k] - x, walls[START_Y, k] - y
         bx, by = walls[END_X, k] - x, walls[END_Y, k] - y
-        ux, uy = bx - ax, by - ay
-        side_a, side_b = dx * ay - dy * ax, dx * by - dy * bx
-        own, other = uy * ax - ux * ay, uy * (ax - dx) - ux * (ay - dy)
-        crossed = (side_a * side_b < _ZERO) & (own * other < _ZERO)
+        wall_sides, way_sides = _sides(ax, ay, bx, by, dx, dy)
+        crossed = (wall_sides < _ZERO) & (way_sides < _ZERO)
         # The ends of the wall from the way, and the ends of the way from the wall.
-        t = min(max((ax * dx + ay * dy) * by_length, _ZERO), _ONE)
-        px, py = ax - t * dx, ay - t * dy
-        near = px * px + py * py < squared
-        t = min(max((bx * dx + by * dy) * by_length, _ZERO), _ONE)
-        px, py = bx - t * dx, by - t * dy
-        near |= px * px + py * py < squared
+        near = _from_way(ax, ay, dx, dy, by_length) < squared
+        near |= _from_way(bx, by, dx, dy, by_length) < squared
         along_x, along_y = walls[ALONG_X, k], walls[ALONG_Y, k]
-        length = ux * along_x + uy * along_y
+        length = (bx - ax) * along_x + (by - ay) * along_y
         t = min(max(-(ax * along_x + ay * along_y), _ZERO), length)
         px, py = ax + t * along_x, ay + t * along_y
         near |= px * px + py * py < squared
@@ -146,13 +162,9 @@ def is_clear_between(walls, count, x, y, dx, dy, radius):
     for k in range(count):
         ax, ay = walls[START_X, k] - x, walls[START_Y, k] - y
         bx, by = walls[END_X, k] - x, walls[END_Y, k] - y
-        side_a, side_b = dx * ay - dy * ax, dx * by - dy * bx
-        ux, uy = bx - ax, by - ay
-        own, other = uy * ax - ux * ay, uy * (ax - dx) - ux * (ay - dy)
-        crossed = (side_a * side_b <= _ZERO) & (own * other <= _ZERO)
-        t = min(max((ax * dx + ay * dy) * by_length, _ZERO), _ONE)
-        px, py = ax - t * dx, ay - t * dy
-        touched += crossed | (px * px + py * py < squared)
+        wall_sides, way_sides = _sides(ax, ay, bx, by, dx, dy)
+        crossed = (wall_sides <= _ZERO) & (way_sides <= _ZERO)
+        touched += crossed | (_from_way(ax, ay, dx, dy, by_length) < squared)
     return touched == 0
 
 
@@ -164,24 +176,17 @@ def way_distance(walls, count, x, y, dx, dy):
     for k in range(count):
         ax, ay = walls[START_X, k] - x, walls[START_Y, k] - y
         bx, by = walls[END_X, k] - x, walls[END_Y, k] - y
-        side_a, side_b = dx * ay - dy * ax, dx * by - dy * bx
-        ux, uy = bx - ax, by - ay
-        own, other = uy * ax - ux * ay, uy * (ax - dx) - ux * (ay - dy)
-        if side_a * side_b < _ZERO and own * other < _ZERO:
+        wall_sides, way_sides = _sides(ax, ay, bx, by, dx, dy)
+        if wall_sides < _ZERO and way_sides < _ZERO:
             return _ZERO
-        for px, py in ((ax, ay), (bx, by)):
-            t = min(max((px * dx + py * dy) * by_length, _ZERO), _ONE)
-            nearest = min(nearest, _squared(px - t * dx, py - t * dy))
+        nearest = min(nearest, _from_way(ax, ay, dx, dy, by_length))
+        nearest = min(nearest, _from_way(bx, by, dx, dy, by_length))
+        ux, uy = bx - ax, by - ay
         by_wall = _ONE / max(ux * ux + uy * uy, _TINY)
         for qx, qy in ((_ZERO, _ZERO), (dx, dy)):
             t = min(max(((qx - ax) * ux + (qy - ay) * uy) * by_wall, _ZERO), _ONE)
             nearest = min(nearest, _squared(ax + t * ux - qx, ay + t * uy - qy))
     return math.sqrt(nearest)
-
-
-@function
-def _squared(x, y):
-    return x * x + y * y
 
 
 @function
