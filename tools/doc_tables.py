@@ -38,6 +38,33 @@ WIDE_METHODS = (
     ("One level without its shield", "samarl_flat_unshielded"),
 )
 
+# What the settings of table `robustness` change, in words.
+CHANGES = {
+    "position noise 0.1": "positions with noise of 0.1 m",
+    "missed detection 0.2": "a fifth of the detections missing",
+    "occlusion": "people hide behind each other",
+    "crowd social force": "people walk by social forces",
+    "hurry probability 0.2": "a fifth of the people hurry",
+    "crowd reaction reciprocal": "people avoid robots",
+    "crowd reaction mixed": "people react in six ways",
+    "groups.share 0.6": "60 % walk in groups",
+    "groups.share 0.6 groups.standing share 1.0": "60 % stand in groups",
+    "human radius max 0.5": "people with radii up to 0.5 m",
+    "human speed min 0.5 human speed max 1.5": "people with speeds of 0.5 to 1.5 m/s",
+    "arena radius 7.0": "a round wall, 7 m from the centre",
+}
+# Methods of table `hierarchy`, in the order of its rows; others follow.
+HIERARCHY_ORDER = (
+    "flat",
+    "flat, long horizon",
+    "flat, team tracks",
+    "two levels",
+    "two levels, modes",
+    "two levels, modes, intent",
+    "random macro actions",
+    "macro actions of team-mates",
+)
+
 
 def table(build: Callable[[], str]) -> Callable[[], str]:
     """Register a table under the name of its function."""
@@ -162,7 +189,8 @@ def robustness() -> str:
     }
     settings: dict[str, dict[str, str]] = {}
     for row in result_rows("robustness"):
-        setting = setting_name(column_of(row)) or "as in Table I"
+        name = setting_name(column_of(row)) or "as in Table I"
+        setting = CHANGES.get(name, name)
         settings.setdefault(setting, {})[row["method"]] = print_row(row, "success")
     lines = [
         [setting, *(cells.get(m, NONE) for m in methods)] for setting, cells in settings.items()
@@ -228,7 +256,7 @@ def learning_speed() -> str:
 @table
 def hierarchy() -> str:
     """Return success and deadlocks in a narrow doorway and corridor, means over training seeds."""
-    cells: dict[str, dict[str, list[float]]] = {}
+    cells: dict[str, dict[str, list[float]]] = {method: {} for method in HIERARCHY_ORDER}
     for row in find_value("hierarchy", "rows"):
         if row["width_min"] < row["width_max"]:  # doorways of a fixed width are in the figure
             of_method = cells.setdefault(row["method"], {})
@@ -240,6 +268,7 @@ def hierarchy() -> str:
     lines = [
         [method, *(_mean_and_range(of_method[column], 1, ".1f") for column in columns)]
         for method, of_method in cells.items()
+        if of_method
     ]
     return markdown_table(["method", *(f"{column}, %" for column in columns)], lines)
 
