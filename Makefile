@@ -29,7 +29,7 @@ lint: setup ## Check style and types
 	@$(BIN)/ruff check . && $(BIN)/ruff format --check .
 	@$(BIN)/mypy
 
-train: setup ## Train SAMARL's two levels on two cores, or resume an interrupted training (20 minutes)
+train: setup ## Train SAMARL's two levels on two cores, or resume an interrupted training (12 minutes)
 	@$(BIN)/samarl-train trainer.processes=2 trainer.threads=1
 
 results: setup ## Rewrite results/ and the figures in the documentation (RECORDINGS=folder of recordings)

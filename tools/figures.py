@@ -6,9 +6,12 @@ and how to print it.
 - In a table of results: the method, its column (`360/10/3`: view in degrees, humans, robots),
   optional conditions (`layout=doorway`), and `success`, `social`, `both`, `seeds` or
   `FIELD FORMAT`. Example: `table1 samarl 360/10/3 both`.
-- In any other file: the path of a value, optional operations (`mean`, `/60`, `round3`), and a
-  format of Python. An item of a list is chosen by its index or by one of its values; `$` stands
-  for a space in a key. Example: `throughput full_step.world_steps_per_second round3 ,.0f`.
+- In any other file: the path of a value, optional operations (`mean`, `/60`, `round3`,
+  `change:PATH`, the change in percent from another value), and a format of Python. An item of a
+  list is chosen by its index or by one of its values. Example:
+  `throughput full_step.world_steps_per_second round3 ,.0f`.
+
+`$` stands for a space in a condition or in a key of a path.
 """
 
 from __future__ import annotations
@@ -33,8 +36,12 @@ def result_rows(name: str) -> list[Row]:
     Raises:
         ValueError: the file has no rows.
     """
-    rows = read_rows(RESULTS / f"{name}.json")
-    if rows is None:
+    path = RESULTS / f"{name}.json"
+    rows = read_rows(path)
+    if rows is None:  # a table with its provenance beside it, such as that of physics
+        content = read_json(path)
+        rows = content.get("rows") if isinstance(content, dict) else None
+    if not rows or any("fov_degrees" not in row for row in rows):
         raise ValueError(f"results/{name}.json is not a table of results")
     return rows
 
@@ -46,7 +53,7 @@ def find_row(name: str, method: str, column: str, conditions: Sequence[str] = ()
         ValueError: not exactly one row matches.
     """
     fields = dict(zip(("fov_degrees", "humans", "robots"), column.split("/"), strict=True))
-    fields |= dict(condition.split("=", 1) for condition in conditions)
+    fields |= dict(condition.replace("$", " ").split("=", 1) for condition in conditions)
 
     def matches(row: Row) -> bool:
         values = column_of(row)._asdict()
@@ -94,14 +101,16 @@ def find_value(name: str, path: str) -> Any:
     return value
 
 
-def _apply(operation: str, value: Any) -> float:
+def _apply(operation: str, value: Any, name: str) -> float:
     if operation == "mean":
         return fmean(value)
+    if operation.startswith("change:"):
+        return float(100.0 * (value / find_value(name, operation.removeprefix("change:")) - 1.0))
     if operation == "round3":  # three significant digits
         return round(value, 2 - math.floor(math.log10(abs(value))))
     if operation.startswith("/"):
         return float(value) / float(operation[1:])
-    raise ValueError(f"operation is {operation!r}; it must be mean, round3 or /NUMBER")
+    raise ValueError(f"operation is {operation!r}; it must be mean, round3, /NUMBER or change:PATH")
 
 
 def figure(words: Sequence[str]) -> str:
@@ -120,5 +129,5 @@ def figure(words: Sequence[str]) -> str:
     path, *operations, form = rest
     value = find_value(name, path)
     for operation in operations:
-        value = _apply(operation, value)
+        value = _apply(operation, value, name)
     return format(value, form)

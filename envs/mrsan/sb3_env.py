@@ -7,8 +7,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from stable_baselines3.common.vec_env import VecEnv
-from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
 from mrsan.gymnasium_env import arrays_in_space, as_spaces
 from mrsan.metrics import Episodes, Outcome, social_score
@@ -16,6 +14,14 @@ from mrsan.observation import Observation
 from mrsan.rendering import Renderer
 from mrsan.scenario import Scenario, overridden
 from mrsan.world import World
+
+try:
+    from stable_baselines3.common.vec_env import VecEnv
+    from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
+except ModuleNotFoundError:
+    raise ImportError(
+        "mrsan.sb3_env needs stable-baselines3: pip install 'samarl[examples]'"
+    ) from None
 
 Array = NDArray[Any]
 

@@ -37,11 +37,27 @@ def test_a_figure_is_a_value_of_a_file() -> None:
     assert figure(words.split()) == f"{minutes:.2f}"
 
 
+def test_a_figure_is_the_change_from_another_value() -> None:
+    errors = json.loads((ROOT / "results/prediction.json").read_text())["errors"]["biwi_hotel"]
+    change = errors["predictor"][4] / errors["constant_velocity"][4] - 1
+    words = "prediction errors.biwi_hotel.predictor.4 change:errors.biwi_hotel.constant_velocity.4"
+    assert figure([*words.split(), "+.1f"]) == f"{change:+.1%}".removesuffix("%")
+
+
+def test_a_condition_with_spaces() -> None:
+    rows = json.loads((ROOT / "results/physics.json").read_text())["rows"]
+    changes = "engine=mujoco engine.friction=0.05"
+    (row,) = [r for r in rows if (r["method"], r["changes"]) == ("samarl", changes)]
+    words = "physics samarl 360/10/3 changes=engine=mujoco$engine.friction=0.05 success_rate .0f"
+    assert figure(words.split()) == f"{row['success_rate']:.0f}"
+
+
 @pytest.mark.parametrize(
     ("words", "problem"),
     [
         ("table1 nobody 360/10/3 both", "0 rows of nobody"),
         ("transfer samarl 360/10/3 both", "rows of samarl in 360/10/3; need 1"),
+        ("hierarchy flat 360/4/4 success .1f", "is not a table of results"),
         ("throughput full_step.speed .1f", "has no full_step.speed"),
         ("throughput full_step.min half .1f", "operation is 'half'"),
     ],
