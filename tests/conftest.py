@@ -1,18 +1,19 @@
 """Settings shared by all tests."""
 
-import contextlib
 import os
+from concurrent.futures import ProcessPoolExecutor
+from itertools import repeat
+from multiprocessing import get_context
 
 os.environ["NUMBA_NUM_THREADS"] = "2"  # on every machine: some tests compare one with two
 os.environ["OMP_NUM_THREADS"] = "1"  # PyTorch's: tests run side by side
 
 import hypothesis
-import numpy as np
 import pytest
 
-from mrsan import Crowd, CrowdReaction, Layout, Scenario, World
-from mrsan.compile_ahead import compile_ahead
+from mrsan import Crowd, CrowdReaction, Layout, Scenario
 from mrsan.threads import use_threads
+from tests.staging import step_once
 
 # Kernels may compile inside the first example, and a suite must say the same twice.
 hypothesis.settings.register_profile(
@@ -30,21 +31,16 @@ def pytest_sessionstart(session: pytest.Session) -> None:
     """Compile the simulator once, before every worker would compile it for itself."""
     if not getattr(session.config.option, "numprocesses", None):
         return  # one process, or a worker
-    with compile_ahead(Scenario()):
-        pass  # the others share most of what it needs
-    others = [
-        Scenario(crowd=Crowd.social_force),
+    scenarios = [
+        Scenario(layout=Layout.rooms),  # takes longest
+        Scenario(),
         Scenario(crowd_reaction=CrowdReaction.mixed),
-        Scenario(layout=Layout.rooms),
+        Scenario(crowd=Crowd.social_force),
     ]
-    with contextlib.ExitStack() as compiling:
-        for scenario in others:
-            compiling.enter_context(compile_ahead(scenario))
-    for scenario in (Scenario(), *others):
+    pool = ProcessPoolExecutor(mp_context=get_context("spawn"))
+    with pool:
         for worlds in (1, 2):  # the serial and the parallel kernels
-            world = World(scenario, worlds)
-            world.reset(range(worlds))
-            world.step(np.zeros((worlds, scenario.robots, scenario.action_size), np.float32))
+            pool.map(step_once, scenarios, repeat(worlds))
 
 
 @pytest.fixture(autouse=True)

@@ -1,23 +1,18 @@
 """Helpers for the tests of the report."""
 
 import subprocess
-import sys
 from pathlib import Path
 
 from mrsan import Scenario
 from samarl.agents import build_agent
 from samarl.evaluation.trajectory import Trajectory, record_episode
+from tests.commands import run_module
 
 STRAIGHT = {"_target_": "samarl.agents.planners.straight.Straight"}
 
 
 def report(*arguments: str, cwd: Path, code: int = 0) -> subprocess.CompletedProcess[str]:
-    done = subprocess.run(
-        [sys.executable, "-m", "samarl.commands.report", *arguments],
-        cwd=cwd,
-        capture_output=True,
-        text=True,
-    )
+    done = run_module("samarl.commands.report", *arguments, cwd=cwd)
     assert done.returncode == code, done.stderr
     return done
 

@@ -54,3 +54,10 @@ def stage(
         state.human_radius[0, j] = 0.3
     state.clock[0] = clock
     return world
+
+
+def step_once(scenario: Scenario, worlds: int) -> None:
+    """Begin an episode in each world and step once, which compiles what is not cached."""
+    world = World(scenario, worlds)
+    world.reset(range(worlds))
+    world.step(np.zeros((worlds, scenario.robots, scenario.action_size), np.float32))

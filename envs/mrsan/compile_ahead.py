@@ -13,6 +13,7 @@ import os
 import pickle
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator
 
 import numpy as np
@@ -22,14 +23,17 @@ from mrsan.scenario import Scenario
 from mrsan.world import World
 
 _WORLDS = 2  # one world may be simulated by another version of the kernels
+_USUAL_SECONDS = 40  # of a first start on two cores
+_PROGRESS_SECONDS = 10.0  # between two lines about the progress
 
 
 @contextlib.contextmanager
 def compile_ahead(scenario: Scenario) -> Iterator[bool]:
     """Compile the kernels of a scenario while the body runs, unless they are cached.
 
-    If a process fails, for example because it does not know a plugin's crowd model, its kernel is
-    compiled on first use, as without this function.
+    A line on stderr every 10 s tells how long it has taken. If a process fails, for example because
+    it does not know a plugin's crowd model, its kernel is compiled on first use, as without this
+    function.
 
     Args:
         scenario: the scenario to be simulated, in any number of worlds above one.
@@ -44,15 +48,38 @@ def compile_ahead(scenario: Scenario) -> Iterator[bool]:
         return
     print_compile_notice()
     processes = [_start(part, scenario) for part in parts]
+    with _progress_lines():
+        try:
+            yield True
+        except BaseException:
+            for process in processes:
+                process.kill()
+            raise
+        finally:
+            for process in processes:
+                process.wait()
+
+
+@contextlib.contextmanager
+def _progress_lines() -> Iterator[None]:
+    """Print how long the body has taken, every `_PROGRESS_SECONDS` until it ends."""
+    ended = threading.Event()
+
+    def report() -> None:
+        passed = 0.0
+        while not ended.wait(_PROGRESS_SECONDS):
+            passed += _PROGRESS_SECONDS
+            usual = f"about {_USUAL_SECONDS} s"
+            rest = f"of {usual}" if passed < _USUAL_SECONDS else f"({usual} on an idle machine)"
+            print(f"compiling: {passed:g} s {rest}", file=sys.stderr, flush=True)
+
+    thread = threading.Thread(target=report, daemon=True)
+    thread.start()
     try:
-        yield True
-    except BaseException:
-        for process in processes:
-            process.kill()
-        raise
+        yield
     finally:
-        for process in processes:
-            process.wait()
+        ended.set()
+        thread.join()
 
 
 def _start(part: str, scenario: Scenario) -> subprocess.Popen[bytes]:

@@ -73,6 +73,11 @@ def _check_walls(s: Scenario) -> None:
             f"scenario.map is {s.map!r} and scenario.layout is {s.layout.name}; layout must be map "
             "with a map file, and only then"
         )
+    if s.has_walls and s.crowd == Crowd.recorded:
+        raise ConfigurationError(
+            f"scenario.layout is {s.layout.name}; it must be a layout without walls with "
+            "scenario.crowd recorded: recorded people would walk through the walls"
+        )
     if s.has_walls and s.arena_radius is not None:
         raise ConfigurationError(
             f"scenario.arena_radius is {s.arena_radius}; it must be null with walls (scenario."

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
+from mrsan.choices import Layout
 from mrsan.fields import ConfigurationError
 from mrsan.kernels.walls import WALLS
 from mrsan.scenario import Scenario
@@ -17,7 +18,7 @@ from mrsan.world import World
 RENDER_MODES = ["rgb_array", "human"]
 _SIZE = 512  # side of the picture, pixels
 _OVERSAMPLING = 2  # drawn larger by this factor and then reduced, which smooths the edges
-_MARGIN = 1.5  # m around the circle on which robots start
+_MARGIN = 1.5  # m around the place, such as the circle on which robots start
 _VIEW_RANGE = 3.0  # m, largest range at which the field of view of a robot is outlined
 # The palette of Okabe and Ito, which colour-blind readers can tell apart.
 ROBOT_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
@@ -72,8 +73,9 @@ class _Drawing:
 
     def __init__(self, scenario: Scenario) -> None:
         self.scenario = scenario
-        half = scenario.half_extent + _MARGIN
-        self.half, self.scale = half, _OVERSAMPLING * _SIZE / (2 * half)
+        self.centre, extent = view_of(scenario)
+        self.half = extent + _MARGIN
+        self.scale = _OVERSAMPLING * _SIZE / (2 * self.half)
         self.image = Image.new("RGB", (_OVERSAMPLING * _SIZE, _OVERSAMPLING * _SIZE), "white")
         self.draw = ImageDraw.Draw(self.image)
 
@@ -121,12 +123,14 @@ class _Drawing:
         self.draw.line(outline, fill=colour, width=_OVERSAMPLING)
 
     def _grid(self) -> None:
-        for offset in np.arange(-2 * int(self.half / 2), self.half, 2.0):
-            self._line(np.array([offset, -self.half]), np.array([offset, self.half]), _GRID, 1)
-            self._line(np.array([-self.half, offset]), np.array([self.half, offset]), _GRID, 1)
+        (left, bottom), (right, top) = self.centre - self.half, self.centre + self.half
+        for x in np.arange(2.0 * np.ceil(left / 2.0), right, 2.0):
+            self._line(np.array([x, bottom]), np.array([x, top]), _GRID, 1)
+        for y in np.arange(2.0 * np.ceil(bottom / 2.0), top, 2.0):
+            self._line(np.array([left, y]), np.array([right, y]), _GRID, 1)
 
     def _pixel(self, point: NDArray[Any]) -> tuple[float, float]:
-        x, y = float(point[0]), float(point[1])
+        x, y = float(point[0] - self.centre[0]), float(point[1] - self.centre[1])
         return (self.half + x) * self.scale, (self.half - y) * self.scale
 
     def _disc(
@@ -147,6 +151,14 @@ class _Drawing:
 
     def _line(self, a: NDArray[Any], b: NDArray[Any], colour: str, width: int = 2) -> None:
         self.draw.line([self._pixel(a), self._pixel(b)], fill=colour, width=width * _OVERSAMPLING)
+
+
+def view_of(scenario: Scenario) -> tuple[NDArray[np.float64], float]:
+    """Return the centre of the place [2] and the largest distance of a start along an axis, m."""
+    if scenario.layout is not Layout.map:
+        return np.zeros(2), scenario.half_extent
+    low, high = scenario.fixed_map.zone.reshape(2, 2).astype(np.float64)
+    return (low + high) / 2, float((high - low).max() / 2)
 
 
 def walls_of(state: State, index: int) -> NDArray[np.float32]:

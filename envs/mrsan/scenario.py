@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 from dataclasses import dataclass, field
 from typing import Any
@@ -41,6 +42,24 @@ from mrsan.suggestions import choice_hint
 DEFAULT_NEAREST_WALLS = 12  # that robots see in places with walls
 
 
+def _suggesting_fields(cls: type) -> type:
+    """Let a dataclass refuse an unknown keyword with the field that is probably meant."""
+    init: Any = cls.__init__  # type: ignore[misc]
+    names = [f.name for f in dataclasses.fields(cls)]
+
+    @functools.wraps(init)
+    def checked_init(self: Any, *arguments: Any, **values: Any) -> None:
+        for name, value in values.items():
+            if name not in names:
+                hint = choice_hint(name, names, f"it must be a field of {cls.__name__}")
+                raise UnknownFieldError(f"unexpected keyword argument '{name}' ({value!r}); {hint}")
+        init(self, *arguments, **values)
+
+    cls.__init__ = checked_init  # type: ignore[misc]
+    return cls
+
+
+@_suggesting_fields
 @dataclass
 class Scenario:
     """One multi-robot socially-aware navigation task; the defaults are SAMARL's.
@@ -463,9 +482,4 @@ def overridden(scenario: Scenario | None, overrides: dict[str, Any]) -> Scenario
         raise ConfigurationError(
             f"scenario is {scenario!r}; it must be a Scenario (pass other settings by name)"
         )
-    fields = [f.name for f in dataclasses.fields(Scenario)]
-    for name, value in overrides.items():
-        if name not in fields:
-            hint = choice_hint(name, fields, "it must be a field of Scenario")
-            raise UnknownFieldError(f"unexpected keyword argument '{name}' ({value!r}); {hint}")
     return dataclasses.replace(scenario or Scenario(), **overrides)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 
-_MAX_LISTED = 12  # names in an error message
+_MAX_LISTED = 20  # names in an error message
 # Words of other simulators and libraries for the settings of this project.
 _ENTITIES = {
     "agent": "robots",

@@ -95,7 +95,7 @@ class DriverNode(Node):
             return 0.0, 0.0
         walls, sensors = (), None
         if self._map is not None:
-            own, walls = self._map.with_route(own), self._map.walls
+            own, walls = self._map.with_route(own), self._map
         elif self._scan is not None:
             walls = scan_walls(self._scan, own)
         if "lidar" in self._driver.sensor_inputs:

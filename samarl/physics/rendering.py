@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from mrsan.rendering import view_of
 from samarl.physics.controllers import Controller
 from samarl.physics.offscreen import cannot_render
 from samarl.physics.runner import decide_and_step
@@ -46,7 +47,8 @@ class _Picture:
             raise cannot_render(error) from error
         self._camera = mujoco.MjvCamera()
         self._camera.azimuth, self._camera.elevation = 90.0, _ELEVATION
-        self._camera.distance = _DISTANCE * world.scenario.half_extent
+        self._camera.lookat[:2], extent = view_of(world.scenario)
+        self._camera.distance = _DISTANCE * extent
 
     def draw(self) -> NDArray[np.uint8]:
         self._renderer.update_scene(self._bodies.data, self._camera)

@@ -267,6 +267,12 @@ def _cost(
         dx, dy = goal_x - x, goal_y - y
         remaining = math.sqrt(dx * dx + dy * dy)
         if remaining < p.robot_radius:
+            # A corner of the route: beyond it the robot must at least be able to stop.
+            stop = np.float32(0.5) * math.sqrt(vx * vx + vy * vy) / p.max_acceleration  # s
+            if seen > 0 and (
+                way_distance(walls, seen, x, y, stop * vx, stop * vy) < p.robot_radius + WALL_MARGIN
+            ):
+                return cost + plans.collision_weight * discount
             return cost + p.robot_speed * time
         # The rest costs at least the remaining distance or a collision at the end of the horizon.
         path_cost = p.robot_speed * time + remaining - p.robot_radius - _ROUNDING

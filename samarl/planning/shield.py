@@ -169,6 +169,7 @@ def _apply_shield(
                     rows,
                 )
                 walls = room[:, : gather_walls(segments[e, i], segments_seen[e, i], room)]
+                is_goal = goal_x == targets[e, i, 0] and goal_y == targets[e, i, 1]
                 goal_x, goal_y = targets[e, i, 0], targets[e, i, 1]
                 first_robot = gather_offsets(humans_known[e, i], predicted_offset[e, i], row_offset)
                 _shrink_margins(rows, count, p)
@@ -183,6 +184,7 @@ def _apply_shield(
                     settings,
                     action[e, i],
                     scratch_action,
+                    is_goal,
                     p,
                 ):
                     _choose_continuation(
@@ -197,6 +199,7 @@ def _apply_shield(
                         action[e, i],
                         first_action,
                         scratch_action,
+                        is_goal,
                         p,
                     )
 
@@ -212,7 +215,18 @@ def _shrink_margins(rows, count, p):
 
 @function
 def _is_safe(
-    rows, row_offset, count, walls, first_robot, goal_x, goal_y, settings, action, scratch_action, p
+    rows,
+    row_offset,
+    count,
+    walls,
+    first_robot,
+    goal_x,
+    goal_y,
+    settings,
+    action,
+    scratch_action,
+    is_goal,
+    p,
 ):
     """Return whether some continuation after `action` is collision-free for the whole horizon."""
     for index in range(CONTINUATIONS):
@@ -233,6 +247,7 @@ def _is_safe(
             settings,
             scratch_action,
             False,
+            is_goal,
             p,
         )
         if safe_steps >= settings.steps:
@@ -253,6 +268,7 @@ def _choose_continuation(
     action,
     first_action,
     scratch_action,
+    is_goal,
     p,
 ):
     """Write the first action of the best continuation."""
@@ -277,6 +293,7 @@ def _choose_continuation(
             settings,
             scratch_action,
             True,
+            is_goal,
             p,
         )
         score = min(gap, SUFFICIENT_GAP) - PROGRESS_WEIGHT * path_length
@@ -320,6 +337,7 @@ def _simulate(
     settings,
     action,
     with_path_length,
+    is_goal,
     p,
 ):
     """Simulate `action`, which is overwritten, followed by driving at the desired velocity.
@@ -361,7 +379,7 @@ def _simulate(
                 path_length, remaining_path_length(rows, count, x, y, heading, goal_x, goal_y, p)
             )
         dx, dy = goal_x - x, goal_y - y
-        if dx * dx + dy * dy < p.robot_radius * p.robot_radius:
+        if is_goal and dx * dx + dy * dy < p.robot_radius * p.robot_radius:
             break
     return np.float32(settings.steps), smallest_gap, path_length
 

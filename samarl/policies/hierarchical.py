@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.jit import is_tracing  # type: ignore[attr-defined]
 
-from mrsan import Observation, Scenario
+from mrsan import ConfigurationError, Observation, Scenario
 from samarl.encoders import Encoder
 from samarl.encoders.encoder import samples_of
 from samarl.observations.features import (
@@ -115,6 +115,23 @@ class HierarchicalPolicy(StochasticPolicy):
         A macro action is the mode, if the policy has modes, and by how much the waypoint is moved.
         """
         return {MACRO: 2 + self.config.modes, LOCAL: self.action_size}
+
+    def check(self, scenario: Scenario) -> None:
+        """See `Policy.check`; intent is not delayed, limited or lost as other reports are.
+
+        Raises:
+            ConfigurationError: as there, or robots observe intent and reports are limited.
+        """
+        super().check(scenario)
+        if not (self.config.observes_intent and scenario.team_tracks):
+            return
+        for name in ("team_range", "team_delay", "team_loss"):
+            value, default = getattr(scenario, name), getattr(Scenario, name)
+            if value != default:
+                raise ConfigurationError(
+                    f"scenario.{name} is {value}; it must be {default} with "
+                    "policy.observes_intent=true: intent reaches every team-mate, at once"
+                )
 
     def initial_policy_state(self, rows: int, scenario: Scenario) -> PolicyState:
         """See `StochasticPolicy.initial_policy_state`; with the waypoints and their clocks."""

@@ -30,6 +30,7 @@ from samarl.runtime.inputs import (
 )
 from samarl.runtime.network import Network
 from samarl.runtime.slots import Slots
+from samarl.runtime.walls import KnownMap, faces
 
 _MOST_WALLS = 24  # that the shield takes into account, the nearest ones
 
@@ -128,15 +129,16 @@ class Driver:
             time: of these measurements, on any clock that does not jump, s.
             sensors: the arrays of a policy with further sensors, see `sensor_inputs`: a sensor's
                 values, or the features of a group of entities and, as `GROUP_known`, its mask.
-            walls: segments [K, 4] of walls in view (start_x, start_y, end_x, end_y), in the frame
-                of `OwnState` and in any order; the shield, and a policy that observes walls, keep
-                clear of them. See `samarl.runtime.KnownMap` and `walls_of_scan`.
+            walls: a `samarl.runtime.KnownMap`, or segments [K, 4] of walls in view (start_x,
+                start_y, end_x, end_y), as `walls_of_scan` returns them, in any order and direction.
+                The shield, and a policy that observes walls, keep clear of them. The frame is that
+                of `OwnState`.
 
         Raises:
             InputError: names the input that cannot be used; the driver is unchanged.
         """
         own, agents, time = validated(own, detections, time)
-        segments = validated_walls(walls)
+        segments = walls.facing(own) if isinstance(walls, KnownMap) else validated_walls(walls)
         readings = validated_sensors(sensors or {}, self.sensor_inputs)
         is_first = self._start_time is None
         if not is_first and time <= self._last_time:
@@ -222,15 +224,17 @@ class Driver:
     def _nearest_walls(
         self, own: OwnState, walls: NDArray[np.float64], cos: float, sin: float
     ) -> Entities:
-        """Return the walls nearest to the robot in its body frame, as the simulator does."""
+        """Return the walls nearest to the robot in its body frame, as the simulator does.
+
+        The robot sees the floor side of segments, which the simulator has on their right.
+        """
         starts, ends = walls[:, :2] - (own.x, own.y), walls[:, 2:] - (own.x, own.y)
         along = ends - starts
         squared = np.maximum((along**2).sum(-1), 1e-12)
         share = np.clip(-(starts * along).sum(-1) / squared, 0.0, 1.0)
         distance = np.linalg.norm(starts + share[:, None] * along, axis=-1)
-        in_front = along[:, 0] * starts[:, 1] - along[:, 1] * starts[:, 0] > 0.0  # floor: right
-        starts = np.where(in_front[:, None], starts, walls[:, 2:] - (own.x, own.y))
-        ends = np.where(in_front[:, None], ends, walls[:, :2] - (own.x, own.y))
+        in_front = faces(walls, own)[:, None]
+        starts, ends = np.where(in_front, starts, ends), np.where(in_front, ends, starts)
         slots = self._network.walls or _MOST_WALLS
         nearest = np.argsort(distance, kind="stable")[:slots]
         nearest = nearest[distance[nearest] <= self.scenario.sensing_range]

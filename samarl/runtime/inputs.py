@@ -105,8 +105,8 @@ def validated_walls(walls: Any) -> NDArray[np.float64]:
         return np.zeros((0, 4))
     if array.ndim != 2 or array.shape[1] != 4 or not (np.abs(array) <= LARGEST).all():
         raise InputError(
-            f"walls is {_shown(walls)}; it must be rows [start_x, start_y, end_x, end_y] of "
-            f"numbers within +-{LARGEST:g}"
+            f"walls is {_shown(walls)}; it must be a KnownMap, or rows [start_x, start_y, end_x, "
+            f"end_y] of numbers within +-{LARGEST:g}"
         )
     return array
 

@@ -34,7 +34,7 @@ class KnownMap:
         """
         self._map = map_of_polygons(polygons, clearance)
         pieces = [np.hstack([p, np.roll(p, -1, 0)]) for p in polygons]
-        self.walls: NDArray[np.float64] = np.concatenate(pieces)  # [K, 4], for `Driver.step`
+        self.walls: NDArray[np.float64] = np.concatenate(pieces)  # [K, 4], floor to their right
 
     @classmethod
     def load(cls, path: str | Path, clearance: float = 0.4) -> KnownMap:
@@ -64,10 +64,20 @@ class KnownMap:
 
         return cls(trace_free_area(free, resolution, origin), clearance)
 
+    def facing(self, own: OwnState) -> NDArray[np.float64]:
+        """Return the wall segments [K, 4] whose floor side the robot faces, as in the simulator."""
+        return self.walls[faces(self.walls, own)]
+
     def with_route(self, own: OwnState) -> OwnState:
         """Return the state with the next corner of the shortest route to its goal."""
         x, y = next_corner(self._map, (own.x, own.y), (own.goal_x, own.goal_y))
         return own._replace(next_x=x, next_y=y)
+
+
+def faces(walls: NDArray[np.float64], own: OwnState) -> NDArray[np.bool_]:
+    """Return whether the robot is to the right of each of the segments [K, 4], seen from start."""
+    along, start = walls[:, 2:] - walls[:, :2], walls[:, :2] - (own.x, own.y)
+    return np.asarray(along[:, 0] * start[:, 1] - along[:, 1] * start[:, 0] > 0.0)
 
 
 def walls_of_scan(

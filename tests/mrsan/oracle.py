@@ -295,6 +295,31 @@ def first_touch(before: np.ndarray, after: np.ndarray, radii: float) -> np.ndarr
     return before + high * way
 
 
+def walls_of(s: dict[str, Any]) -> np.ndarray:
+    """The wall segments of snapshot `s`, [W, 4]."""
+    count = int(s["place"][0]) if len(s["place"]) else 0
+    return s["walls"][:4, :count].T
+
+
+def closest_to_wall(before: np.ndarray, after: np.ndarray, wall: np.ndarray) -> float:
+    """By trisection: the distance of a segment from a point that moves straight is convex."""
+
+    def distance(share: float) -> float:
+        start, along = wall[:2], wall[2:] - wall[:2]
+        point = before + share * (after - before)
+        nearest = start + np.clip((point - start) @ along / (along @ along), 0, 1) * along
+        return float(np.hypot(*(point - nearest)))
+
+    low, high = 0.0, 1.0
+    for _ in range(60):
+        third = (high - low) / 3
+        if distance(low + third) < distance(high - third):
+            high -= third
+        else:
+            low += third
+    return min(distance(0.0), distance(low), distance(1.0))
+
+
 def soonest_collisions(s: dict[str, Any], scenario: Scenario, margin: Margin) -> np.ndarray:
     """When each robot would touch a human if nobody changed velocity, [N]."""
     robots = range(len(s["robot_heading"]))
@@ -323,14 +348,21 @@ def _soonest_collision(s: dict[str, Any], i: int, scenario: Scenario, margin: Ma
 # One step
 
 
-def step(s: dict[str, Any], goal: np.ndarray, actions: np.ndarray, scenario: Scenario) -> Outcome:
-    """The world of snapshot `s` one step later.
+def step(
+    s: dict[str, Any],
+    goal: np.ndarray,
+    actions: np.ndarray,
+    scenario: Scenario,
+    route_left: np.ndarray,
+) -> Outcome:
+    """The world of snapshot `s` one step later; people do not walk among walls.
 
     Args:
         s: see `snapshot`.
         goal: [M, 2] the goals that the humans have in this step (they may have been redrawn).
         actions: [N, A].
         scenario: the task.
+        route_left: [N] the routes that are left after the step, where there are walls.
     """
     margin = Margin()
     dt, n, here = scenario.time_step, len(s["robot_heading"]), np.flatnonzero(s["human_present"])
@@ -341,6 +373,7 @@ def step(s: dict[str, Any], goal: np.ndarray, actions: np.ndarray, scenario: Sce
         s["robot_velocity"].copy(),
         s["robot_heading"].copy(),
     )
+    contact = np.zeros(n, int)
     for i in range(n):
         action = np.asarray(actions[i], np.float64)
         if s["arrived"][i]:
@@ -359,11 +392,18 @@ def step(s: dict[str, Any], goal: np.ndarray, actions: np.ndarray, scenario: Sce
         if margin.below(wall, float(np.hypot(*robots[i]))):
             robots[i] *= wall / np.hypot(*robots[i])
             new = np.zeros(2)
+        for segment in walls_of(s):
+            before, after = s["robot_position"][i], robots[i].copy()
+            if margin.below(closest_to_wall(before, after, segment), scenario.robot_radius):
+                contact[i] = 0 if s["arrived"][i] else 5  # hit_wall
+                if s["arrived"][i] or not scenario.collisions_end:
+                    robots[i], new = before, np.zeros(2)
+                break
         robot_velocity[i] = new
-    contact = np.zeros(n, int)
     ran_into = np.zeros(n, int)
     contacts = np.zeros(n)
-    touching = set()  # pairs of a robot and a slot of `last_contact`
+    # Pairs of a robot and a slot of `last_contact`, in which a robot's own slot is that of walls.
+    touching = {(int(i), len(humans) + int(i)) for i in np.flatnonzero(contact)}
     gap = np.full(n, math.inf)
     for i in range(n):
         if s["arrived"][i]:
@@ -390,16 +430,18 @@ def step(s: dict[str, Any], goal: np.ndarray, actions: np.ndarray, scenario: Sce
             if margin.below(
                 closest_approach(before, robots[k] - robots[i]), 2 * scenario.robot_radius
             ):
-                contact[i] = contact[i] or 2
+                contact[i] = 1 if contact[i] == 1 else 2
                 touching.add((i, len(humans) + k))
     last_contact = s["last_contact"].copy()
     for i, slot in touching:
         if last_contact[i, slot] != s["clock"]:  # apart in the step before
-            other_drives = slot >= len(humans) and not s["arrived"][slot - len(humans)]
+            other = slot - len(humans)
+            other_drives = other >= 0 and other != i and not s["arrived"][other]
             contacts[i] += 0.5 if other_drives else 1.0
         last_contact[i, slot] = s["clock"] + 1
     to_goal_before = np.hypot(*(s["robot_goal"] - s["robot_position"]).T)
     to_goal = np.hypot(*(s["robot_goal"] - robots).T)
+    progress = s["route_left"] - route_left if len(walls_of(s)) else to_goal_before - to_goal
     reached = np.array(
         [
             bool(margin.below(to_goal[i], scenario.robot_radius))
@@ -421,7 +463,7 @@ def step(s: dict[str, Any], goal: np.ndarray, actions: np.ndarray, scenario: Sce
                 team,
                 bool(driving[i]),
                 float(gap[i]),
-                float(to_goal_before[i]),
+                float(progress[i]),
                 float(to_goal[i]),
             )
             for i in range(n)
@@ -471,7 +513,7 @@ def _reward(
     team: bool,
     driving: bool,
     gap: float,
-    distance_before: float,
+    progress: float,
     distance: float,
 ) -> float:
     """SAMARL, Eq. 10; and MSA3C, Eq. 2, without what Eq. 10 has already."""
@@ -486,7 +528,7 @@ def _reward(
         return 0.0
     if margin.below(gap, w.discomfort_distance):
         return max(-w.discomfort / gap, w.discomfort_limit) + beside
-    return w.progress * (distance_before - distance) + beside
+    return w.progress * progress + beside
 
 
 # The sensor, without noise

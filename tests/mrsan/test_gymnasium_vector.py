@@ -8,6 +8,7 @@ from mrsan.gymnasium_env import GymnasiumEnv, GymnasiumVectorEnv
 
 E, STEPS = 6, 60
 FIELDS = {"humans": 6, "time_limit": 5.0, "circle_radius": 2.5, "goal_distance": 2.0}
+WALLED = {"humans": 2, "time_limit": 5.0, "layout": "doorway", "lidar_rays": 12}
 
 
 def assert_same(vector_data: dict, theirs: dict) -> None:
@@ -19,14 +20,17 @@ def assert_same(vector_data: dict, theirs: dict) -> None:
         np.testing.assert_array_equal(vector_data[key], value, err_msg=key)
 
 
-def both(mode: AutoresetMode) -> tuple[GymnasiumVectorEnv, SyncVectorEnv]:
-    sync = SyncVectorEnv([lambda: GymnasiumEnv(**FIELDS)] * E, autoreset_mode=mode)
-    return GymnasiumVectorEnv(E, autoreset_mode=mode, **FIELDS), sync
+def both(mode: AutoresetMode, fields: dict = FIELDS) -> tuple[GymnasiumVectorEnv, SyncVectorEnv]:
+    sync = SyncVectorEnv([lambda: GymnasiumEnv(**fields)] * E, autoreset_mode=mode)
+    return GymnasiumVectorEnv(E, autoreset_mode=mode, **fields), sync
 
 
+@pytest.mark.parametrize("fields", [FIELDS, WALLED], ids=["open", "walled"])
 @pytest.mark.parametrize("mode", AutoresetMode)
-def test_step_by_step_like_a_vector_of_single_environments(mode: AutoresetMode) -> None:
-    vector, sync = both(mode)
+def test_step_by_step_like_a_vector_of_single_environments(
+    mode: AutoresetMode, fields: dict
+) -> None:
+    vector, sync = both(mode, fields)
     assert vector.metadata["autoreset_mode"] is mode
     assert vector.single_observation_space == sync.single_observation_space
     assert vector.action_space == sync.action_space

@@ -7,6 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from mrsan import Scenario, compile_ahead
+from mrsan.kernels import kernel
+
 HELPER = "from mrsan.kernels import function\n\n@function\ndef helper(x):\n    return x + {}\n"
 MIDDLE = "from mrsan.kernels import function\nfrom helper import helper\n\n"
 MIDDLE += "@function\ndef middle(x):\n    return helper(x)\n"
@@ -87,3 +90,26 @@ def test_an_inlined_function_can_be_called_from_python() -> None:
     run = "from mrsan.kernels.contact import closest_approach as f; print(f(1.0, 0.0, 0.0, 1.0))"
     done = subprocess.run([sys.executable, "-c", run], capture_output=True, text=True, check=True)
     assert float(done.stdout) == pytest.approx(0.5**0.5)
+
+
+def test_progress_is_printed_while_kernels_are_compiled(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def start(part: str, scenario: Scenario) -> subprocess.Popen[bytes]:
+        return subprocess.Popen([sys.executable, "-c", "import time; time.sleep(1.5)"])
+
+    monkeypatch.setenv("MRSAN_COMPILE_NOTICE_PRINTED", "1")
+    monkeypatch.setattr(compile_ahead, "_start", start)
+    monkeypatch.setattr(compile_ahead, "_PROGRESS_SECONDS", 0.25)
+    monkeypatch.setattr(compile_ahead, "_USUAL_SECONDS", 0.5)
+    monkeypatch.setattr(kernel, "is_cached", False)
+    with compile_ahead.compile_ahead(Scenario()) as compiles:
+        assert compiles
+    assert capsys.readouterr().err.splitlines()[:2] == [
+        "compiling: 0.25 s of about 0.5 s",
+        "compiling: 0.5 s (about 0.5 s on an idle machine)",
+    ]
+    monkeypatch.setattr(kernel, "is_cached", True)
+    with compile_ahead.compile_ahead(Scenario()) as compiles:
+        assert not compiles
+    assert capsys.readouterr().err == ""

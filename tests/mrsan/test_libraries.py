@@ -14,7 +14,7 @@ from stable_baselines3.common.env_checker import check_env
 from stable_baselines3.common.env_util import make_vec_env
 from torchrl.envs import GymEnv
 
-from mrsan import ConfigurationError, Scenario, World
+from mrsan import ConfigurationError, Layout, Scenario, World
 from mrsan.gymnasium_env import GymnasiumEnv, GymnasiumVectorEnv
 from mrsan.pettingzoo_env import PettingZooEnv
 from mrsan.rendering import Renderer
@@ -93,6 +93,21 @@ def test_the_picture_shows_robots_people_and_goals_where_they_are() -> None:
     assert colour(0.0, 3.0) == [0x8C] * 3
     assert colour(0.5, 3.1) == [0xF0] * 3  # personal space
     assert colour(5.1, 5.1) == [0xFF] * 3
+
+
+def test_a_map_far_from_the_origin_is_drawn_in_the_middle(tmp_path: Path) -> None:
+    """A floor of 10 x 6 m, and 1.5 m around its longer side."""
+    path = tmp_path / "map.yaml"
+    path.write_text("bounds: [[100, 50], [110, 50], [110, 56], [100, 56]]\n")
+    scenario = Scenario(layout=Layout.map, map=str(path), robots=1, humans=0)
+    world = World(scenario)
+    world.reset([0])
+    picture = Renderer("rgb_array", scenario).picture(world)
+    rows, columns = np.nonzero((picture < 0x60).all(-1)[40:])  # below the time
+    half = 512 / 13 * np.array([5, 3])
+    ends = columns.min(), columns.max(), rows.min() + 40, rows.max() + 40
+    expected = 256 - half[0], 256 + half[0], 256 - half[1], 256 + half[1]
+    assert ends == pytest.approx(expected, abs=3)
 
 
 @pytest.mark.parametrize("make", [GymnasiumEnv, PettingZooEnv])

@@ -1,6 +1,7 @@
 """Maps from files: every format, and every way in which a file can be wrong."""
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from mrsan.maps import MapError, load_map
 
 SQUARE = [[0, 0], [1, 0], [1, 1], [0, 1]]
 BOUNDS = [[-5, -5], [5, -5], [5, 5], [-5, 5]]
+U_SHAPE = [[-5, -5], [5, -5], [5, 5], [2, 5], [2, -2], [-2, -2], [-2, 5], [-5, 5]]
 
 
 def written(tmp_path: Path, content: Any, name: str = "map.yaml") -> Path:
@@ -72,6 +74,10 @@ def test_geojson(tmp_path: Path) -> None:
         ({"obstacles": [[[0, 0], [1, 1], [1, 0], [0, 1]]]}, "intersects itself"),
         ({"walls": [[[0, 0]]]}, "walls[0]"),
         ({"bounds": BOUNDS, "walls": [[[0, 0], [6, 0]]]}, "[6.0, 0.0]"),
+        ({"bounds": U_SHAPE, "walls": [[[-3, 0], [3, 0]]]}, "[-3.0, 0.0] to [3.0, 0.0]"),
+        ({"bounds": U_SHAPE, "walls": [[[-2, 3], [2, 3]]]}, "[-2.0, 3.0] to [2.0, 3.0]"),
+        ({"bounds": U_SHAPE, "walls": [[[-2, -2], [3, 5]]]}, "[-2.0, -2.0] to [3.0, 5.0]"),
+        ({"bounds": U_SHAPE, "obstacles": [[[-3, 0], [0, -3], [3, 0]]]}, "to [0.0, -3.0]"),
         ({"scale": -1, "obstacles": [SQUARE]}, "scale is -1"),
         ({}, "no polygon"),
         ({"walls": [[[k, 0], [k, 1]] for k in range(129)]}, "258"),
@@ -87,6 +93,44 @@ def test_mistakes_are_named(tmp_path: Path, content: Any, named: str) -> None:
     assert str(error.value).startswith(str(path))
     assert named in str(error.value)
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("content", "named"),
+    [
+        ({"type": "FeatureCollection", "features": None}, "features is None"),
+        ({"type": "FeatureCollection"}, "features is None"),
+        ({"type": "FeatureCollection", "features": [3]}, "features[0] is 3"),
+        (
+            {"type": "Polygon", "coordinates": [SQUARE]},
+            "features[0].0 has the ring [[0, 0], ",
+        ),
+        ({"type": "Polygon", "coordinates": [3]}, "features[0].0 has the ring 3"),
+        (
+            {"type": "MultiPolygon", "coordinates": [[[*SQUARE, SQUARE[0]]], [SQUARE]]},
+            "features[0].1 has the ring",
+        ),
+    ],
+)
+def test_mistakes_in_geojson_are_named(tmp_path: Path, content: Any, named: str) -> None:
+    with pytest.raises(MapError, match=re.escape(named)) as error:
+        load_map(written(tmp_path, content, "map.geojson"))
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    "inside",
+    [
+        {"walls": [[[-2, 5], [-2, -2], [2, -2], [2, 5]]]},  # along the notch
+        {"walls": [[[-5, -4], [5, -4]]]},  # from border to border
+        {"walls": [[[-5, 1], [-2, -2], [0, -5]]]},  # touches a corner
+        {"walls": [[[-3, -2], [3, -3]]]},  # passes below the notch
+        {"obstacles": [[[-2, -2], [2, -2], [0, -4]]]},  # shares a side
+    ],
+)
+def test_polygons_may_touch_the_bounds(tmp_path: Path, inside: dict[str, Any]) -> None:
+    polygons = load_map(written(tmp_path, {"bounds": U_SHAPE, **inside}))
+    assert len(polygons) > 1
 
 
 def test_a_missing_file_is_named_by_the_scenario(tmp_path: Path) -> None:

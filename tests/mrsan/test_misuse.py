@@ -1,6 +1,8 @@
 """What a user of the Python API gets wrong is said, not guessed at."""
 
 import dataclasses
+import inspect
+from functools import partial
 from typing import Any
 
 import gymnasium
@@ -58,6 +60,14 @@ def test_rewards_and_places_may_be_mappings_of_their_fields() -> None:
     ):
         with pytest.raises(ConfigurationError, match=message):
             Scenario(reward=wrong)
+
+
+def test_a_scenario_suggests_the_field_that_is_meant() -> None:
+    wrong: Any = {"dt": 0.1}
+    for make in (Scenario, partial(dataclasses.replace, Scenario())):
+        with pytest.raises(TypeError, match=r"argument 'dt' \(0\.1\); did you mean time_step\?"):
+            make(**wrong)
+    assert list(inspect.signature(Scenario).parameters)[:3] == ["name", "robots", "humans"]
 
 
 def test_a_mode_of_rendering_that_is_not_there() -> None:

@@ -319,6 +319,8 @@ def test_a_snapshot_restores_the_place() -> None:
         ({"map": "some.yaml"}, "scenario.map"),
         ({"layout": Layout.map}, "scenario.map"),
         ({"layout": Layout.rooms, "arena_radius": 9.0}, "scenario.arena_radius"),
+        ({"layout": Layout.rooms, "crowd": "recorded"}, "scenario.layout is rooms"),
+        ({"layout": "map", "map": "some.yaml", "crowd": "recorded"}, "scenario.layout is map"),
         ({"place": Place(door_width_min=3.0)}, "scenario.place.door_width_min"),
         ({"place": 3}, "scenario.place"),
         ({"lidar_rays": -1}, "scenario.lidar_rays"),

@@ -1,6 +1,7 @@
 """A whole step of the compiled world against its slow float64 twin, on random worlds."""
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -8,7 +9,7 @@ import oracle
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from mrsan import Crowd, Kinematics, Outcome, Reward, Scenario, World
+from mrsan import Crowd, Kinematics, Layout, Outcome, Reward, Scenario, World
 from mrsan.kernels.tally import TALLY
 
 TOLERANCE = 2e-4
@@ -45,6 +46,11 @@ SCENARIOS = st.builds(
         time=st.sampled_from([0.0, -0.5]),
     ),
 )
+# People stand: the twin knows walls as what robots touch, not as what people walk around.
+AMONG_WALLS = SCENARIOS.map(
+    lambda scenario: replace(scenario, layout=Layout.doorway, crowd=Crowd.still, arena_radius=None)
+)
+ROOMS = st.sampled_from([1.5, 3.0, 5.5])
 
 
 def scatter(world: World, seed: int, room: float) -> np.ndarray:
@@ -112,16 +118,26 @@ def check_goals(before: dict[str, Any], after: dict[str, Any], scenario: Scenari
             assert np.hypot(*(after["human_goal"][j] - here)) > scenario.goal_distance - 1e-4
 
 
-@given(SCENARIOS, SEEDS, st.sampled_from([1.5, 3.0, 5.5]))
+@given(SCENARIOS, SEEDS, ROOMS)
 @settings(max_examples=400)
 def test_a_step_is_the_twins_step(scenario: Scenario, seed: int, room: float) -> None:
+    check_step(scenario, seed, room)
+
+
+@given(AMONG_WALLS, SEEDS, ROOMS)
+@settings(max_examples=200)
+def test_a_step_among_walls_is_the_twins_step(scenario: Scenario, seed: int, room: float) -> None:
+    check_step(scenario, seed, room)
+
+
+def check_step(scenario: Scenario, seed: int, room: float) -> None:
     world = World(scenario)
     actions = scatter(world, seed, room)
     before = oracle.snapshot(world.state)
     step = world.step(actions)
     after = oracle.snapshot(world.state)
     assume(well_conditioned(before, after["human_goal"], scenario))
-    expected = oracle.step(before, after["human_goal"], actions[0], scenario)
+    expected = oracle.step(before, after["human_goal"], actions[0], scenario, after["route_left"])
     assume(expected.margin.smallest > THRESHOLD_MARGIN)
 
     check_goals(before, after, scenario)
@@ -143,16 +159,28 @@ def test_a_step_is_the_twins_step(scenario: Scenario, seed: int, room: float) ->
     np.testing.assert_allclose(step.reward[0], expected.reward, rtol=0, atol=5e-3)
 
 
-@given(SCENARIOS, SEEDS, st.sampled_from([1.5, 3.0, 5.5]))
+@given(SCENARIOS, SEEDS, ROOMS)
 @settings(max_examples=200)
 def test_a_step_counts_what_the_twin_counts(scenario: Scenario, seed: int, room: float) -> None:
+    check_counts(scenario, seed, room)
+
+
+@given(AMONG_WALLS, SEEDS, ROOMS)
+@settings(max_examples=100)
+def test_a_step_among_walls_counts_what_the_twin_counts(
+    scenario: Scenario, seed: int, room: float
+) -> None:
+    check_counts(scenario, seed, room)
+
+
+def check_counts(scenario: Scenario, seed: int, room: float) -> None:
     world = World(scenario)
     actions = scatter(world, seed, room)
     before = oracle.snapshot(world.state)
     world.step(actions)
     after = oracle.snapshot(world.state)
     assume(well_conditioned(before, after["human_goal"], scenario))
-    expected = oracle.step(before, after["human_goal"], actions[0], scenario)
+    expected = oracle.step(before, after["human_goal"], actions[0], scenario, after["route_left"])
     soonest = oracle.soonest_collisions(after, scenario, expected.margin)
     assume(expected.margin.smallest > THRESHOLD_MARGIN)
 

@@ -13,7 +13,16 @@ from pettingzoo.test import parallel_api_test
 from tensordict import TensorDict
 from torchrl.envs.utils import check_env_specs
 
-from mrsan import ActionError, ConfigurationError, Kinematics, Scenario, Step, TeamPerception, World
+from mrsan import (
+    ActionError,
+    ConfigurationError,
+    Kinematics,
+    Layout,
+    Scenario,
+    Step,
+    TeamPerception,
+    World,
+)
 from mrsan.gymnasium_env import GymnasiumEnv, GymnasiumVectorEnv
 from mrsan.pettingzoo_env import PettingZooEnv
 from mrsan.torchrl_env import TorchRLEnv
@@ -24,6 +33,7 @@ SCENARIOS = {
     "noisy": Scenario(robots=3, humans=4, fov_degrees=90.0, position_noise=0.1),
     "told": Scenario(robots=3, humans=4, fov_degrees=90.0, team_perception=TeamPerception.tracks),
     "unicycles": Scenario(robots=2, humans=0, kinematics=Kinematics.unicycle),
+    "walled": Scenario(robots=2, humans=4, layout=Layout.doorway, lidar_rays=12),
 }
 
 

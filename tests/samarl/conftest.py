@@ -13,7 +13,7 @@ from tests.small import small_policy
 
 @pytest.fixture(scope="session")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A report of a table, a run of two seeds and one of one, two sweeps and a policy."""
+    """A report of a table, a run of two seeds and two of one, two sweeps and a policy."""
     folder = tmp_path_factory.mktemp("report")
     results = folder / "results"
     for name in ("curves", "sweeps", "checkpoints"):
@@ -31,7 +31,8 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
         for noise in (0.1, 0.2)
     ]
     (results / "sweeps/noise.json").write_text(json.dumps(noisy))
-    for name, value in (("fast_seed0", 0.5), ("fast_seed1", 0.7), ("slow", 0.2)):
+    curves = {"fast_seed0": 0.5, "fast_seed1": 0.7, "slow": 0.2, "ablation_graph": 0.1}
+    for name, value in curves.items():
         lines = [f"{1000 * k},{k},{value},{value if k % 2 else ''},{value}" for k in range(1, 6)]
         header = "steps,seconds,charts/success,validation/success_90_10h_3r,losses/macro_critic"
         (results / f"curves/{name}.csv").write_text("\n".join([header, *lines]))

@@ -1,20 +1,24 @@
 """Rows of a table: their commands and their sensitivity to regressions."""
 
+import re
 import sys
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import torch
+from PIL import Image
 
 from mrsan import Crowd, Reward, Scenario, Split
 from samarl.commands.bench import _command, _row, _Task, main
 from samarl.configuration import load_agent_config
 from samarl.evaluation.regression import compare
 from samarl.evaluation.runner import Evaluation
+from samarl.evaluation.seeds import improvements
 from samarl.evaluation.summary import Row, read_rows
-from samarl.files import find_folder
+from samarl.files import find_folder, write_json
 from samarl.policies.checkpoint import find_policy, load_policy, save_policy
+from samarl.report.improvement import draw_improvements
 
 
 def test_the_command_names_all_changed_fields() -> None:
@@ -64,6 +68,33 @@ def test_rows_with_fewer_cases_are_not_merged(
     error = capsys.readouterr().err
     assert "the row of straight must have at least the 3 cases" in error
     assert path.read_bytes() == before
+
+
+def test_a_page_is_written_again_with_its_figure(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    path = tmp_path / "mine/table1.json"
+    rows = [row for row in committed() if row["method"] in ("orca", "samarl", "cadrl_narrow")]
+    write_json(path, rows)
+    before = path.read_bytes()
+    monkeypatch.setattr("samarl.commands.bench._run", lambda *_: pytest.fail("played"))
+    played(monkeypatch, "agents=[]", "merge=true")
+    assert path.read_bytes() == before
+    page = path.with_suffix(".md").read_text()
+    assert "](table1_improvement.png)" in page
+    with Image.open(tmp_path / "mine/table1_improvement.png") as image:
+        assert 900 < image.width < 1100  # pixels, which fit in a page
+    (success, _) = draw_improvements(improvements(rows, ["samarl"])).axes[:2]
+    assert success.get_title(loc="left") == "Success"
+    assert [label.get_text() for label in success.get_yticklabels()] == ["cadrl_narrow (3 seeds)"]
+    # Only two columns have been played by both.
+    values = [text.get_text() for text in success.texts if text.get_text() != "samarl"]
+    assert values == re.findall(r"([\d.]+) \[", page.split("Success:")[1].split("Social")[0])
+    assert len(values) == 2
+    with pytest.raises(SystemExit):
+        played(monkeypatch, "agents=[]")
+    assert "agents is empty; it must name at least one" in capsys.readouterr().err
 
 
 def committed() -> list[Row]:

@@ -250,6 +250,7 @@ def test_names_of_other_simulators_are_understood(name: str, field: str) -> None
         ("bench", "agents={a: 3}", "agents is '{a: 3}'; it must be a list"),
         ("bench", "frame_seconds=[5]", "frame_seconds is '[5]'; it must be a mapping"),
         ("bench", "frame_seconds={a: x}", "frame_seconds.a is 'x'; it must be a number"),
+        ("train", "experiment=nope", "experiment is 'nope', which does not exist; it must be"),
         ("train", "++encoder=gru", "encoder is a group; write encoder=NAME without +"),
         ("config", "scenario.reward={1: 2}", "scenario.reward.1 is not known; "),
     ],

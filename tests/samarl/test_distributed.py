@@ -6,7 +6,6 @@ import multiprocessing
 import os
 import signal
 import socket
-import subprocess
 import sys
 import time
 from collections.abc import Callable
@@ -33,6 +32,7 @@ from samarl.training.config import TrainerConfig
 from samarl.training.curriculum import CurriculumStage
 from samarl.training.run_dir import LAST, STATE, read_progress
 from samarl.training.trainer import Trainer
+from tests.commands import run_module
 from tests.learning import (
     PPO_NUMBERS,
     REPPO_NUMBERS,
@@ -309,11 +309,10 @@ def test_numbers_that_cannot_be_divided_are_refused(monkeypatch: pytest.MonkeyPa
 
 
 def test_a_command_starts_its_own_processes(tmp_path: Path) -> None:
-    arguments = [*COMMAND[1:], "trainer.processes=2", "trainer.steps=64"]
-    command = [sys.executable, "-m", "samarl.commands.train", *arguments]
+    arguments = [*COMMAND[1:], "trainer.processes=2"]
     for steps in (64, 96):  # the second continues the run of the first
-        command[-1] = f"trainer.steps={steps}"
-        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+        words = [*arguments, f"trainer.steps={steps}"]
+        done = run_module("samarl.commands.train", *words, cwd=tmp_path)
         assert done.returncode == 0, done.stderr
         assert done.stdout.count("written to run") == 1
         assert read_progress(tmp_path / "run")["steps_done"] == steps

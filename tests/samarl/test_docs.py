@@ -19,6 +19,7 @@ from samarl.evaluation.metrics import metric_fields
 from samarl.evaluation.summary import read_rows
 from samarl.files import find_folder
 from samarl.planning.shield import DIRECTIONS, Shield
+from tests.commands import run_module
 
 DOCS = Path(__file__).parents[2] / "docs"
 SMALL = {
@@ -52,18 +53,14 @@ def run(text: str, folder: Path) -> str:
     output = ""
     for line in block(text, "console").splitlines():
         program, *arguments = shlex.split(line.removeprefix("$ "))
-        command = [sys.executable, "-m", program.replace("samarl-", "samarl.commands.")]
-        if program == "python":
-            command = [sys.executable]
         argument_names = {argument.partition("=")[0] for argument in arguments}
         small = [s for s in SMALL.get(program, []) if s.partition("=")[0] not in argument_names]
-        done = subprocess.run(
-            [*command, *arguments, *small],
-            cwd=folder,
-            capture_output=True,
-            text=True,
-            timeout=240,
-        )
+        if program == "python":
+            command = [sys.executable, *arguments]
+            done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=240)
+        else:
+            module = program.replace("samarl-", "samarl.commands.")
+            done = run_module(module, *arguments, *small, cwd=folder)
         assert done.returncode == 0, done.stderr
         output += done.stdout
     return output
@@ -133,12 +130,7 @@ def test_an_encoder_of_your_own(tmp_path: Path) -> None:
     (tmp_path / "my_encoder.py").write_text(block(text, "python"))
     assert "| samarl " in run(text, tmp_path)
     checkpoint = "checkpoint=outputs/deep_sets/last.safetensors"
-    done = subprocess.run(
-        [sys.executable, "-m", "samarl.commands.evaluate", "agent=samarl", checkpoint],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-    )
+    done = run_module("samarl.commands.evaluate", "agent=samarl", checkpoint, cwd=tmp_path)
     assert done.returncode == 2  # plugins are imported only on request
     assert "encoder.name is 'deep_sets'; it must be one of gru, pairwise, set_pool" in done.stderr
 

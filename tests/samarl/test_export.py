@@ -3,8 +3,6 @@
 import copy
 import dataclasses
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +11,7 @@ import pytest
 
 from mrsan import ConfigurationError, Observation, Scenario, World
 from mrsan.parameters import kernel_parameters
+from mrsan.place_shapes import polygons_of
 from samarl.agents import Agent, build_agent
 from samarl.agents.learned import Learned
 from samarl.agents.shielded import Shielded
@@ -24,10 +23,11 @@ from samarl.planning.velocity_control import action_to_motion
 from samarl.policies.checkpoint import save_policy
 from samarl.policies.flat import FlatPolicy
 from samarl.policies.policy import POLICIES, Policy
-from samarl.runtime import Command, Driver
+from samarl.runtime import Command, Driver, KnownMap
 from samarl.runtime.network import Network
 from samarl.runtime.simulation import as_seen, sensor_readings, walls_in_view
 from tests import learning
+from tests.commands import run_module
 
 SAME = 1e-4
 
@@ -178,7 +178,7 @@ PLACE = Scenario(layout="doorway", humans=4, robots=2, lidar_rays=24, time_limit
 def test_walls_are_observed_on_a_robot_as_in_the_simulator(
     policy: str, encoder: str, observes_walls: bool, changes: dict[str, bool], tmp_path: Path
 ) -> None:
-    """With the shield, which keeps clear of walls; decided from walls in the frame of the map."""
+    """With the shield, which keeps clear of walls. One robot has a map, the other sees walls."""
     place = PLACE if observes_walls else None
     trained = learning.policy(policy, encoder, 100.0, place, **changes)
     agent = Shielded(PLACE, agent_of(trained, policy, tmp_path, PLACE), Shield(track_time=2.0))
@@ -192,12 +192,13 @@ def test_walls_are_observed_on_a_robot_as_in_the_simulator(
         agent.reset(np.ones(1, np.bool_))
         for driver in team:
             driver.reset()
+        known = KnownMap(polygons_of(world.state, 0))
         for step in range(20):
             action = agent.act(observation)
             commands = []
             for robot, driver in enumerate(team):
                 own, people = as_seen(observation, robot)
-                walls = walls_in_view(observation, own, robot)
+                walls = known if robot == 0 else walls_in_view(observation, own, robot)
                 lidar = sensor_readings(observation, robot) if observes_walls else None
                 commands.append(driver.step(own, people, 0.25 * step, lidar, walls))
             assert different(commands, action, observation, PLACE) == []
@@ -285,8 +286,7 @@ def test_a_wrong_translation_is_not_written(
 
 
 def test_a_mistake_on_the_command_line_ends_in_one_line(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "samarl.commands.export", "output=policy.pt"]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+    done = run_module("samarl.commands.export", "output=policy.pt", cwd=tmp_path)
     assert done.returncode == 2
     assert re.fullmatch(r"error: output .*policy\.pt.*\.onnx\n", done.stderr)
     assert list(tmp_path.iterdir()) == []

@@ -311,6 +311,7 @@ def test_every_malformed_configuration_ends_in_one_line(
             ["agent.shield.horizn=1"],
             "horizn is not known; did you mean agent.shield.horizon?",
         ),
+        (["agent.shild=false"], "agent.shild is not known; did you mean agent.shield?"),
         (["robots=3"], "robots is not known; did you mean scenario.robots?"),
         (["scenario.human=5"], "scenario.human is not known; did you mean scenario.humans?"),
         (["scenario.dt=0.1"], "scenario.dt is not known; did you mean scenario.time_step?"),

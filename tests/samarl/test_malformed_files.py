@@ -61,7 +61,7 @@ def test_policies_with_nan_or_implausible_sizes_are_refused(tmp_path: Path) -> N
     ("column", "message"),
     [
         (float("inf"), "crowds has inf; it must map fields of a scenario"),
-        ("0x10", "crowds has '0x10'; it must map fields of a scenario"),
+        ("0x10", "crowds: there is no scenario '0x10'"),
         ({"sensing_range": 10**400}, "crowds contains .*too large"),
         ({"scenario": [1]}, r"crowds: there is no scenario '\[1\]'; it must be one of 10p3r,"),
     ],

@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from mrsan import ConfigurationError, TeamPerception, World
+from samarl.agents.learned import DeployedPolicy
 from samarl.algorithms import ALGORITHMS
 from samarl.observations.features import NETWORK_OTHER_FEATURES, to_body
 from samarl.policies.heads import ModeAndOffset
@@ -165,6 +166,25 @@ def test_robots_observe_the_intent_of_team_mates_only_with_team_perception() -> 
                 seen = decode_waypoint(intent[:, 1])
                 np.testing.assert_allclose(seen, ahead, atol=1e-5)
             observation, begins = world.step(decision.action).observation, np.zeros(2, np.bool_)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("team_range", 4.0), ("team_delay", 0.5), ("team_loss", 0.25)]
+)
+def test_limits_of_reports_are_refused_where_intent_would_ignore_them(
+    name: str, value: float
+) -> None:
+    talking = replace(OPEN, team_perception=TeamPerception.tracks)
+    limited = replace(talking, **{name: value})
+    model = policy(modes=True, observes_intent=True)
+    for scenario in (talking, replace(OPEN, **{name: value})):
+        DeployedPolicy(model, scenario)
+    DeployedPolicy(policy(modes=True), limited)
+    message = rf"scenario\.{name} is {value}; .*observes_intent"
+    with pytest.raises(ConfigurationError, match=message):
+        DeployedPolicy(model, limited)
+    with pytest.raises(ConfigurationError, match=message):
+        collector(model, 1, 4, limited)
 
 
 def test_reppo_refuses_policies_with_modes() -> None:

@@ -65,6 +65,8 @@ def test_a_stage_may_name_its_scenario() -> None:
     task = load_scenario("10p3r")
     assert named.scenario == replace(task, humans=4, reward=replace(task.reward, time=-0.5))
     assert unnamed.scenario == Scenario()
+    (named,) = stages("curriculum.stages=[{worlds: 8, scenario: 10p3r}]")
+    assert named.scenario == task
     first, *others = stages("curriculum.stages.0.scenario.fov_degrees=90")
     assert first.scenario == Scenario(humans_min=0, fov_degrees=90.0)
     assert others == stages()[1:]
@@ -85,8 +87,12 @@ def test_a_stage_may_name_its_scenario() -> None:
             r"curriculum\.stages\[1\]\.scenario: fov is not known; did you mean fov_degrees",
         ),
         (
-            ["curriculum.stages=[{worlds: 8, scenario: mixed}]"],
-            r"curriculum\.stages\[0\]\.scenario has 'mixed'; it must map",
+            ["curriculum.stages=[{worlds: 8, scenario: 10p}]"],
+            r"curriculum\.stages\[0\]\.scenario: .* '10p'; did you mean 10p3r",
+        ),
+        (
+            ["curriculum.stages=[{worlds: 8, scenario: 10}]"],
+            r"curriculum\.stages\[0\]\.scenario has 10; it must map",
         ),
         (["curriculum.stages=[{}]"], r"curriculum\.stages\[0\]\.worlds has no value"),
     ],

@@ -2,20 +2,17 @@
 
 import json
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 from PIL import Image
 
 from benchmarks.physics import AGENTS, HARDER, PAPER_INTRUSIONS, Run, all_runs, engines_of, page
+from tests.commands import run_module
 
 
 def run(command: str, *words: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    module = f"samarl.commands.{command}"
-    return subprocess.run(
-        [sys.executable, "-m", module, *words], cwd=cwd, capture_output=True, text=True, timeout=500
-    )
+    return run_module(f"samarl.commands.{command}", *words, cwd=cwd, timeout=500)
 
 
 def test_a_row_names_its_engine_and_how_well_robots_follow_their_commands(tmp_path: Path) -> None:

@@ -7,6 +7,15 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pytest
+
+from mrsan import Scenario
+from samarl.agents.learned import Learned
+from samarl.agents.shielded import Shielded
+from samarl.export import export_agent
+from samarl.planning.shield import Shield
+from samarl.policies.checkpoint import save_policy
+from tests import learning
 
 ROOT = Path(__file__).resolve().parents[2]
 ROOMS = ("agents", "observations", "planning", "runtime")
@@ -15,7 +24,16 @@ VECTORISED = {  # functions whose last bit differs between NumPy's vector instru
     *("arcsinh", "arccosh", "arctanh", "exp", "exp2", "expm1", "log", "log2", "log10", "log1p"),
     *("power", "float_power", "cbrt"),
 }
-PLANNERS = ("perimeter", "orca", "straight", "social_force", "model_predictive")
+PLANNERS = (
+    "perimeter",
+    "perimeter_shielded",
+    "orca",
+    "straight",
+    "social_force",
+    "model_predictive",
+    "model_predictive_shielded",
+    "model_predictive_recurrent",
+)
 EPISODES = """
 import hashlib
 import sys
@@ -25,30 +43,51 @@ import numpy as np
 from mrsan import Layout, LidarSees, Reward, Scenario, World
 from samarl.agents import build_agent
 from samarl.configuration import load_agent_config
+from samarl.runtime import Detection, Driver, OwnState
 
-CASES = np.arange(12)
+CASES = np.arange(8)
 circle = Scenario(fov_degrees=90.0, position_noise=0.05, reward=Reward(lookahead=1.0))
 doorway = Scenario(layout=Layout.doorway, humans=4, lidar_rays=90, lidar_sees=LidarSees.all)
-for name in sys.argv[1:]:
+exported, *planners = sys.argv[1:]
+for name in planners:
     digest = hashlib.sha256()
     for scenario in (circle, doorway):
         world = World(scenario, len(CASES), auto_reset=False)
         agent = build_agent(load_agent_config(name), scenario)
         observation = world.reset(CASES)
         agent.reset(np.ones(len(CASES), np.bool_))
-        for _ in range(200):
+        for _ in range(40 if name.startswith("model_predictive") else 200):  # it is slow
             step = world.step(agent.act(observation))
             observation = step.observation
             for array in (step.reward, *world.state, *observation.arrays().values()):
                 digest.update(np.ascontiguousarray(array).tobytes())
     print(name, digest.hexdigest())
+driver, digest = Driver.load(exported), hashlib.sha256()
+for k in range(8):
+    people = [Detection(4.0 - 0.3 * k, 3.0, -1.2, 0.2, id="anna"), Detection(5.0, 1.7, -0.4, 0.1)]
+    command = driver.step(OwnState(1.0, 2.0, 0.1, 0.5, 0.3, 6.0, 2.0), people, 0.25 * k)
+    digest.update(command.action.tobytes() + repr(command[1:]).encode())
+print("driver", digest.hexdigest())
 """
 
 
-def digests(**variables: str) -> dict[str, str]:
-    """Return a digest of all states, observations and rewards of some episodes, by planner."""
+@pytest.fixture
+def exported(tmp_path: Path) -> Path:
+    """An exported policy with the shield."""
+    save_policy(tmp_path / "policy.safetensors", learning.policy("flat", gain=100.0), "flat", {})
+    scenario = Scenario(humans=3, robots=2)
+    agent = Learned(scenario, str(tmp_path / "policy.safetensors"))
+    export_agent(tmp_path / "policy.onnx", Shielded(scenario, agent, Shield()), "mine")
+    return tmp_path / "policy.onnx"
+
+
+def digests(exported: Path, **variables: str) -> dict[str, str]:
+    """Return a digest of all states, observations and rewards of some episodes, by planner.
+
+    That of `driver` is of the commands of the runtime's driver with the exported policy.
+    """
     done = subprocess.run(
-        [sys.executable, "-c", EPISODES, *PLANNERS],
+        [sys.executable, "-c", EPISODES, str(exported), *PLANNERS],
         env={**os.environ, "NUMBA_NUM_THREADS": "1", **variables},
         capture_output=True,
         text=True,
@@ -58,11 +97,12 @@ def digests(**variables: str) -> dict[str, str]:
     return dict(line.split() for line in done.stdout.splitlines())  # type: ignore[misc]
 
 
-def test_episodes_do_not_depend_on_vector_instructions() -> None:
+def test_episodes_do_not_depend_on_vector_instructions(exported: Path) -> None:
     extensions = np.show_config(mode="dicts")["SIMD Extensions"]["found"]
-    with_extensions = digests()
-    assert set(with_extensions) == set(PLANNERS)
+    with_extensions = digests(exported)
+    assert set(with_extensions) == {*PLANNERS, "driver"}
     assert with_extensions == digests(
+        exported,
         NPY_DISABLE_CPU_FEATURES=" ".join(extensions),
         GLIBC_TUNABLES="glibc.cpu.hwcaps=-AVX2,-FMA,-AVX512F,-AVX512VL",
     )

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from matplotlib.axes import Axes
 
-from mrsan import CrowdReaction, Groups, Reactions, Scenario, TeamPerception
+from mrsan import CrowdReaction, Groups, Layout, Reactions, Scenario, TeamPerception
 from samarl.agents import build_agent
 from samarl.commands.report import _methods
 from samarl.configuration import available_agents, load_agent_config
@@ -108,7 +108,7 @@ def test_all_results_are_shown(site: Path) -> None:
         "places-recorded-people",
         *(slug(f"views {row['method']}") for row in rows),
     }
-    assert len(list((site / "replays").glob("mine-*.js"))) == 4 * 2
+    assert len(list((site / "replays").glob("mine-*.js"))) == 5 * 2
     assert "position noise" in (site / "figures/noise-90-10h-3r.svg").read_text()
 
 
@@ -130,12 +130,12 @@ def test_methods_are_in_groups_best_first_with_a_description(site: Path) -> None
     shown = re.findall(r'<tr data-name="([^"]+)"><th scope="row">(?!paper)', index)
     assert shown == [line.name for line in ranking]
     groups = {line.name: line.group for line in ranking}
-    assert [*dict.fromkeys(groups.values())] == ["learned", "ablation", "planner"]
-    assert (groups["samarl"], groups["orca"], groups["samarl_flat"]) == (
-        "learned",
-        "planner",
-        "ablation",
-    )
+    assert [*dict.fromkeys(groups.values())] == ["learned", "planner"]
+    assert groups["orca"] == "planner"
+    for name in ("samarl", "samarl_unshielded", "samarl_flat", "samarl_flat_unshielded"):
+        assert groups[name] == "learned", name
+    (ablation,) = ranked([rows[0] | {"method": "samarl_first_waypoint"}])
+    assert ablation.group == "ablation"
     for group in GROUPS:
         order = [(-line.rows.count(None), line.success) for line in ranking if line.group == group]
         assert order == sorted(order, reverse=True)
@@ -332,6 +332,17 @@ def test_a_replay_marks_agents_shared_by_team_mates() -> None:
                 assert now == reported[t, i].tolist()
     alone = as_replay(straight_trajectory())
     assert alone["humansReported"] is alone["robotsReported"] is None
+
+
+def test_a_replay_has_the_ranges_of_the_lidar() -> None:
+    scenario = Scenario(layout=Layout.rooms, humans=2, robots=2, time_limit=1.0, lidar_rays=9)
+    trajectory = record_episode(build_agent(STRAIGHT, scenario), scenario, 3)
+    assert trajectory.lidar is not None
+    lidar = as_replay(trajectory)["lidar"]
+    assert lidar["angles"] == pytest.approx(np.radians(np.arange(9) * 40.0 - 180.0), abs=1e-4)
+    metres = np.transpose(lidar["ranges"], (1, 0, 2)) / 100.0
+    np.testing.assert_allclose(metres, trajectory.lidar, atol=0.0051)
+    assert as_replay(straight_trajectory())["lidar"] is None
 
 
 def test_a_replay_records_groups_and_reactions() -> None:

@@ -99,7 +99,7 @@ def test_a_heading_sorts_its_column_in_every_group(page: Page, site: Path) -> No
     before = page.eval_on_selector_all("tr[data-name]", names)
     heading = page.get_by_role("button", name="360° view, 10 people, 3 robots")
     values = "cells => cells.map(cell => Number(cell.dataset.value))"
-    cells = "tbody:nth-of-type(3) tr[data-name] td:nth-of-type(4)"
+    cells = "tbody:nth-of-type(2) tr[data-name] td:nth-of-type(4)"
     for click, reverse in enumerate((True, False)):
         heading.click()
         numbers = page.eval_on_selector_all(cells, values)
@@ -112,6 +112,10 @@ def test_the_reader_chooses_the_runs_of_the_chart(page: Page, site: Path) -> Non
     page.goto((site / "curves.html").as_uri())
     runs = "shapes => shapes.map(shape => shape.dataset.run)"
     assert page.eval_on_selector_all("#chart [data-run]", runs) == ["fast", "slow"]
+    ablation = page.get_by_label("ablation_graph (1 seed)")
+    ablation.check()
+    assert page.locator("#chart [data-run]").count() == 3
+    ablation.uncheck()
     page.get_by_label("fast (2 seeds)").uncheck()
     assert page.eval_on_selector_all("#chart [data-run]", runs) == ["slow"]
     page.locator("#quantity").select_option("losses: macro critic")
@@ -120,6 +124,23 @@ def test_the_reader_chooses_the_runs_of_the_chart(page: Page, site: Path) -> Non
     assert page.locator("#chart [data-run]").count() == 0
     page.click("#all")
     assert page.locator("#chart .band").count() == 1  # the range of the two seeds
+
+
+def test_the_chart_gives_the_values_under_the_cursor(page: Page, site: Path) -> None:
+    page.goto((site / "curves.html").as_uri())
+    box = page.locator("#chart").bounding_box()
+    assert box
+    page.mouse.move(box["x"] + box["width"] - 16, box["y"] + 100)  # at the last step
+    assert page.inner_text("#readout").split("\n") == [
+        "5k steps, success %:",
+        "fast 60",  # the mean of 50 and 70
+        "slow 20",
+    ]
+    page.mouse.move(box["x"] + 60 + (box["width"] - 75) / 2, box["y"] + 100)
+    assert page.inner_text("#readout").startswith("2.5k steps")
+    assert page.get_attribute("#chart .cursor", "visibility") == "visible"
+    page.mouse.move(box["x"], box["y"] - 20)
+    assert page.inner_text("#readout") == "Point at the chart to read its values."
 
 
 @pytest.mark.parametrize("size", [(1366, 768), (1200, 900)])
@@ -202,6 +223,25 @@ def test_the_viewer_shows_what_the_selected_robot_sees(page: Page, site: Path) -
     page.wait_for_selector("h2:text('mine')")
     assert "Attends to" in page.inner_text(".sight >> nth=0")
     assert "left=mine" in page.evaluate("location.hash")
+
+
+def test_the_rays_of_the_lidar_can_be_hidden(page: Page, site: Path) -> None:
+    column = "360°+view,+8+humans,+3+robots,+rooms+lidar+rays+72+robots+visible"
+    show(page, site, f"column={column}&case=test+case+0&left=straight&right=")
+    canvas, rays = page.locator("canvas").first, page.locator("#rays")
+    assert rays.is_checked()
+    with_rays = canvas.screenshot()
+    rays.uncheck()
+    without = canvas.screenshot()
+    assert without != with_rays
+    page.keyboard.press("1")  # the rays are those of the selected robot
+    assert canvas.screenshot() != without
+    page.keyboard.press("0")
+    assert canvas.screenshot() == without
+    rays.check()
+    assert canvas.screenshot() == with_rays
+    page.locator("#column").select_option("90° view, 10 humans, 3 robots")
+    page.wait_for_function("document.getElementById('raysLabel').hidden")  # there is no lidar
 
 
 def test_the_page_works_by_keyboard_alone(page: Page, site: Path) -> None:

@@ -9,13 +9,14 @@ import pytest
 import shapely
 
 from mrsan import Scenario, World
+from mrsan.place_shapes import polygons_of
 from samarl.agents.learned import Learned
 from samarl.agents.shielded import Shielded
 from samarl.export import export_agent
 from samarl.planning.shield import Shield
 from samarl.policies.checkpoint import save_policy
 from samarl.runtime import Driver, InputError, KnownMap, OwnState, walls_of_scan
-from samarl.runtime.simulation import as_seen
+from samarl.runtime.simulation import as_seen, walls_in_view
 from tests import learning
 
 BOUNDS = np.array([(-6, -4), (-6, 4), (6, 4), (6, -4)], float)  # clockwise
@@ -59,6 +60,25 @@ def test_the_walls_of_a_scan_are_those_of_the_room() -> None:
         assert piece.hausdorff_distance(piece.intersection(lines.buffer(0.15))) < 0.15
     assert sum(piece.length for piece in pieces) > 20.0
     assert walls_of_scan([np.inf, np.nan, 8.0], [0.0, 0.1, 0.2], own, 8.0).shape == (0, 4)
+
+
+@pytest.mark.parametrize("layout", ["doorway", "rooms"])
+def test_walls_of_a_map_face_the_robot_as_in_the_simulator(layout: str) -> None:
+    """Also where a thick wall has its far side in range: that is not floor."""
+    place = {"wall_thickness_min": 0.8}
+    scenario = Scenario(layout=layout, place=place, humans=0, nearest_walls=64, sensing_range=1e3)
+    world = World(scenario, 8)
+    observation = world.reset(range(8))
+    far_sides = 0
+    for case in range(8):
+        known = KnownMap(polygons_of(world.state, case))
+        for robot in range(scenario.robots):
+            own, _ = as_seen(observation, robot, case)
+            facing, seen = known.facing(own), walls_in_view(observation, own, robot, case)
+            far_sides += len(known.walls) - len(facing)
+            in_order = facing[np.lexsort(facing.round(3).T)]
+            np.testing.assert_allclose(in_order, seen[np.lexsort(seen.round(3).T)], atol=1e-4)
+    assert far_sides > 0
 
 
 @pytest.fixture(scope="module")

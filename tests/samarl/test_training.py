@@ -25,6 +25,7 @@ from samarl.policies.checkpoint import FORMAT, load_policy, save_policy
 from samarl.policies.policy import LOCAL
 from samarl.training.setup import load_initial_weights
 from samarl.training.trainer import Trainer
+from tests.commands import run_module
 from tests.learning import policy
 
 SMALL = [
@@ -47,11 +48,11 @@ SMALL = [
 ]
 
 
-def start(folder: Path, *more: str) -> subprocess.Popen[str]:
-    return start_with(folder, *SMALL, *more)
+def train(folder: Path, *overrides: str) -> subprocess.CompletedProcess[str]:
+    return run_module("samarl.commands.train", *overrides, cwd=folder)
 
 
-def start_with(folder: Path, *overrides: str) -> subprocess.Popen[str]:
+def start(folder: Path, *overrides: str) -> subprocess.Popen[str]:
     environment = os.environ | {"NUMBA_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
     return subprocess.Popen(
         [sys.executable, "-m", "samarl.commands.train", *overrides],
@@ -73,9 +74,9 @@ def test_a_killed_run_goes_on_bit_for_bit(tmp_path: Path) -> None:
     whole, cut = tmp_path / "whole", tmp_path / "cut"
     whole.mkdir()
     cut.mkdir()
-    process = start(whole)
-    assert process.wait(timeout=240) == 0, process.stderr and process.stderr.read()
-    process = start(cut)
+    done = train(whole, *SMALL)
+    assert done.returncode == 0, done.stderr
+    process = start(cut, *SMALL)
     deadline = time.monotonic() + 240
     while not (cut / "run/state.safetensors").exists():
         assert process.poll() is None
@@ -85,13 +86,10 @@ def test_a_killed_run_goes_on_bit_for_bit(tmp_path: Path) -> None:
     process.wait()
     copy = tmp_path / "copy"
     shutil.copytree(cut, copy)
-    for folder, process in (
-        (cut, start(cut)),
-        (copy, start_with(copy, "resume=run", "trainer.threads=1")),
-    ):
-        said, errors = process.communicate(timeout=240)
-        assert process.returncode == 0, errors
-        assert re.search(r"at step \d+ of \d+", said)
+    for folder, words in ((cut, SMALL), (copy, ["resume=run", "trainer.threads=1"])):
+        done = train(folder, *words)
+        assert done.returncode == 0, done.stderr
+        assert re.search(r"at step \d+ of \d+", done.stdout)
         for which in ("last", "best"):
             name = f"run/{which}.safetensors"
             assert (whole / name).read_bytes() == (folder / name).read_bytes()
@@ -113,17 +111,15 @@ def test_a_killed_run_goes_on_bit_for_bit(tmp_path: Path) -> None:
     events = EventAccumulator(str(cut / "run/tensorboard")).Reload()
     assert [event.step for event in events.Scalars("charts/success")] == list(range(128, 1025, 128))
 
-    process = start_with(whole, "resume=run", "trainer.steps=1152")  # a finished run may go on
-    said, errors = process.communicate(timeout=240)
-    assert process.returncode == 0, errors
-    assert "at step 1024 of 1152" in said
+    done = train(whole, "resume=run", "trainer.steps=1152")  # a finished run may go on
+    assert done.returncode == 0, done.stderr
+    assert "at step 1024 of 1152" in done.stdout
 
-    process = start(cut, "algorithm.epochs=3")  # another run may not go on in this folder
-    _, errors = process.communicate(timeout=240)
-    assert process.returncode == 2
-    assert re.match(r"error: algorithm\.epochs .*3", errors)
-    assert "resume=run" in errors
-    assert errors.count("\n") == 1
+    done = train(cut, *SMALL, "algorithm.epochs=3")  # another run may not go on in this folder
+    assert done.returncode == 2
+    assert re.match(r"error: algorithm\.epochs .*3", done.stderr)
+    assert "resume=run" in done.stderr
+    assert done.stderr.count("\n") == 1
 
 
 @pytest.mark.parametrize(
@@ -136,17 +132,16 @@ def test_a_killed_run_goes_on_bit_for_bit(tmp_path: Path) -> None:
 def test_a_run_that_cannot_be_resumed_is_refused(
     overrides: list[str], message: str, tmp_path: Path
 ) -> None:
-    process = start_with(tmp_path, *overrides)
-    _, errors = process.communicate(timeout=240)
-    assert process.returncode == 2
-    assert re.search(message, errors)
-    assert errors.count("\n") == 1
+    done = train(tmp_path, *overrides)
+    assert done.returncode == 2
+    assert re.search(message, done.stderr)
+    assert done.stderr.count("\n") == 1
     assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
 def test_a_stopped_run_saves_and_says_so_in_one_line(how: signal.Signals, tmp_path: Path) -> None:
-    process = start(tmp_path, "trainer.steps=1000000", "trainer.save_every=1000000")
+    process = start(tmp_path, *SMALL, "trainer.steps=1000000", "trainer.save_every=1000000")
     curve = tmp_path / "run/tensorboard"
     deadline = time.monotonic() + 240
     while not curve.exists() or not list(curve.iterdir()):

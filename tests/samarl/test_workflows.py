@@ -14,6 +14,7 @@ import mrsan
 import samarl
 from mrsan import Outcome
 from samarl.evaluation.summary import row_fields
+from tests.commands import run_module
 
 COMMANDS = ("evaluate", "bench", "render", "record", "report", "predictor", "export")
 
@@ -22,15 +23,7 @@ def run(
     command: str, *arguments: str, cwd: Path, code: int = 0, **variables: str
 ) -> subprocess.CompletedProcess[str]:
     """Run `python -m samarl.commands.<command> <arguments>` and check its exit code."""
-    environment = os.environ | {"NUMBA_NUM_THREADS": "1", "COLUMNS": "200", **variables}
-    environment.pop("HYDRA_FULL_ERROR", None)
-    done = subprocess.run(
-        [sys.executable, "-m", f"samarl.commands.{command}", *arguments],
-        cwd=cwd,
-        env=environment,
-        capture_output=True,
-        text=True,
-    )
+    done = run_module(f"samarl.commands.{command}", *arguments, cwd=cwd, COLUMNS="200", **variables)
     assert done.returncode == code, done.stderr
     return done
 
@@ -389,13 +382,13 @@ def test_a_policy_outside_of_its_views_prints_a_warning(tmp_path: Path) -> None:
 
 
 def test_an_ascii_terminal_is_enough(tmp_path: Path) -> None:
-    done = run(
-        "evaluate",
-        "agent=straight",
-        "evaluation.cases=2",
-        "hydra.run.dir=here",
+    words = ["agent=straight", "evaluation.cases=2", "hydra.run.dir=here"]
+    done = subprocess.run(
+        [sys.executable, "-m", "samarl.commands.evaluate", *words],
         cwd=tmp_path,
-        PYTHONIOENCODING="ascii",
+        env=os.environ | {"PYTHONIOENCODING": "ascii"},
+        capture_output=True,
+        text=True,
     )
     assert "| straight | 360? |" in done.stdout
 

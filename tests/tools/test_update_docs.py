@@ -4,9 +4,10 @@ import json
 from pathlib import Path
 
 import pytest
+import yaml
 
 from samarl.evaluation.summary import read_rows
-from tools.doc_tables import TABLES
+from tools.doc_tables import METHODS, TABLES
 from tools.figures import figure
 from tools.update_docs import fill, pages, update_docs, without_marks
 
@@ -110,3 +111,8 @@ def test_the_headline_table_has_eight_rows_without_empty_cells() -> None:
     narrow, wide = lines[-1][1], lines[-1][4]  # SAMARL: 90° and 360°, three robots
     assert wide == figure(["table1", "samarl", "360/10/3", "both"])
     assert narrow == figure(["table1", "samarl", "90/10/3", "both"])
+
+
+def test_make_bench_plays_the_rows_of_the_readme() -> None:
+    table = yaml.safe_load((ROOT / "conf/table/table1.yaml").read_text())
+    assert set(table["headline"]) == {agent for _, *agents in METHODS for agent in agents}

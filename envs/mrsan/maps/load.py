@@ -101,7 +101,9 @@ def _yaml_parts(content: Any) -> Parts:
 def _geojson_parts(content: Any) -> Parts:
     parts: Parts = {"bounds": {}, "obstacles": {}, "walls": {}}
     if isinstance(content, dict) and content.get("type") == "FeatureCollection":
-        features = content.get("features", [])
+        features = content.get("features")
+        if not isinstance(features, list):
+            raise MapError(f"features is {features!r:.60}; it must be a list of features")
     else:
         features = [content]
     for number, feature in enumerate(features):
@@ -131,6 +133,8 @@ def _add_geometry(parts: Parts, geometry: Any, name: str, is_bounds: bool) -> No
         for k, rings in enumerate([coordinates] if kind == "Polygon" else coordinates):
             if not isinstance(rings, list) or not rings:
                 raise MapError(f"{name}.{k} has no ring")
+            for ring in rings:
+                _check_closed(ring, f"{name}.{k}")
             if is_bounds:
                 parts["bounds"][f"{name}.{k}"] = rings[0]
                 holes = {f"{name}.{k}.{hole}": ring for hole, ring in enumerate(rings) if hole}
@@ -146,6 +150,12 @@ def _add_geometry(parts: Parts, geometry: Any, name: str, is_bounds: bool) -> No
         raise MapError(
             f"{name} is a {kind}; it must be a Polygon, a LineString or a Multi- of them"
         )
+
+
+def _check_closed(ring: Any, name: str) -> None:
+    """Check that a ring of GeoJSON ends with its first point (RFC 7946, 3.1.6)."""
+    if not isinstance(ring, list) or not ring or ring[0] != ring[-1]:
+        raise MapError(f"{name} has the ring {ring!r:.60}; its last point must be its first")
 
 
 def _check_number(polygons: list[Polygon]) -> None:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 Polygon = NDArray[np.float64]
 
 _SMALLEST_AREA = 1e-6  # m^2
+_ROUNDING = 1e-6  # tolerance for rounding errors, m or as a share of a side
 
 
 class MapError(ValueError):
@@ -78,15 +79,19 @@ def thin_walls(values: Any, name: str) -> list[Polygon]:
 
 
 def check_inside(polygons: dict[str, list[Polygon]], bounds: Polygon) -> None:
-    """Check that named polygons lie within the bounds.
+    """Check that named polygons lie within the bounds, which they may touch.
 
     Raises:
-        MapError: a vertex lies outside.
+        MapError: a vertex lies outside, or a side leaves bounds that are not convex.
     """
-    for name, pieces in polygons.items():
-        for point in np.concatenate(pieces):
+    for name, piece in ((name, piece) for name, pieces in polygons.items() for piece in pieces):
+        for point in piece:
             if not _contains(bounds, point):
                 raise MapError(f"{name} has the point {point.tolist()}; it must be within bounds")
+        for start, end in zip(piece, np.roll(piece, -1, 0), strict=True):
+            if _leaves(bounds, start, end):
+                side = f"the side from {start.tolist()} to {end.tolist()}"
+                raise MapError(f"{name} has {side}; it must be within bounds")
 
 
 def signed_area(points: Polygon) -> float:
@@ -122,13 +127,29 @@ def _segments_meet(a: Polygon, b: Polygon, c: Polygon, d: Polygon) -> NDArray[np
     return np.asarray(crossing & overlap)
 
 
+def _leaves(polygon: Polygon, start: Polygon, end: Polygon) -> bool:
+    """Return whether a segment between two points of a polygon is partly outside it.
+
+    The sides of the polygon divide the segment into pieces, each inside or outside as a whole.
+    """
+    way, sides, offset = end - start, np.roll(polygon, -1, 0) - polygon, polygon - start
+    parallel = way[0] * sides[:, 1] - way[1] * sides[:, 0]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        on_way = (offset[:, 0] * sides[:, 1] - offset[:, 1] * sides[:, 0]) / parallel
+        on_side = (offset[:, 0] * way[1] - offset[:, 1] * way[0]) / parallel
+    crossed = (on_way > 0) & (on_way < 1) & (on_side > -_ROUNDING) & (on_side < 1 + _ROUNDING)
+    shares = np.sort([0.0, *on_way[crossed], 1.0])
+    middles = start + ((shares[1:] + shares[:-1]) / 2)[:, None] * way
+    return not all(_contains(polygon, middle) for middle in middles)
+
+
 def _contains(polygon: Polygon, point: Polygon) -> bool:
     """Return whether a point lies in a polygon or on its border."""
     ends = np.roll(polygon, -1, 0)
     along = ends - polygon
     t = ((point - polygon) * along).sum(-1) / np.maximum((along**2).sum(-1), 1e-12)
     nearest = polygon + np.clip(t, 0, 1)[:, None] * along
-    if (np.linalg.norm(nearest - point, axis=-1) < 1e-6).any():
+    if (np.linalg.norm(nearest - point, axis=-1) < _ROUNDING).any():
         return True
     (x, y), (ax, ay), (bx, by) = point, polygon.T, ends.T
     with np.errstate(divide="ignore", invalid="ignore"):
