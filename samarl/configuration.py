@@ -264,12 +264,14 @@ def scenario_of(column: Any, field: str = "columns") -> Scenario:
 
     Args:
         column: changed fields, and `scenario` or `name`, the name of the scenario they change
-            (default: SAMARL's).
+            (default: SAMARL's); or only this name.
         field: name of the setting, for error messages.
 
     Raises:
         ConfigurationError: a field is unknown or invalid.
     """
+    if isinstance(column, str):
+        column = {"name": column}
     if not isinstance(column, Mapping | DictConfig):
         raise ConfigurationError(
             f"{field} has {column!r:.60}; it must map fields of a scenario to values"

@@ -34,7 +34,6 @@ def build_agent(config: Mapping[str, Any], scenario: Scenario) -> Agent:
             "(samarl.load_agent builds an agent by its name)"
         )
     values = dict(config)
-    shield = _shield(values.pop("shield", False))
     target = values.pop("_target_", None)
     if target is None:
         raise ConfigurationError("agent has no _target_; it must be the import path of an Agent")
@@ -53,9 +52,15 @@ def build_agent(config: Mapping[str, Any], scenario: Scenario) -> Agent:
     hints = get_type_hints(agent_class)
     settings = [f for f in dataclasses.fields(agent_class) if f.init and f.name != "scenario"]
     schema = dataclasses.make_dataclass(
-        agent_class.__name__, [(f.name, hints[f.name], _schema_field(f)) for f in settings]
+        agent_class.__name__,
+        [
+            *((f.name, hints[f.name], _schema_field(f)) for f in settings),
+            ("shield", Any, dataclasses.field(default=False)),
+        ],
     )
-    agent: Agent = agent_class(scenario=scenario, **checked_fields(schema, values, "agent"))
+    fields = checked_fields(schema, values, "agent")
+    shield = _shield(fields.pop("shield"))
+    agent: Agent = agent_class(scenario=scenario, **fields)
     return agent if shield is None else Shielded(scenario, agent, shield)
 
 

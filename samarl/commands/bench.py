@@ -27,10 +27,10 @@ from samarl.configuration import (
     open_mapping,
     scenario_of,
 )
-from samarl.evaluation.page import page
+from samarl.evaluation.page import improvement_figure, page
 from samarl.evaluation.regression import compare
 from samarl.evaluation.runner import Evaluation, run_cases
-from samarl.evaluation.seeds import across_seeds, other_seeds
+from samarl.evaluation.seeds import across_seeds, improvements, other_seeds
 from samarl.evaluation.summary import (
     Column,
     Row,
@@ -95,6 +95,10 @@ def bench(config: DictConfig) -> None:
     scenarios = _scenarios(config)
     path = Path(config.output) / f"{config.name}.json"
     check_writable(path, "output")
+    if config.merge and config.agents == [] and (rows := _earlier_rows(config, path, [])):
+        _write_page(config, path, rows)
+        print(f"written to {path.with_suffix('.md')}")
+        return
     tasks, scope_warnings = _tasks(config, scenarios)
     if not tasks:
         warnings = "; ".join(scope_warnings.values())
@@ -112,9 +116,19 @@ def bench(config: DictConfig) -> None:
             print(f"  {name}: {warning}")
     rows = merged(rows, earlier)
     write_json(path, rows)
+    _write_page(config, path, rows)
+    print(f"\nwritten to {path} and {path.with_suffix('.md').name}")
+
+
+def _write_page(config: DictConfig, path: Path, rows: Sequence[Row]) -> None:
+    """Write the page of a table and its figure beside its rows in `path`."""
     text = page(config.name, config.about, rows, config.improvement_of, config.headline)
     write_text(path.with_suffix(".md"), text)
-    print(f"\nwritten to {path} and {path.with_suffix('.md').name}")
+    if matrices := improvements(rows, config.improvement_of):
+        from samarl.report.improvement import draw_improvements  # imports matplotlib
+        from samarl.report.style import save_figure
+
+        save_figure(draw_improvements(matrices), path.with_name(improvement_figure(config.name)))
 
 
 def _scenarios(config: DictConfig) -> list[Scenario]:

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 class StageConfig(CurriculumStage):
     """A stage in `conf/curriculum/`, with the changed fields of its scenario."""
 
-    scenario: Any = field(default_factory=dict)  # `name`: the scenario they change
+    scenario: Any = field(default_factory=dict)  # `name`: the scenario they change; or only that
 
 
 @dataclass

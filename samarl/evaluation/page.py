@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from samarl.evaluation.seeds import probability_of_improvement
+from samarl.evaluation.seeds import improvements
 from samarl.evaluation.summary import Column, Row, case_successes, column_of
 from samarl.evaluation.table import (
     column_name,
@@ -42,7 +42,7 @@ def page(
     short = f"{grids_as_markdown(selection)}\n\n## All methods\n\n" if selection else ""
     return f"""# {about}
 {short}{grids_as_markdown(rows)}
-{_unsolved_cases(rows)}{_improvement(rows, improvement_of)}
+{_unsolved_cases(rows)}{_improvement(name, rows, improvement_of)}
 ## All rows
 
 {rows_as_markdown(rows)}
@@ -69,35 +69,39 @@ def _unsolved_cases(rows: Sequence[Row]) -> str:
     return f"\nCases that no agent solves: {', '.join(shares)}.\n" if shares else ""
 
 
-def _improvement(rows: Sequence[Row], improvement_of: Sequence[str]) -> str:
-    """Return two matrices of probabilities that a seed of one method is better than of another.
+def _improvement(name: str, rows: Sequence[Row], improvement_of: Sequence[str]) -> str:
+    """Return a link to the figure of the probabilities of improvement, and tables of them.
 
-    Each has a line per method and a column per method in `improvement_of` and column of the table.
+    The tables have a line per method and a column per method in `improvement_of` and column of the
+    table.
     """
-    with_seeds = [row for row in rows if "success_of_seeds" in row]
-    ours = [row for method in improvement_of for row in with_seeds if row["method"] == method]
-    matrices = []
-    for title, key in (("Success", "success_of_seeds"), ("Social score", "social_of_seeds")):
-        lines: dict[str, list[str]] = {}
-        for theirs in with_seeds:
-            for i, row in enumerate(ours):
-                same_cases = all(row[field] == theirs[field] for field in ("episodes", "seed"))
-                if same_cases and column_of(row) == column_of(theirs) and row is not theirs:
-                    estimate = probability_of_improvement(row[key], theirs[key])
-                    cells = lines.setdefault(_with_seeds(theirs), [""] * len(ours))
-                    cells[i] = "{:.2f} [{:.2f}, {:.2f}]".format(*estimate)
-        if lines:
-            heads = [f"{row['method']}, {column_name(column_of(row))}" for row in ours]
-            table = [[name, *cells] for name, cells in lines.items()]
-            matrices.append(f"{title}:\n\n{markdown_table(['better than', *heads], table)}\n")
-    if not matrices:
+    tables = []
+    for matrix in improvements(rows, improvement_of):
+        heads = [f"{method}, {column_name(column)}" for method, column in matrix.columns]
+        lines = [
+            [other, *map(_estimate, estimates)]
+            for other, estimates in zip(matrix.others, matrix.estimates, strict=True)
+        ]
+        table = markdown_table(["better than", *heads], lines)
+        tables.append(f"{matrix.quantity}:\n\n{table}\n")
+    if not tables:
         return ""
-    about = """
+    about = f"""
 Probability of improvement (Agarwal et al., 2021): how often a seed of the method of a column is
 better than a seed of the method of a line, with the 95 % interval. 0.5 means no difference.
+[A figure]({improvement_figure(name)}) shows all comparisons as coloured matrices.
+
+<details markdown="1">
+<summary>The probabilities with their intervals</summary>
 """
-    return "\n".join([about, *matrices])
+    return "\n".join([about, *tables, "</details>\n"])
 
 
-def _with_seeds(row: Row) -> str:
-    return f"{row['method']} ({row['training_seeds']} seeds)"
+def _estimate(values: Sequence[float]) -> str:
+    """Return a probability with its interval as text; empty for NaN."""
+    return "" if np.isnan(values[0]) else "{:.2f} [{:.2f}, {:.2f}]".format(*values)
+
+
+def improvement_figure(name: str) -> str:
+    """Return the name of the figure beside the page of the table `name`."""
+    return f"{name}_improvement.png"

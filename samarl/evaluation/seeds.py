@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from samarl.evaluation.summary import Row
+from samarl.evaluation.summary import Column, Row, column_of
 from samarl.files import find_folder
 
 _RESAMPLES = 10_000
@@ -59,3 +61,42 @@ def probability_of_improvement(ours: Sequence[float], theirs: Sequence[float]) -
     our_sample, their_sample = (generator.integers(n, size=(_RESAMPLES, n)) for n in share.shape)
     samples = share[our_sample[:, :, None], their_sample[:, None, :]].mean(axis=(1, 2))
     return [float(share.mean()), *map(float, np.percentile(samples, [2.5, 97.5]))]
+
+
+class Improvements(NamedTuple):
+    """How likely seeds of some methods are better than seeds of others in one quantity."""
+
+    quantity: str
+    others: list[str]  # the other methods with their numbers of seeds, [M]
+    columns: list[tuple[str, Column]]  # method and column of a table, [C]
+    estimates: NDArray[np.float64]  # [M, C, 3] probability and its interval; NaN: not comparable
+
+
+def improvements(rows: Sequence[Row], methods: Sequence[str]) -> list[Improvements]:
+    """Return the probabilities of improvement in success and in social score.
+
+    Args:
+        rows: the rows of a table.
+        methods: methods that are compared with all others in the columns both have played.
+
+    Returns:
+        Nothing if no rows of several seeds can be compared.
+    """
+    with_seeds = [row for row in rows if "success_of_seeds" in row]
+    ours = [row for method in methods for row in with_seeds if row["method"] == method]
+    matrices = []
+    for quantity, key in (("Success", "success_of_seeds"), ("Social score", "social_of_seeds")):
+        lines: dict[str, NDArray[np.float64]] = {}
+        for theirs in with_seeds:
+            for i, row in enumerate(ours):
+                same_cases = all(row[field] == theirs[field] for field in ("episodes", "seed"))
+                if same_cases and column_of(row) == column_of(theirs) and row is not theirs:
+                    name = f"{theirs['method']} ({theirs['training_seeds']} seeds)"
+                    line = lines.setdefault(name, np.full((len(ours), 3), np.nan))
+                    line[i] = probability_of_improvement(row[key], theirs[key])
+        if lines:
+            columns = [(row["method"], column_of(row)) for row in ours]
+            matrices.append(
+                Improvements(quantity, list(lines), columns, np.stack(list(lines.values())))
+            )
+    return matrices

@@ -11,6 +11,7 @@ import numpy as np
 from mrsan import Layout
 from samarl.files import read_json
 from samarl.report.figures import Curve, curve_title, curve_unit, is_success, mean_and_range
+from samarl.report.leaderboard import is_ablation
 
 Runs = dict[str, list[Curve]]  # the curves of all seeds, by run
 _POINTS = 60  # per line of the chart
@@ -57,7 +58,8 @@ def chart_data(groups: Mapping[str, Runs]) -> list[dict[str, Any]]:
     """Return the groups for the chart, ready for JSON.
 
     Each has `quantities` with title and unit, and `runs` whose `lines` hold steps, mean, lowest and
-    highest value over the seeds by quantity.
+    highest value over the seeds by quantity. At first the chart shows the runs that are `main`: all
+    that are not ablations.
     """
     data = []
     for title, runs in groups.items():
@@ -68,6 +70,7 @@ def chart_data(groups: Mapping[str, Runs]) -> list[dict[str, Any]]:
             {
                 "name": name,
                 "seeds": len(curves),
+                "main": not is_ablation(name),
                 "lines": {column: line for column in order if (line := _line(curves, column))},
             }
             for name, curves in runs.items()

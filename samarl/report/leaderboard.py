@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
-from pathlib import Path
 
 from markupsafe import Markup, escape
 
@@ -78,12 +77,16 @@ def _merge_views(methods: dict[str, list[Row | None]]) -> dict[str, list[Row | N
 
 def _line(name: str, rows: list[Row | None]) -> Line:
     """Return the line of a method; methods without a configuration file count as planners."""
-    description = _leading_comment(find_folder("conf") / "agent" / f"{name}.yaml")
     checkpoint = _checkpoint(name)
     group = "planner" if checkpoint is None else "learned"
-    if description.startswith("An ablation"):
+    if is_ablation(name):
         group = "ablation"
-    return Line(name, group, description, checkpoint, rows)
+    return Line(name, group, _description(name), checkpoint, rows)
+
+
+def is_ablation(name: str) -> bool:
+    """Return whether a method is an ablation: its name or the comment in its file says so."""
+    return name.startswith("ablation_") or _description(name).startswith("An ablation")
 
 
 @cache
@@ -92,8 +95,9 @@ def _checkpoint(name: str) -> str | None:
     return load_agent_config(name).get("checkpoint") if name in available_agents() else None
 
 
-def _leading_comment(path: Path) -> str:
-    """Return the comment at the top of a YAML file, at most three lines."""
+def _description(name: str) -> str:
+    """Return the comment at the top of an agent's file, at most three lines."""
+    path = find_folder("conf") / "agent" / f"{name}.yaml"
     if not path.is_file():
         return ""
     lines = path.read_text(encoding="utf-8").splitlines()

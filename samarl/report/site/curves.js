@@ -2,7 +2,8 @@
 "use strict";
 
 const groups = JSON.parse(document.getElementById("curves").textContent);
-const [task, quantity, boxes, chart] = ["task", "quantity", "runs", "chart"].map((id) => document.getElementById(id));
+const [task, quantity, boxes, chart, readout] = ["task", "quantity", "runs", "chart", "readout"].map((id) => document.getElementById(id));
+let shown = null; // the lines of the chart, its scale and what moves with the cursor
 const COLOURS = 7; // then the next dashes, as in the figures
 const DASHES = ["", "7 4", "2 3", "7 3 2 3"];
 
@@ -18,11 +19,11 @@ function fill(select, titles) {
 }
 
 function chooseTask() {
-  const group = groups[task.value];
+  const group = groups[task.value], onlyAblations = !group.runs.some(({ main }) => main);
   fill(quantity, group.quantities.map(({ title }) => title));
-  boxes.replaceChildren(...group.runs.map(({ name, seeds }, i) => {
+  boxes.replaceChildren(...group.runs.map(({ name, seeds, main }, i) => {
     const label = document.createElement("label"), box = document.createElement("input");
-    Object.assign(box, { type: "checkbox", value: i, checked: true });
+    Object.assign(box, { type: "checkbox", value: i, checked: main || onlyAblations });
     label.append(box, sample(i), `${name} (${seeds} seed${seeds > 1 ? "s" : ""})`);
     return label;
   }));
@@ -74,6 +75,30 @@ function draw() {
     line.append(shape("title", {}, group.runs[i].name));
     chart.append(line);
   }
+  const cursor = shape("line", { y1: y(high), y2: y(low), class: "cursor", visibility: "hidden" });
+  chart.append(cursor);
+  shown = { group, lines, unit, cursor, x, right, stepsAt: (px) => (px - 60) * right / (width - 75) };
+  hideValues();
+}
+
+// Write the value of every chosen run at its recorded step nearest to the pointer.
+function showValues(event) {
+  const { group, lines, unit, cursor, x, right, stepsAt } = shown;
+  const steps = Math.min(right, Math.max(0, stepsAt(event.clientX - chart.getBoundingClientRect().left)));
+  const values = lines.filter(([, line]) => steps <= line[0].at(-1)).map(([i, [grid, mean]]) => {
+    const distances = grid.map((step) => Math.abs(step - steps));
+    const entry = document.createElement("span");
+    entry.append(sample(i), `${group.runs[i].name} ${short(mean[distances.indexOf(Math.min(...distances))])}`);
+    return entry;
+  });
+  readout.replaceChildren(`${short(steps)} steps, ${unit}:`, ...values);
+  for (const end of ["x1", "x2"]) cursor.setAttribute(end, x(steps));
+  cursor.setAttribute("visibility", "visible");
+}
+
+function hideValues() {
+  readout.textContent = "Point at the chart to read its values.";
+  shown.cursor.setAttribute("visibility", "hidden");
 }
 
 fill(task, groups.map(({ title }) => title));
@@ -86,5 +111,7 @@ for (const [id, checked] of [["all", true], ["none", false]]) {
     draw();
   });
 }
+chart.addEventListener("pointermove", showValues);
+chart.addEventListener("pointerleave", hideValues);
 window.addEventListener("resize", draw);
 chooseTask();
