@@ -26,12 +26,15 @@ METHODS = (
     ("SAMARL without its shield", "samarl_unshielded", "samarl_unshielded"),
     ("SAMARL", "samarl", "samarl"),
 )
-# Their rivals without a policy for 90°.
+# Rows of the documentation in addition to those of the README.
+OTHER_METHODS = (
+    ("SAMARL-PPO without its shield", "samarl_ppo_unshielded", "samarl_ppo_unshielded"),
+    ("SAMARL-PPO", "samarl_ppo", "samarl_ppo"),
+)
+# Methods without a policy for 90°.
 WIDE_METHODS = (
     ("SAMARL with the paper's transformer", "samarl_transformer"),
     ("SAMARL with the paper's transformer, without its shield", "samarl_transformer_unshielded"),
-    ("SAMARL-PPO", "samarl_ppo"),
-    ("SAMARL-PPO without its shield", "samarl_ppo_unshielded"),
     ("SAMARL-SRNN", "samarl_srnn"),
     ("SAMARL-SRNN without its shield", "samarl_srnn_unshielded"),
     ("One level (`samarl_flat`)", "samarl_flat"),
@@ -77,10 +80,10 @@ def _cell(name: str, method: str, column: Column) -> str:
     return print_row(find_row(name, method, key), "both")
 
 
-def _method_lines() -> list[list[str]]:
+def _method_lines(methods: Iterable[tuple[str, str, str]]) -> list[list[str]]:
     return [
         [label, *(_cell("table1", narrow if c.fov_degrees == 90.0 else wide, c) for c in COLUMNS)]
-        for label, narrow, wide in METHODS
+        for label, narrow, wide in methods
     ]
 
 
@@ -92,13 +95,13 @@ def _table1_header() -> list[str]:
 @table
 def headline() -> str:
     """Return Table I with a row for each method and no empty cells."""
-    return markdown_table(_table1_header(), _method_lines())
+    return markdown_table(_table1_header(), _method_lines(METHODS))
 
 
 @table
 def table1_with_paper() -> str:
-    """Return Table I with methods for the full view only, and with the paper's success rates."""
-    lines = _method_lines()
+    """Return Table I with all methods, and with the paper's success rates."""
+    lines = _method_lines((*METHODS, *OTHER_METHODS))
     for label, method in WIDE_METHODS:
         cells = [_cell("table1", method, c) if c.fov_degrees == 360.0 else NONE for c in COLUMNS]
         lines.append([label, *cells])

@@ -67,6 +67,7 @@ def test_one_world_uses_the_kernels_of_many_only_in_calls_of_the_api(
         return act(agent, observation)
 
     monkeypatch.setattr(Orca, "act", spy)
+    monkeypatch.setattr(kernel, "always_parallel", False)  # a command may have set it
     samarl.evaluate("orca", SMALL, cases=1)
     samarl.record("orca", SMALL)
     samarl.render("orca", SMALL, output=tmp_path / "case.png")
