@@ -38,6 +38,8 @@ def on_files(files: Files, config: Any) -> Files:
         else:
             content = path.read_text(encoding="utf-8")
             files.append(File.generated(config, page, content=content))
+    for figure in (ROOT / "results").glob("*.png"):
+        files.append(File.generated(config, f"tables/{figure.name}", abs_src_path=str(figure)))
     return files
 
 

@@ -89,7 +89,8 @@ def _improvement(name: str, rows: Sequence[Row], improvement_of: Sequence[str]) 
     about = f"""
 Probability of improvement (Agarwal et al., 2021): how often a seed of the method of a column is
 better than a seed of the method of a line, with the 95 % interval. 0.5 means no difference.
-[A figure]({improvement_figure(name)}) shows all comparisons as coloured matrices.
+
+![Probabilities of improvement as coloured matrices]({improvement_figure(name)})
 
 <details markdown="1">
 <summary>The probabilities with their intervals</summary>
