@@ -122,7 +122,7 @@ def _seeds_table(agents: Sequence[str], columns: Sequence[str], heads: Sequence[
 @table
 def seeds_wide() -> str:
     """Return success over training seeds of the policies with a full view."""
-    others = ("flat", "ppo", "srnn", "general", "planned")
+    others = ("flat", "srnn", "general", "planned")
     names = ("samarl", "samarl_transformer", *(f"samarl_{name}" for name in others))
     agents = [agent for n in names for agent in (n, f"{n}_unshielded")]
     agents += ["cadrl_shielded", "cadrl"]
