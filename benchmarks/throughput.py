@@ -94,7 +94,11 @@ def measure(seconds: float, cold: bool) -> dict[str, Any]:
             bar.set_postfix_str(f"{layout}, {rays} rays", refresh=False)
             stepper = RandomStepper(WORLDS, HUMANS, ROBOTS, layout=layout, lidar_rays=rays)
             rates = [rate * WORLDS for rate in steps_per_second(stepper.step, seconds)]
-            by_place.append({"place": layout, "rays": rays} | _point(WORLDS, HUMANS, ROBOTS, rates))
+            by_place.append(
+                {"place": layout, "rays": rays}
+                | _point(WORLDS, HUMANS, ROBOTS, rates)
+                | {"bytes_per_world": sum(a.nbytes for a in stepper.world.state) // WORLDS}
+            )
             bar.update()
         bar.set_postfix_str("PettingZoo", refresh=False)
         pettingzoo = _point(1, HUMANS, ROBOTS, steps_per_second(_pettingzoo_step(), seconds))
@@ -153,10 +157,13 @@ def format_tables(result: dict[str, Any]) -> str:
         for key, text in scaling_laws.items()
     ]
     places = markdown_table(
-        ("place", "lidar rays", "world-steps/s", "smallest", "largest"),
+        ("place", "lidar rays", "world-steps/s", "smallest", "largest", "bytes per world"),
         [
             [p["place"], str(p["rays"])]
-            + [f"{p[name]:,.0f}" for name in ("world_steps_per_second", "min", "max")]
+            + [
+                f"{p[name]:,.0f}"
+                for name in ("world_steps_per_second", "min", "max", "bytes_per_world")
+            ]
             for p in result["by_place"]
         ],
     )
