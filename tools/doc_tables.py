@@ -330,19 +330,3 @@ def throughput() -> str:
     rows = find_value("throughput", "by_humans")
     lines = [[str(r["humans"]), f"{r['world_steps_per_second']:,}"] for r in rows]
     return markdown_table(["people", "world-steps per second"], lines)
-
-
-@table
-def throughput_places() -> str:
-    """Return the speed and the memory of the simulator by the place."""
-    lines = [
-        [
-            row["place"],
-            str(row["rays"]),
-            f"{row['world_steps_per_second']:,}",
-            f"{row['bytes_per_world'] * 4096 / 2**20:,.0f}",
-        ]
-        for row in find_value("throughput", "by_place")
-    ]
-    header = ["place", "lidar rays", "world-steps per second", "4,096 worlds, MiB"]
-    return markdown_table(header, lines)
