@@ -130,6 +130,19 @@ class _Settings(NamedTuple):
     robot_margin: np.float32
 
 
+class _Situation(NamedTuple):
+    """What one robot knows, in its frame, and where it is heading."""
+
+    rows: NDArray[np.float32]  # of `gather_rows`; the first is the robot
+    row_offset: NDArray[np.float32]  # from constant velocity, of `gather_offsets`
+    row_count: int
+    first_robot: int  # rows from here on are team-mates
+    walls: NDArray[np.float32]
+    target_x: np.float32
+    target_y: np.float32
+    target_is_goal: bool  # otherwise a corner of the route, behind which there may be a wall
+
+
 @kernel
 def _apply_shield(
     chunks,
@@ -169,38 +182,22 @@ def _apply_shield(
                     rows,
                 )
                 walls = room[:, : gather_walls(segments[e, i], segments_seen[e, i], room)]
-                is_goal = goal_x == targets[e, i, 0] and goal_y == targets[e, i, 1]
-                goal_x, goal_y = targets[e, i, 0], targets[e, i, 1]
                 first_robot = gather_offsets(humans_known[e, i], predicted_offset[e, i], row_offset)
                 _shrink_margins(rows, count, p)
-                if not _is_safe(
+                target_x, target_y = targets[e, i, 0], targets[e, i, 1]
+                situation = _Situation(
                     rows,
                     row_offset,
                     count,
-                    walls,
                     first_robot,
-                    goal_x,
-                    goal_y,
-                    settings,
-                    action[e, i],
-                    scratch_action,
-                    is_goal,
-                    p,
-                ):
+                    walls,
+                    target_x,
+                    target_y,
+                    goal_x == target_x and goal_y == target_y,
+                )
+                if not _is_safe(situation, action[e, i], scratch_action, settings, p):
                     _choose_continuation(
-                        rows,
-                        row_offset,
-                        count,
-                        walls,
-                        first_robot,
-                        goal_x,
-                        goal_y,
-                        settings,
-                        action[e, i],
-                        first_action,
-                        scratch_action,
-                        is_goal,
-                        p,
+                        situation, action[e, i], first_action, scratch_action, settings, p
                     )
 
 
@@ -214,87 +211,31 @@ def _shrink_margins(rows, count, p):
 
 
 @function
-def _is_safe(
-    rows,
-    row_offset,
-    count,
-    walls,
-    first_robot,
-    goal_x,
-    goal_y,
-    settings,
-    action,
-    scratch_action,
-    is_goal,
-    p,
-):
+def _is_safe(situation, action, scratch_action, settings, p):
     """Return whether some continuation after `action` is collision-free for the whole horizon."""
     for index in range(CONTINUATIONS):
-        vx, vy, turn_in_place_angle = _continuation(index, goal_x, goal_y, p)
         for k in range(action.shape[0]):
             scratch_action[k] = action[k]
-        safe_steps, _, _ = _simulate(
-            rows,
-            row_offset,
-            count,
-            walls,
-            first_robot,
-            goal_x,
-            goal_y,
-            vx,
-            vy,
-            turn_in_place_angle,
-            settings,
-            scratch_action,
-            False,
-            is_goal,
-            p,
-        )
+        continuation = _continuation(index, situation, p)
+        safe_steps, _, _ = _simulate(situation, scratch_action, continuation, False, settings, p)
         if safe_steps >= settings.steps:
             return True
     return False
 
 
 @function
-def _choose_continuation(
-    rows,
-    row_offset,
-    count,
-    walls,
-    first_robot,
-    goal_x,
-    goal_y,
-    settings,
-    action,
-    first_action,
-    scratch_action,
-    is_goal,
-    p,
-):
+def _choose_continuation(situation, action, first_action, scratch_action, settings, p):
     """Write the first action of the best continuation."""
-    speed = math.sqrt(rows[0, 2] * rows[0, 2] + rows[0, 3] * rows[0, 3])
+    vx, vy = situation.rows[0, 2], situation.rows[0, 3]
+    speed = math.sqrt(vx * vx + vy * vy)
     longest, best_score = -_ONE, _ZERO
     for index in range(CONTINUATIONS):
-        vx, vy, turn_in_place_angle = _continuation(index, goal_x, goal_y, p)
-        track_velocity(vx, vy, speed, first_action, p, turn_in_place_angle)
+        continuation = _continuation(index, situation, p)
+        track_velocity(continuation[0], continuation[1], speed, first_action, p, continuation[2])
         for k in range(action.shape[0]):
             scratch_action[k] = first_action[k]
         safe_steps, gap, path_length = _simulate(
-            rows,
-            row_offset,
-            count,
-            walls,
-            first_robot,
-            goal_x,
-            goal_y,
-            vx,
-            vy,
-            turn_in_place_angle,
-            settings,
-            scratch_action,
-            True,
-            is_goal,
-            p,
+            situation, scratch_action, continuation, True, settings, p
         )
         score = min(gap, SUFFICIENT_GAP) - PROGRESS_WEIGHT * path_length
         if safe_steps > longest or (safe_steps == longest and score > best_score + ROUNDING):
@@ -304,17 +245,17 @@ def _choose_continuation(
 
 
 @function
-def _continuation(index, goal_x, goal_y, p):
+def _continuation(index, situation, p):
     """Return the velocity (x, y) of a continuation and its turn-in-place angle, rad.
 
     The first is standing still; the others drive in one of the directions. Directions are counted
-    from the goal's, so that a robot turning towards one chooses it again in the next step, and
+    from the target's, so that a robot turning towards one chooses it again in the next step, and
     clockwise, so that two robots facing each other both keep to the right.
     """
     if index == 0:
         return _ZERO, _ZERO, TURN_IN_PLACE_ANGLE
     turn = _TWO_PI * np.float32((index - 1) % DIRECTIONS) / np.float32(DIRECTIONS)
-    angle = math.atan2(goal_y, goal_x) - turn
+    angle = math.atan2(situation.target_y, situation.target_x) - turn
     kind = (index - 1) // DIRECTIONS
     speed = p.robot_speed * (_HALF if kind == 1 else _ONE)
     turn_in_place_angle = p.max_turn if kind == 2 else TURN_IN_PLACE_ANGLE
@@ -323,31 +264,16 @@ def _continuation(index, goal_x, goal_y, p):
 
 
 @function
-def _simulate(
-    rows,
-    row_offset,
-    count,
-    walls,
-    first_robot,
-    goal_x,
-    goal_y,
-    desired_x,
-    desired_y,
-    turn_in_place_angle,
-    settings,
-    action,
-    with_path_length,
-    is_goal,
-    p,
-):
-    """Simulate `action`, which is overwritten, followed by driving at the desired velocity.
-
-    Rows from `first_robot` on are team-mates.
+def _simulate(situation, action, continuation, with_path_length, settings, p):
+    """Simulate `action`, which is overwritten, followed by driving as the continuation does.
 
     Returns:
         The number of collision-free steps, the smallest gap in them (m), and if `with_path_length`
-        the shortest remaining path to the goal after any of them (m).
+        the shortest remaining path to the target after any of them (m).
     """
+    rows, count = situation.rows, situation.row_count
+    target_x, target_y = situation.target_x, situation.target_y
+    desired_x, desired_y, turn_in_place_angle = continuation
     x, y, vx, vy, heading = _ZERO, _ZERO, rows[0, 2], rows[0, 3], _ZERO
     smallest_gap = path_length = np.float32(np.inf)
     for k in range(settings.steps):
@@ -358,10 +284,10 @@ def _simulate(
         new_x, new_y, vx, vy, heading = step_robot(x, y, vx, vy, heading, action, p)
         gap = _smallest_gap(
             rows,
-            row_offset,
+            situation.row_offset,
             count,
-            walls,
-            first_robot,
+            situation.walls,
+            situation.first_robot,
             x,
             y,
             new_x,
@@ -376,10 +302,11 @@ def _simulate(
         x, y = new_x, new_y
         if with_path_length:
             path_length = min(
-                path_length, remaining_path_length(rows, count, x, y, heading, goal_x, goal_y, p)
+                path_length,
+                remaining_path_length(rows, count, x, y, heading, target_x, target_y, p),
             )
-        dx, dy = goal_x - x, goal_y - y
-        if is_goal and dx * dx + dy * dy < p.robot_radius * p.robot_radius:
+        dx, dy = target_x - x, target_y - y
+        if situation.target_is_goal and dx * dx + dy * dy < p.robot_radius * p.robot_radius:
             break
     return np.float32(settings.steps), smallest_gap, path_length
 
