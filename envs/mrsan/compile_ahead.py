@@ -62,23 +62,23 @@ def compile_ahead(scenario: Scenario) -> Iterator[bool]:
 
 @contextlib.contextmanager
 def _progress_lines() -> Iterator[None]:
-    """Print how long the body has taken, every `_PROGRESS_SECONDS` until it ends."""
-    ended = threading.Event()
+    """Print the seconds since the start of the body, every `_PROGRESS_SECONDS` until its end."""
+    end = threading.Event()
 
     def report() -> None:
-        passed = 0.0
-        while not ended.wait(_PROGRESS_SECONDS):
-            passed += _PROGRESS_SECONDS
+        seconds = 0.0
+        while not end.wait(_PROGRESS_SECONDS):
+            seconds += _PROGRESS_SECONDS
             usual = f"about {_USUAL_SECONDS} s"
-            rest = f"of {usual}" if passed < _USUAL_SECONDS else f"({usual} on an idle machine)"
-            print(f"compiling: {passed:g} s {rest}", file=sys.stderr, flush=True)
+            rest = f"of {usual}" if seconds < _USUAL_SECONDS else f"({usual} on an idle machine)"
+            print(f"compiling: {seconds:g} s {rest}", file=sys.stderr, flush=True)
 
     thread = threading.Thread(target=report, daemon=True)
     thread.start()
     try:
         yield
     finally:
-        ended.set()
+        end.set()
         thread.join()
 
 

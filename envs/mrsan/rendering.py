@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from mrsan.choices import Layout
 from mrsan.fields import ConfigurationError
 from mrsan.kernels.walls import WALLS
 from mrsan.scenario import Scenario
@@ -73,8 +72,8 @@ class _Drawing:
 
     def __init__(self, scenario: Scenario) -> None:
         self.scenario = scenario
-        self.centre, extent = view_of(scenario)
-        self.half = extent + _MARGIN
+        self.centre = np.array(scenario.centre)
+        self.half = scenario.half_extent + _MARGIN
         self.scale = _OVERSAMPLING * _SIZE / (2 * self.half)
         self.image = Image.new("RGB", (_OVERSAMPLING * _SIZE, _OVERSAMPLING * _SIZE), "white")
         self.draw = ImageDraw.Draw(self.image)
@@ -151,14 +150,6 @@ class _Drawing:
 
     def _line(self, a: NDArray[Any], b: NDArray[Any], colour: str, width: int = 2) -> None:
         self.draw.line([self._pixel(a), self._pixel(b)], fill=colour, width=width * _OVERSAMPLING)
-
-
-def view_of(scenario: Scenario) -> tuple[NDArray[np.float64], float]:
-    """Return the centre of the place [2] and the largest distance of a start along an axis, m."""
-    if scenario.layout is not Layout.map:
-        return np.zeros(2), scenario.half_extent
-    low, high = scenario.fixed_map.zone.reshape(2, 2).astype(np.float64)
-    return (low + high) / 2, float((high - low).max() / 2)
 
 
 def walls_of(state: State, index: int) -> NDArray[np.float32]:

@@ -451,6 +451,14 @@ class Scenario:
         )
 
     @property
+    def centre(self) -> tuple[float, float]:
+        """The middle of the place, m: the origin, except on a map."""
+        if self.layout is not Layout.map:
+            return 0.0, 0.0
+        left, bottom, right, top = map(float, self.fixed_map.zone)
+        return (left + right) / 2, (bottom + top) / 2
+
+    @property
     def half_extent(self) -> float:
         """Return the largest distance of a start from the centre along an axis, m."""
         if self.crowd == Crowd.recorded:
@@ -461,7 +469,8 @@ class Scenario:
         if self.layout is Layout.circle:
             return circle
         if self.layout is Layout.map:
-            return float(np.abs(self.fixed_map.zone).max())
+            left, bottom, right, top = map(float, self.fixed_map.zone)
+            return max(right - left, top - bottom) / 2
         if self.has_walls:
             return half_size(self.layout, self.place)
         return max(self.floor_size / 2, circle if self.layout is Layout.mixed else 0.0)

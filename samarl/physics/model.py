@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrsan import Scenario
-from mrsan.rendering import ROBOT_COLOURS, view_of, walls_of
+from mrsan.rendering import ROBOT_COLOURS, walls_of
 from mrsan.state import State
 from samarl.physics.drives import Drive, Wheel
 from samarl.physics.engine import MujocoEngine
@@ -42,8 +42,7 @@ def case_xml(
         state: the case at its start.
         step: time step of the physics, s.
     """
-    (x, y), extent = view_of(scenario)
-    half = extent + 3.0
+    (x, y), half = scenario.centre, scenario.half_extent + 3.0
     robots = [_robot(i, scenario, engine, drive, state) for i in range(scenario.robots)]
     motors = [
         _motor(i, k, wheel, engine, drive.wheel_radius)

@@ -8,7 +8,6 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from mrsan.rendering import view_of
 from samarl.physics.controllers import Controller
 from samarl.physics.offscreen import cannot_render
 from samarl.physics.runner import decide_and_step
@@ -47,8 +46,8 @@ class _Picture:
             raise cannot_render(error) from error
         self._camera = mujoco.MjvCamera()
         self._camera.azimuth, self._camera.elevation = 90.0, _ELEVATION
-        self._camera.lookat[:2], extent = view_of(world.scenario)
-        self._camera.distance = _DISTANCE * extent
+        self._camera.lookat[:2] = world.scenario.centre
+        self._camera.distance = _DISTANCE * world.scenario.half_extent
 
     def draw(self) -> NDArray[np.uint8]:
         self._renderer.update_scene(self._bodies.data, self._camera)
