@@ -38,6 +38,7 @@ from samarl.commands import bench, evaluate, export, predictor, render, report, 
 from samarl.configuration import first, register_schemas
 from samarl.evaluation.page import page
 from samarl.evaluation.regression import compare
+from samarl.evaluation.seeds import improvements
 from samarl.evaluation.summary import read_rows
 from samarl.evaluation.sweep import read_cell
 from samarl.files import find_folder
@@ -269,7 +270,7 @@ def table(r: random.Random, valid: ValidInputs) -> MalformedInput:
 
     def load() -> None:
         if rows := read_rows(path):
-            page("table", "", rows, [rows[0]["method"]])
+            page("table", "", rows, improvements(rows, [rows[0]["method"]]))
             ranked(rows)
             compare(valid.rows[0], rows)
 

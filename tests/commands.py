@@ -46,6 +46,7 @@ def run_module(
     pipes = [_context.Pipe(duplex=False) for _ in ("stdout", "stderr")]
     written = [end for _, end in pipes]
     environment = dict(os.environ | variables)
+    environment.pop("HYDRA_FULL_ERROR", None)  # it turns errors of one line into tracebacks
     process = _context.Process(
         target=_run, args=(module, arguments, str(cwd), environment, written)
     )

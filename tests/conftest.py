@@ -2,7 +2,6 @@
 
 import os
 from concurrent.futures import ProcessPoolExecutor
-from itertools import repeat
 from multiprocessing import get_context
 
 os.environ["NUMBA_NUM_THREADS"] = "2"  # on every machine: some tests compare one with two
@@ -37,10 +36,9 @@ def pytest_sessionstart(session: pytest.Session) -> None:
         Scenario(crowd_reaction=CrowdReaction.mixed),
         Scenario(crowd=Crowd.social_force),
     ]
-    pool = ProcessPoolExecutor(mp_context=get_context("spawn"))
-    with pool:
-        for worlds in (1, 2):  # the serial and the parallel kernels
-            pool.map(step_once, scenarios, repeat(worlds))
+    worlds = [1] * len(scenarios) + [2] * len(scenarios)  # the serial and the parallel kernels
+    with ProcessPoolExecutor(mp_context=get_context("spawn")) as pool:
+        list(pool.map(step_once, 2 * scenarios, worlds))  # raises the first error
 
 
 @pytest.fixture(autouse=True)

@@ -57,7 +57,7 @@ def stage(
 
 
 def step_once(scenario: Scenario, worlds: int) -> None:
-    """Begin an episode in each world and step once, which compiles what is not cached."""
+    """Begin an episode in every world and take one step; this compiles missing kernels."""
     world = World(scenario, worlds)
     world.reset(range(worlds))
     world.step(np.zeros((worlds, scenario.robots, scenario.action_size), np.float32))

@@ -122,9 +122,10 @@ def bench(config: DictConfig) -> None:
 
 def _write_page(config: DictConfig, path: Path, rows: Sequence[Row]) -> None:
     """Write the page of a table and its figure beside its rows in `path`."""
-    text = page(config.name, config.about, rows, config.improvement_of, config.headline)
+    matrices = improvements(rows, config.improvement_of)
+    text = page(config.name, config.about, rows, matrices, config.headline)
     write_text(path.with_suffix(".md"), text)
-    if matrices := improvements(rows, config.improvement_of):
+    if matrices:
         from samarl.report.improvement import draw_improvements  # imports matplotlib
         from samarl.report.style import save_figure
 

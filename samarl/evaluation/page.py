@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from samarl.evaluation.seeds import improvements
+from samarl.evaluation.seeds import Improvements
 from samarl.evaluation.summary import Column, Row, case_successes, column_of
 from samarl.evaluation.table import (
     column_name,
@@ -25,7 +25,7 @@ def page(
     name: str,
     about: str,
     rows: Sequence[Row],
-    improvement_of: Sequence[str] = (),
+    improvement: Sequence[Improvements] = (),
     headline: Sequence[str] = (),
 ) -> str:
     """Return the page of a table.
@@ -34,7 +34,7 @@ def page(
         name: name of the table.
         about: its title and introduction.
         rows: its rows.
-        improvement_of: methods whose training seeds are compared with those of the others.
+        improvement: probabilities of improvement, whose figure lies beside the page.
         headline: methods of the short table at the top, in this order; empty: no short table.
     """
     commits = ", ".join(sorted({row["commit"] for row in rows}))
@@ -42,7 +42,7 @@ def page(
     short = f"{grids_as_markdown(selection)}\n\n## All methods\n\n" if selection else ""
     return f"""# {about}
 {short}{grids_as_markdown(rows)}
-{_unsolved_cases(rows)}{_improvement(name, rows, improvement_of)}
+{_unsolved_cases(rows)}{_improvement(name, improvement)}
 ## All rows
 
 {rows_as_markdown(rows)}
@@ -69,14 +69,13 @@ def _unsolved_cases(rows: Sequence[Row]) -> str:
     return f"\nCases that no agent solves: {', '.join(shares)}.\n" if shares else ""
 
 
-def _improvement(name: str, rows: Sequence[Row], improvement_of: Sequence[str]) -> str:
-    """Return a link to the figure of the probabilities of improvement, and tables of them.
+def _improvement(name: str, improvement: Sequence[Improvements]) -> str:
+    """Return the figure of the probabilities of improvement and tables of them, if there are any.
 
-    The tables have a line per method and a column per method in `improvement_of` and column of the
-    table.
+    The tables have a line for each other method, and a column for each of ours in each column.
     """
     tables = []
-    for matrix in improvements(rows, improvement_of):
+    for matrix in improvement:
         heads = [f"{method}, {column_name(column)}" for method, column in matrix.columns]
         lines = [
             [other, *map(_estimate, estimates)]

@@ -267,7 +267,7 @@ def _cost(
         dx, dy = goal_x - x, goal_y - y
         remaining = math.sqrt(dx * dx + dy * dy)
         if remaining < p.robot_radius:
-            # A corner of the route: beyond it the robot must at least be able to stop.
+            # Its target may be a corner of the route: it must be able to stop before a wall beyond.
             stop = np.float32(0.5) * math.sqrt(vx * vx + vy * vy) / p.max_acceleration  # s
             if seen > 0 and (
                 way_distance(walls, seen, x, y, stop * vx, stop * vy) < p.robot_radius + WALL_MARGIN

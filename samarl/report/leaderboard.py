@@ -95,6 +95,7 @@ def _checkpoint(name: str) -> str | None:
     return load_agent_config(name).get("checkpoint") if name in available_agents() else None
 
 
+@cache
 def _description(name: str) -> str:
     """Return the comment at the top of an agent's file, at most three lines."""
     path = find_folder("conf") / "agent" / f"{name}.yaml"

@@ -45,7 +45,7 @@ from samarl.agents import build_agent
 from samarl.configuration import load_agent_config
 from samarl.runtime import Detection, Driver, OwnState
 
-CASES = np.arange(8)
+CASES = np.arange(12)
 circle = Scenario(fov_degrees=90.0, position_noise=0.05, reward=Reward(lookahead=1.0))
 doorway = Scenario(layout=Layout.doorway, humans=4, lidar_rays=90, lidar_sees=LidarSees.all)
 exported, *planners = sys.argv[1:]
@@ -56,7 +56,7 @@ for name in planners:
         agent = build_agent(load_agent_config(name), scenario)
         observation = world.reset(CASES)
         agent.reset(np.ones(len(CASES), np.bool_))
-        for _ in range(40 if name.startswith("model_predictive") else 200):  # it is slow
+        for _ in range(40 if name.startswith("model_predictive_") else 200):  # these are slow
             step = world.step(agent.act(observation))
             observation = step.observation
             for array in (step.reward, *world.state, *observation.arrays().values()):

@@ -28,7 +28,7 @@ from samarl.evaluation.metrics import (
 )
 from samarl.evaluation.page import page
 from samarl.evaluation.regression import compare
-from samarl.evaluation.seeds import across_seeds
+from samarl.evaluation.seeds import across_seeds, improvements
 from samarl.evaluation.summary import (
     REQUIRED_FIELDS,
     Row,
@@ -367,7 +367,7 @@ def test_the_page_compares_training_seeds() -> None:
         return rows[0] | across_seeds(rows)
 
     rows = [seeds("samarl", 90.0, 80.0), seeds("ppo", 70.0, 85.0), row(method="one")]
-    text = page("table1", "Title", rows, ["samarl"])
+    text = page("table1", "Title", rows, improvements(rows, ["samarl"]))
     assert "| better than   | samarl, 360° 10h 2r |" in text
     lines = [line for line in text.splitlines() if line.startswith("| ppo (2 seeds)")]
     assert [[cell.strip() for cell in line.split("|")][1:-1] for line in lines] == [
