@@ -22,13 +22,15 @@ from samarl.evaluation.table import markdown_table
 from samarl.files import machine, write_json, write_text
 
 RECIPES = {  # settings and world-steps
-    "flat": (["policy=flat"], 3_000_000),
+    "flat": (["policy=flat"], 1_000_000),
     "two levels": ([], 1_000_000),
+    "two levels, 3 million steps": ([], 3_000_000),
     "two levels, goal hidden": (["policy=goal_hidden", "algorithm.macro_std=0.4"], 1_000_000),
     "flat, REPPO": (["policy=flat", "algorithm=reppo"], 500_000),
     "flat, transformer": (["experiment=transformer", "policy=flat"], 1_000_000),
     "two levels, transformer": (["experiment=transformer"], 1_000_000),
 }
+DEFAULT = list(RECIPES)[:3]
 COMMON = [
     "trainer.processes=2",
     "trainer.threads=1",
@@ -164,8 +166,8 @@ def _parse() -> argparse.Namespace:
     parser.add_argument(
         "recipes",
         nargs="*",
-        default=["flat", "two levels"],
-        help=f"which of {', '.join(map(repr, RECIPES))} (default: flat, two levels)",
+        default=DEFAULT,
+        help=f"which of {', '.join(map(repr, RECIPES))} (default: the first three)",
     )
     parser.add_argument("--seeds", type=positive_whole_number, default=3, help="per recipe (3)")
     parser.add_argument(
