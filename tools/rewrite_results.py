@@ -18,7 +18,10 @@ TWO_STAGES = (
     "curriculum.stages=[{worlds: 192, scenario: {humans: 10, robots: 3}},"
     "{worlds: 192, scenario: {humans: 10, robots: 5}}]"
 )
-MANY_WORLDS = ["-m", "benchmarks.training", "--rounds", "2", "trainer.threads=1", TWO_STAGES]
+TRAINING = ["-m", "benchmarks.training"]
+TRANSFORMER = "experiment=transformer"
+MANY_WORLDS = [*TRAINING, "--rounds", "2", TRANSFORMER, "trainer.threads=1", TWO_STAGES]
+RECIPES: dict[str, list[str]] = {"two_levels": [], "flat": ["policy=flat"]}  # with the default encoder
 
 
 def measure_tables(scripts: Path, recordings: str | None) -> None:
@@ -45,13 +48,16 @@ def measure_speed(scripts: Path) -> None:
     python = str(scripts / "python")
     run([python, "-m", "benchmarks.throughput", "--cold", *_output("throughput")])
     run([python, "-m", "benchmarks.latency", *_output("latency")])
-    run([python, "-m", "benchmarks.training", *_output("training_throughput")])
+    run([python, *TRAINING, TRANSFORMER, *_output("training_throughput")])
     run([python, "-m", "benchmarks.places", *_output("places_check")])
     one_thread = os.environ | {"OMP_NUM_THREADS": "1"}
     torchrun = [str(scripts / "torchrun"), "--nproc-per-node", "2", "--no-python"]
     one, two = _output("training_throughput_1_process"), _output("training_throughput_2_processes")
     run([python, *MANY_WORLDS, *one], env=one_thread)
     run([*torchrun, python, *MANY_WORLDS, *two], env=one_thread)
+    for recipe, settings in RECIPES.items():
+        output = _output(f"training_throughput_{recipe}")
+        run([*torchrun, python, *TRAINING, *settings, "trainer.threads=1", *output], env=one_thread)
 
 
 def _output(name: str) -> list[str]:
