@@ -11,6 +11,7 @@ import hypothesis
 import pytest
 
 from mrsan import Crowd, CrowdReaction, Layout, Scenario
+from mrsan.kernels import kernel
 from mrsan.threads import use_threads
 from tests.staging import step_once
 
@@ -24,6 +25,10 @@ hypothesis.settings.register_profile(
 )
 hypothesis.settings.load_profile("suite")
 
+# Most tests simulate one world. They use the version of the kernels that simulates many, because
+# compiling a second version of all kernels would take minutes.
+kernel.always_parallel = True
+
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_sessionstart(session: pytest.Session) -> None:
@@ -36,9 +41,14 @@ def pytest_sessionstart(session: pytest.Session) -> None:
         Scenario(crowd_reaction=CrowdReaction.mixed),
         Scenario(crowd=Crowd.social_force),
     ]
-    worlds = [1] * len(scenarios) + [2] * len(scenarios)  # the serial and the parallel kernels
     with ProcessPoolExecutor(mp_context=get_context("spawn")) as pool:
-        list(pool.map(step_once, 2 * scenarios, worlds))  # raises the first error
+        list(pool.map(step_once, scenarios, [2] * len(scenarios)))  # raises the first error
+
+
+@pytest.fixture
+def serial_kernels(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Simulate one world with the serial version of the kernels, as programs of users do."""
+    monkeypatch.setattr(kernel, "always_parallel", False)
 
 
 @pytest.fixture(autouse=True)

@@ -21,7 +21,7 @@ TWO_STAGES = (
 TRAINING = ["-m", "benchmarks.training"]
 TRANSFORMER = "experiment=transformer"
 MANY_WORLDS = [*TRAINING, "--rounds", "2", TRANSFORMER, "trainer.threads=1", TWO_STAGES]
-RECIPES: dict[str, list[str]] = {"two_levels": [], "flat": ["policy=flat"]}  # with the default encoder
+RECIPES: dict[str, list[str]] = {"two_levels": [], "flat": ["policy=flat"]}  # default encoder
 
 
 def measure_tables(scripts: Path, recordings: str | None) -> None:

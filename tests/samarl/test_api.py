@@ -58,7 +58,7 @@ def _fields(name: str) -> dict:
 
 
 def test_one_world_uses_the_kernels_of_many_only_in_calls_of_the_api(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    serial_kernels: None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     settings, act = [], Orca.act
 
@@ -67,7 +67,6 @@ def test_one_world_uses_the_kernels_of_many_only_in_calls_of_the_api(
         return act(agent, observation)
 
     monkeypatch.setattr(Orca, "act", spy)
-    monkeypatch.setattr(kernel, "always_parallel", False)  # a command may have set it
     samarl.evaluate("orca", SMALL, cases=1)
     samarl.record("orca", SMALL)
     samarl.render("orca", SMALL, output=tmp_path / "case.png")
