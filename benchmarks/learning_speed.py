@@ -24,7 +24,7 @@ from samarl.files import machine, write_json, write_text
 RECIPES = {  # settings and world-steps
     "flat": (["policy=flat"], 1_000_000),
     "two levels": ([], 1_000_000),
-    "two levels, 3 million steps": ([], 3_000_000),
+    "two levels, 2 million steps": ([], 2_000_000),
     "two levels, goal hidden": (["policy=goal_hidden", "algorithm.macro_std=0.4"], 1_000_000),
     "flat, REPPO": (["policy=flat", "algorithm=reppo"], 500_000),
     "flat, transformer": (["experiment=transformer", "policy=flat"], 1_000_000),
