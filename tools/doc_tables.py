@@ -15,28 +15,28 @@ from tools.figures import RESULTS, find_row, find_value, print_row, result_rows
 NONE = "-"  # in cells without a value
 TABLES: dict[str, Callable[[], str]] = {}
 COLUMNS = [Column(90.0, 10, 3), Column(90.0, 10, 5), Column(360.0, 10, 5), Column(360.0, 10, 3)]
-# Rows of the README: name, agent with a view of 90°, agent with a view of 360°.
+# Rows of the README: name, agent.
 METHODS = (
-    ("ORCA", "orca", "orca"),
-    ("Sampling planner (`model_predictive`)", "model_predictive", "model_predictive"),
-    ("Around the crowd (`perimeter`)", "perimeter", "perimeter"),
-    ("Around the crowd, shielded", "perimeter_shielded", "perimeter_shielded"),
-    ("CADRL", "cadrl_narrow", "cadrl"),
-    ("CADRL, shielded", "cadrl_narrow_shielded", "cadrl_shielded"),
-    ("SAMARL without its shield", "samarl_unshielded", "samarl_unshielded"),
-    ("SAMARL", "samarl", "samarl"),
+    ("ORCA", "orca"),
+    ("Sampling planner (`model_predictive`)", "model_predictive"),
+    ("Around the crowd (`perimeter`)", "perimeter"),
+    ("Around the crowd, shielded", "perimeter_shielded"),
+    ("CADRL", "cadrl"),
+    ("CADRL, shielded", "cadrl_shielded"),
+    ("SAMARL without its shield", "samarl_unshielded"),
+    ("SAMARL", "samarl"),
 )
 # Rows of the documentation in addition to those of the README.
 OTHER_METHODS = (
-    ("SAMARL-PPO without its shield", "samarl_ppo_unshielded", "samarl_ppo_unshielded"),
-    ("SAMARL-PPO", "samarl_ppo", "samarl_ppo"),
+    ("SAMARL-PPO without its shield", "samarl_ppo_unshielded"),
+    ("SAMARL-PPO", "samarl_ppo"),
+    ("SAMARL-SRNN without its shield", "samarl_srnn_unshielded"),
+    ("SAMARL-SRNN", "samarl_srnn"),
 )
 # Methods without a policy for 90°.
 WIDE_METHODS = (
     ("SAMARL with the paper's transformer", "samarl_transformer"),
     ("SAMARL with the paper's transformer, without its shield", "samarl_transformer_unshielded"),
-    ("SAMARL-SRNN", "samarl_srnn"),
-    ("SAMARL-SRNN without its shield", "samarl_srnn_unshielded"),
     ("One level (`samarl_flat`)", "samarl_flat"),
     ("One level without its shield", "samarl_flat_unshielded"),
 )
@@ -80,11 +80,8 @@ def _cell(name: str, method: str, column: Column) -> str:
     return print_row(find_row(name, method, key), "both")
 
 
-def _method_lines(methods: Iterable[tuple[str, str, str]]) -> list[list[str]]:
-    return [
-        [label, *(_cell("table1", narrow if c.fov_degrees == 90.0 else wide, c) for c in COLUMNS)]
-        for label, narrow, wide in methods
-    ]
+def _method_lines(methods: Iterable[tuple[str, str]]) -> list[list[str]]:
+    return [[label, *(_cell("table1", method, c) for c in COLUMNS)] for label, method in methods]
 
 
 def _table1_header() -> list[str]:
@@ -122,8 +119,8 @@ def _seeds_table(agents: Sequence[str], columns: Sequence[str], heads: Sequence[
 @table
 def seeds_wide() -> str:
     """Return success over training seeds of the policies with a full view."""
-    others = ("flat", "srnn", "general", "planned")
-    names = ("samarl", "samarl_transformer", *(f"samarl_{name}" for name in others))
+    others = ("ppo", "srnn", "transformer", "flat", "general", "planned")
+    names = ("samarl", *(f"samarl_{name}" for name in others))
     agents = [agent for n in names for agent in (n, f"{n}_unshielded")]
     agents += ["cadrl_shielded", "cadrl"]
     return _seeds_table(agents, ["360/10/3", "360/10/5"], ["3 robots", "5 robots"])
@@ -132,8 +129,9 @@ def seeds_wide() -> str:
 @table
 def seeds_narrow() -> str:
     """Return success over training seeds of the policies with a view of 90°."""
-    names = ("cadrl_narrow", "cadrl_narrow_shielded", "samarl", "samarl_unshielded")
-    agents = (*names, "samarl_general", "samarl_planned")
+    names = ("samarl", "samarl_ppo", "samarl_srnn")
+    agents = [agent for name in names for agent in (name, f"{name}_unshielded")]
+    agents += ["cadrl_shielded", "cadrl", "samarl_general", "samarl_planned"]
     return _seeds_table(agents, ["90/10/3", "90/10/5"], ["3 robots", "5 robots"])
 
 
@@ -192,7 +190,7 @@ def robustness() -> str:
     }
     settings: dict[str, dict[str, str]] = {}
     for row in result_rows("robustness"):
-        name = setting_name(column_of(row)) or "as in Table I"
+        name = setting_name(column_of(row)) or "as in Table I, 200 cases"
         setting = CHANGES.get(name, name)
         settings.setdefault(setting, {})[row["method"]] = print_row(row, "success")
     lines = [
@@ -212,7 +210,7 @@ def co_planning() -> str:
             text = f"{row['csr']:.1f} / {row['cr']:.1f}"
             cells.setdefault(row["method"], {})[column.scenario] = text
     lines = [[f"`{m}`", *(line.get(s, NONE) for s in scenarios)] for m, line in cells.items()]
-    return markdown_table(["CSR % / CR %", *scenarios], lines)
+    return markdown_table(["CSR % / CR", *scenarios], lines)
 
 
 @table
@@ -230,6 +228,22 @@ def team() -> str:
         ]
         lines.append([str(robots), *rates])
     return markdown_table(["robots", "alone, success %", "sharing, success %"], lines)
+
+
+@table
+def throughput_places() -> str:
+    """Return the speed and the memory of the simulator by the place."""
+    lines = [
+        [
+            row["place"],
+            str(row["rays"]),
+            f"{row['world_steps_per_second']:,}",
+            f"{row['bytes_per_world'] * 4096 / 2**20:,.0f}",
+        ]
+        for row in find_value("throughput", "by_place")
+    ]
+    header = ["place", "lidar rays", "world-steps per second", "4,096 worlds, MiB"]
+    return markdown_table(header, lines)
 
 
 @table

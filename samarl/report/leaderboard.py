@@ -24,7 +24,7 @@ class Line:
     group: str  # a key of GROUPS
     description: str  # one line; empty if the method has no configuration file
     checkpoint: str | None  # of its policy
-    rows: list[Row | None]  # one per column; `method` of a row can be a policy for narrow views
+    rows: list[Row | None]  # one per column
 
     @property
     def label(self) -> Markup:
@@ -43,8 +43,7 @@ def ranked(rows: Sequence[Row]) -> list[Line]:
 
     Means over different columns are not comparable, since columns differ in difficulty.
     """
-    methods = _merge_views(grid_of(rows).ours)
-    lines = [_line(name, method_rows) for name, method_rows in methods.items()]
+    lines = [_line(name, method_rows) for name, method_rows in grid_of(rows).ours.items()]
     order = list(GROUPS)
     return sorted(
         lines, key=lambda line: (order.index(line.group), line.rows.count(None), -line.success)
@@ -55,24 +54,6 @@ def is_best(row: Row, rows: Sequence[Row]) -> bool:
     """Return whether a row has the highest success rate of its column."""
     column = column_of(row)
     return row["success_rate"] == max(r["success_rate"] for r in rows if column_of(r) == column)
-
-
-def _merge_views(methods: dict[str, list[Row | None]]) -> dict[str, list[Row | None]]:
-    """Fill the empty columns of a method with those of its policy for a narrow view.
-
-    `NAME_narrow` and `NAME_narrow_shielded` are in the lines of `NAME` and `NAME_shielded`,
-    unless both have a row in the same column.
-    """
-    merged = dict(methods)
-    for narrow, narrow_rows in methods.items():
-        wide = narrow.replace("_narrow", "")
-        if wide == narrow or wide not in merged:
-            continue
-        pairs = list(zip(merged[wide], narrow_rows, strict=True))
-        if not any(a and b for a, b in pairs):
-            merged[wide] = [a or b for a, b in pairs]
-            del merged[narrow]
-    return merged
 
 
 def _line(name: str, rows: list[Row | None]) -> Line:

@@ -75,7 +75,7 @@ def test_a_page_is_written_again_with_its_figure(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     path = tmp_path / "mine/table1.json"
-    rows = [row for row in committed() if row["method"] in ("orca", "samarl", "cadrl_narrow")]
+    rows = [row for row in committed() if row["method"] in ("orca", "samarl", "samarl_flat")]
     write_json(path, rows)
     before = path.read_bytes()
     monkeypatch.setattr("samarl.commands.bench._run", lambda *_: pytest.fail("played"))
@@ -87,7 +87,7 @@ def test_a_page_is_written_again_with_its_figure(
         assert 900 < image.width < 1100  # pixels, which fit in a page
     (success, _) = draw_improvements(improvements(rows, ["samarl"])).axes[:2]
     assert success.get_title(loc="left") == "Success"
-    assert [label.get_text() for label in success.get_yticklabels()] == ["cadrl_narrow (3 seeds)"]
+    assert [label.get_text() for label in success.get_yticklabels()] == ["samarl_flat (3 seeds)"]
     # Only two columns have been played by both.
     values = [text.get_text() for text in success.texts if text.get_text() != "samarl"]
     assert values == re.findall(r"([\d.]+) \[", page.split("Success:")[1].split("Social")[0])

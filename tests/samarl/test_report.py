@@ -144,11 +144,7 @@ def test_methods_are_in_groups_best_first_with_a_description(site: Path) -> None
     assert index.count('class="best"') >= 4
     named = {line.name: line for line in ranking}
     assert named["samarl_unshielded"].checkpoint == "samarl"
-    assert "cadrl_narrow" not in named  # its rows are in the empty columns of `cadrl`
-    assert [row and row["method"] for row in named["cadrl"].rows] == [
-        *["cadrl_narrow"] * 2,
-        *["cadrl"] * 2,
-    ]
+    assert all(named[name].rows.count(None) == 0 for name in ("samarl", "samarl_ppo", "cadrl"))
     assert [table.name for table in read_tables(find_folder("results"))][:2] == [
         "Table 1",
         "Table 2",
@@ -224,16 +220,15 @@ def test_curves_are_grouped_by_the_task_of_the_training() -> None:
     groups = group_runs(runs, results / "checkpoints")
     task = {name: task for task, names in groups.items() for name in names}
     assert task.keys() == runs.keys()
-    assert task["samarl_transformer"] == task["cadrl"] == "SAMARL's circle, 360° view"
-    assert task["cadrl_narrow"] == "SAMARL's circle, 90° view"
+    assert task["samarl_transformer"] == task["samarl_flat"] == "SAMARL's circle, 360° view"
     assert task["msa3c"] == task["sarl"] == "MSA3C's circle, holonomic robots"
     assert task["samarl_places"] == "Places with walls"
     assert task["samarl_recorded"] == "Recorded people"
     assert task["samarl_general"] == "Any layout"
-    (cadrl,) = [
-        run for group in chart_data(groups) for run in group["runs"] if run["name"] == "cadrl"
+    (flat,) = [
+        run for group in chart_data(groups) for run in group["runs"] if run["name"] == "samarl_flat"
     ]
-    steps, mean, low, high = cadrl["lines"]["charts/success"]
+    steps, mean, low, high = flat["lines"]["charts/success"]
     assert len(steps) == 60
     assert all(0 <= a <= b <= c <= 100 for a, b, c in zip(low, mean, high, strict=True))
 

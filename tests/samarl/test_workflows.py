@@ -180,15 +180,15 @@ def test_the_bench_refuses_invalid_settings(tmp_path: Path, arguments: list[str]
 
 
 def test_the_bench_evaluates_policies_only_in_their_views(tmp_path: Path) -> None:
-    words = ["agents=[cadrl_narrow]", "evaluation.cases=1", "output=mine"]
+    words = ["agents=[samarl_flat]", "evaluation.cases=1", "output=mine"]
     columns = "[{fov_degrees: 90, robots: 1}, {fov_degrees: 360, robots: 1}]"
     done = run("bench", *words, f"columns={columns}", cwd=tmp_path)
     rows = json.loads((tmp_path / "mine/table1.json").read_text())
-    assert {row["fov_degrees"] for row in rows} == {90.0}
-    assert "cadrl_narrow: cadrl_narrow was trained for a view of 90 degrees; here" in done.stdout
+    assert {row["fov_degrees"] for row in rows} == {360.0}
+    assert "samarl_flat: samarl_flat was trained for a view of 360 degrees; here" in done.stdout
     done = run("bench", *words, "columns=[{fov_degrees: 120}]", cwd=tmp_path, code=2)
     assert done.stderr.startswith(
-        "error: columns has no column that an agent can play: cadrl_narrow was trained"
+        "error: columns has no column that an agent can play: samarl_flat was trained"
     )
 
 
@@ -373,11 +373,11 @@ def test_unwritable_outputs_are_refused_before_anything_is_run(tmp_path: Path) -
 
 
 def test_a_policy_outside_of_its_views_prints_a_warning(tmp_path: Path) -> None:
-    words = ["agent=cadrl_narrow", "evaluation.cases=1", "scenario.time_limit=1"]
+    words = ["agent=samarl_flat", "evaluation.cases=1", "scenario.time_limit=1"]
     done = run("evaluate", *words, "scenario.fov_degrees=120", cwd=tmp_path)
-    note = "note: cadrl_narrow was trained for a view of 90 degrees; here it is 120 degrees\n"
+    note = "note: samarl_flat was trained for a view of 360 degrees; here it is 120 degrees\n"
     assert note in done.stderr
-    done = run("evaluate", *words, "scenario.fov_degrees=90", cwd=tmp_path)
+    done = run("evaluate", *words, "scenario.fov_degrees=360", cwd=tmp_path)
     assert "note:" not in done.stderr
 
 
