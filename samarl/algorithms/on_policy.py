@@ -33,7 +33,14 @@ Waypoints hardly move at first, so that the local level learns to drive to them.
 CHUNK_SIZE = 16384
 """Frames per forward pass when no gradient is needed, to bound the memory."""
 
-LOCAL_KEYS = ("previous_noise", "waypoint_features", "speed", "unsafe", "safe_action")
+LOCAL_KEYS = (
+    "previous_noise",
+    "waypoint_features",
+    "speed",
+    "unsafe",
+    "safe_action",
+    "teacher_action",
+)
 """What the local level's losses read of a rollout, as far as it is there."""
 
 Statistics = dict[str, list[float]]
@@ -43,6 +50,7 @@ Statistics = dict[str, list[float]]
 class OnPolicyConfig:
     """Hyperparameters of all on-policy algorithms."""
 
+    teacher: str | None  # agent of `conf/agent/` that the local level imitates at first
     learning_rate: float = required(0.0, 1.0, help="initial learning rate; falls linearly to 0")
     epochs: int = required(1, 100, help="passes over each rollout")
     minibatches: int = required(1, 1000, help="minibatches per epoch")
@@ -61,6 +69,12 @@ class OnPolicyConfig:
     path_penalty: float = required(0.0, 100.0, help="penalty per metre driven; falls linearly to 0")
     shield_coefficient: float = required(
         0.0, 100.0, help="weight of imitating the safety shield where it intervenes"
+    )
+    teacher_coefficient: float = required(
+        0.0, 100.0, help="initial weight of imitating the teacher; falls linearly to 0"
+    )
+    teacher_end: float = required(
+        0.001, 1.0, help="share of the training after which the teacher is not imitated any more"
     )
     std_start: float = required(0.01, 10.0, help="initial upper bound of the exploration noise")
     std_end: float = required(
@@ -109,6 +123,8 @@ class OnPolicy(Algorithm):
             }
         )
         self.uses_shield_targets = config.shield_coefficient > 0.0
+        self.teacher = config.teacher
+        self.teacher_weight = config.teacher_coefficient
         self.to(policy.device)
         self.optimiser = torch.optim.Adam(
             [*policy.parameters(), *self.parameters()],
@@ -157,6 +173,7 @@ class OnPolicy(Algorithm):
         c = self.config
         self.reward_shaping.path_penalty = c.path_penalty * (1.0 - share)
         self._set_learning_rate(share)
+        self.teacher_weight = c.teacher_coefficient * max(1.0 - share / c.teacher_end, 0.0)
         largest = c.std_start + (c.std_end - c.std_start) * share
         for level in self.policy.levels:
             rising = min(share / MACRO_RISE, 1.0)
@@ -255,7 +272,7 @@ class OnPolicy(Algorithm):
     def _auxiliary_loss(
         self, mean: Tensor, std: Tensor, decisions: TensorDict, statistics: Statistics
     ) -> Tensor:
-        """Return the penalties on the local level's means [Q, A]: robots' limits and the shield."""
+        """Return the penalties on the local level's means [Q, A]: limits, shield and teacher."""
         c = self.config
         total = mean.new_zeros(())
         if c.action_limit_penalty > 0.0:
@@ -270,6 +287,10 @@ class OnPolicy(Algorithm):
             total = total + c.shield_coefficient * wrong
             statistics["losses/unsafe"].append(float(unsafe.float().mean()))
             statistics["losses/shield_error"].append(float(wrong.detach()))
+        if self.teacher is not None and self.teacher_weight > 0.0:
+            error = (mean - decisions["teacher_action"]).square().sum(-1).mean()
+            total = total + self.teacher_weight * error
+            statistics["losses/teacher_error"].append(float(error.detach()))
         return total
 
 

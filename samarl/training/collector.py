@@ -13,6 +13,7 @@ from torch.utils._pytree import tree_leaves, tree_map
 
 from mrsan import Episodes, Split, World
 from mrsan.metrics import episodes_of
+from samarl.agents.agent import Agent
 from samarl.observations.features import speed_of, state_features, true_state
 from samarl.observations.frames import Frames
 from samarl.observations.tracker import Tracks
@@ -44,6 +45,7 @@ class RolloutCollector:
         shaping: RewardShaping | None = None,
         uses_global_state: bool = False,
         uses_shield_targets: bool = False,
+        teacher: Agent | None = None,
     ) -> None:
         """Start the training cases `first`, `first + 1`, ... in the worlds of `stage`.
 
@@ -55,11 +57,15 @@ class RolloutCollector:
             shaping: of the rewards; None: none.
             uses_global_state: store the global state too, for central critics.
             uses_shield_targets: store the actions of the safety shield too.
+            teacher: store the actions of this agent too.
         """
         self.stage, self.policy, self.steps = stage, policy, steps
         self.shaping = shaping or RewardShaping()
         self.uses_global_state = uses_global_state
         self.shield = Shield() if uses_shield_targets else None
+        self.teacher = teacher
+        if teacher is not None:
+            teacher.reset(np.ones(stage.worlds, np.bool_))
         scenario, worlds = stage.scenario, stage.worlds
         self.world = World(scenario, worlds)
         self.state = policy.initial_state(worlds, scenario)
@@ -174,6 +180,10 @@ class RolloutCollector:
             )
             column["agents", "safe_action"] = safe
             column["agents", "unsafe"] = ((safe - mean).abs().amax(-1) > UNSAFE) & active
+        if self.teacher is not None:
+            column["agents", "teacher_action"] = torch.from_numpy(
+                self.teacher.act(self.observation)
+            )
         for name, level in decision.levels.items():
             key = level_key(name)
             column[(*key, "action")] = level.action
@@ -218,6 +228,8 @@ class RolloutCollector:
         world, e, stage = self.world, self.world.worlds, self.stage
         back = np.zeros(e, np.int64)
         self.is_init = ended.copy()
+        if self.teacher is not None:
+            self.teacher.reset(ended)
         if not ended.any():
             if self.crowd is not None:
                 self.crowd.step()

@@ -10,8 +10,11 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from mrsan import ConfigurationError, Scenario
+from samarl.agents import build_agent
+from samarl.agents.agent import Agent
 from samarl.algorithms import ALGORITHMS
 from samarl.algorithms.algorithm import Algorithm
+from samarl.configuration import load_agent_config
 from samarl.launch import per_process, rank, world_size
 from samarl.observations.features import empty_frames
 from samarl.policies.checkpoint import load_policy, make_policy
@@ -102,6 +105,17 @@ def build_algorithm(settings: Mapping[str, Any], policy: Policy) -> Algorithm:
     return entry.cls(policy, ALGORITHMS.config(settings))
 
 
+def build_teacher(name: str | None, scenario: Scenario) -> Agent | None:
+    """Return the agent of `conf/agent/` that the policy imitates; None without a name.
+
+    Raises:
+        ConfigurationError: there is no such agent, or it cannot drive the robots of the scenario.
+    """
+    if name is None:
+        return None
+    return build_agent(load_agent_config(name, "algorithm.teacher"), scenario)
+
+
 def build_collectors(
     config: TrainerConfig, stages: list[CurriculumStage], policy: Policy, algorithm: Algorithm
 ) -> list[RolloutCollector]:
@@ -132,6 +146,7 @@ def build_collectors(
                 algorithm.reward_shaping,
                 algorithm.uses_global_state,
                 algorithm.uses_shield_targets,
+                build_teacher(algorithm.teacher, stage.scenario),
             )
         )
         first_case += 2 * stage.worlds

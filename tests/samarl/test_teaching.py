@@ -4,13 +4,16 @@ from collections import defaultdict
 from dataclasses import replace
 
 import numpy as np
+import pytest
 import torch
 
+from mrsan import ConfigurationError, Scenario
 from samarl.algorithms.advantages import streams
 from samarl.planning.shield import Shield, apply_shield
 from samarl.policies.policy import LOCAL
 from samarl.training.collector import RolloutCollector
 from samarl.training.curriculum import CurriculumStage
+from samarl.training.setup import build_teacher
 from tests import learning
 
 
@@ -116,3 +119,49 @@ def test_a_metre_costs_what_it_should() -> None:
     assert not rollout.steps["next", "done"].any()
     torch.testing.assert_close(cost, 0.5 * 0.25 * speed.sum(1))
     assert (cost > 0.0).all()
+
+
+def test_the_teacher_acts_on_what_the_policy_observes() -> None:
+    policy, scenario = learning.policy("flat"), learning.crowded()
+    teacher = build_teacher("orca", scenario)
+    collector = RolloutCollector(
+        CurriculumStage(4, scenario=scenario), policy, 3, 0, teacher=teacher
+    )
+    expected = teacher.act(collector.observation)
+    steps = collector.collect().steps
+    np.testing.assert_array_equal(steps["agents", "teacher_action"][:, 0], expected)
+
+
+def test_the_policy_learns_what_the_teacher_would_do() -> None:
+    policy, scenario = learning.policy("flat"), learning.crowded()
+    learner = learning.algorithm(
+        policy, learning_rate=3e-3, epochs=10, teacher="orca", teacher_coefficient=30.0
+    )
+    collector = RolloutCollector(
+        CurriculumStage(16, scenario=scenario),
+        policy,
+        16,
+        0,
+        uses_global_state=True,
+        teacher=build_teacher("orca", scenario),
+    )
+    rollout = collector.collect()
+    errors = [learner.update([rollout])["losses/teacher_error"] for _ in range(5)]
+    assert errors[-1] < 0.5 * errors[0]
+
+
+def test_imitation_of_the_teacher_fades_out() -> None:
+    learner = learning.algorithm(
+        learning.policy("flat"), teacher="orca", teacher_coefficient=2.0, teacher_end=0.5
+    )
+    weights = []
+    for share in (0.0, 0.25, 0.5, 1.0):
+        learner.set_progress(share)
+        weights.append(learner.teacher_weight)
+    assert weights == [2.0, 1.0, 0.0, 0.0]
+
+
+def test_an_unknown_teacher_is_refused() -> None:
+    with pytest.raises(ConfigurationError, match=r"algorithm\.teacher: there is no agent 'orka'"):
+        build_teacher("orka", Scenario())
+    assert build_teacher(None, Scenario()) is None
