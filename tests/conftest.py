@@ -30,12 +30,6 @@ hypothesis.settings.load_profile("suite")
 kernel.always_parallel = True
 
 
-@pytest.hookimpl(optionalhook=True)
-def pytest_xdist_auto_num_workers() -> int:
-    """Run one worker more than there are cores: many tests wait for programs that they start."""
-    return min((os.cpu_count() or 1) + 1, 8)
-
-
 @pytest.hookimpl(tryfirst=True)
 def pytest_sessionstart(session: pytest.Session) -> None:
     """Compile the simulator once, before every worker would compile it for itself."""
