@@ -29,7 +29,6 @@ RECIPES = {  # settings and world-steps
     "flat, transformer": (["experiment=transformer", "policy=flat"], 1_000_000),
     "two levels, transformer": (["experiment=transformer"], 1_000_000),
 }
-DEFAULT = list(RECIPES)[:2]
 COMMON = [
     "trainer.processes=2",
     "trainer.threads=1",
@@ -165,8 +164,8 @@ def _parse() -> argparse.Namespace:
     parser.add_argument(
         "recipes",
         nargs="*",
-        default=DEFAULT,
-        help=f"which of {', '.join(map(repr, RECIPES))} (default: the first two)",
+        default=["flat", "two levels"],
+        help=f"which of {', '.join(map(repr, RECIPES))} (default: flat, two levels)",
     )
     parser.add_argument("--seeds", type=positive_whole_number, default=3, help="per recipe (3)")
     parser.add_argument(

@@ -116,21 +116,22 @@ def _seeds_table(agents: Sequence[str], columns: Sequence[str], heads: Sequence[
     return markdown_table(["success %, mean [range]", *heads], lines)
 
 
+def _with_unshielded(names: Iterable[str]) -> list[str]:
+    return [agent for name in names for agent in (name, f"{name}_unshielded")]
+
+
 @table
 def seeds_wide() -> str:
     """Return success over training seeds of the policies with a full view."""
     others = ("ppo", "transformer", "flat", "general", "planned")
     names = ("samarl", *(f"samarl_{name}" for name in others))
-    agents = [agent for n in names for agent in (n, f"{n}_unshielded")]
-    return _seeds_table(agents, ["360/10/3", "360/10/5"], ["3 robots", "5 robots"])
+    return _seeds_table(_with_unshielded(names), ["360/10/3", "360/10/5"], ["3 robots", "5 robots"])
 
 
 @table
 def seeds_narrow() -> str:
     """Return success over training seeds of the policies with a view of 90°."""
-    names = ("samarl", "samarl_ppo")
-    agents = [agent for name in names for agent in (name, f"{name}_unshielded")]
-    agents += ["samarl_general", "samarl_planned"]
+    agents = [*_with_unshielded(["samarl", "samarl_ppo"]), "samarl_general", "samarl_planned"]
     return _seeds_table(agents, ["90/10/3", "90/10/5"], ["3 robots", "5 robots"])
 
 

@@ -166,7 +166,7 @@ class OnPolicy(Algorithm):
         return False
 
     def set_progress(self, share: float) -> None:
-        """Decay learning rate, exploration and path penalty linearly.
+        """Decay learning rate, exploration, path penalty and imitation of the teacher linearly.
 
         The minimal noise of the macro level rises during the first part, see `MACRO_RISE`.
         """
@@ -174,6 +174,7 @@ class OnPolicy(Algorithm):
         self.reward_shaping.path_penalty = c.path_penalty * (1.0 - share)
         self._set_learning_rate(share)
         self.teacher_weight = c.teacher_coefficient * max(1.0 - share / c.teacher_end, 0.0)
+        self.teacher = c.teacher if self.teacher_weight > 0.0 else None
         largest = c.std_start + (c.std_end - c.std_start) * share
         for level in self.policy.levels:
             rising = min(share / MACRO_RISE, 1.0)
@@ -287,7 +288,7 @@ class OnPolicy(Algorithm):
             total = total + c.shield_coefficient * wrong
             statistics["losses/unsafe"].append(float(unsafe.float().mean()))
             statistics["losses/shield_error"].append(float(wrong.detach()))
-        if self.teacher is not None and self.teacher_weight > 0.0:
+        if self.teacher is not None:
             error = (mean - decisions["teacher_action"]).square().sum(-1).mean()
             total = total + self.teacher_weight * error
             statistics["losses/teacher_error"].append(float(error.detach()))

@@ -87,6 +87,7 @@ class RolloutCollector:
         )
         self.begins = torch.ones(self.frames.ego.shape[:2], dtype=torch.bool, device=policy.device)
         self.decision: Decision  # for the next step
+        self.teacher_action: Tensor  # for the next step, if there is a teacher
         self.encoder_before: Any = None  # state of the encoders before it
         for _ in range(RESTART_STEPS if self._restarts else 0):
             self.snapshots.append(self.world, self._memory())
@@ -145,6 +146,8 @@ class RolloutCollector:
             self.stage.noise_correlation,
             self.active,
         )
+        if self.teacher is not None:
+            self.teacher_action = torch.from_numpy(self.teacher.act(self.observation))
         column = self.past + step
         for buffer, tensor in zip(
             self.frames.tensors(), self.decision.features.tensors(), strict=True
@@ -181,9 +184,7 @@ class RolloutCollector:
             column["agents", "safe_action"] = safe
             column["agents", "unsafe"] = ((safe - mean).abs().amax(-1) > UNSAFE) & active
         if self.teacher is not None:
-            column["agents", "teacher_action"] = torch.from_numpy(
-                self.teacher.act(self.observation)
-            )
+            column["agents", "teacher_action"] = self.teacher_action
         for name, level in decision.levels.items():
             key = level_key(name)
             column[(*key, "action")] = level.action

@@ -141,6 +141,9 @@ class Trainer:
 
     def collect(self) -> list[Rollout]:
         """Return a rollout of every active stage."""
+        if self.algorithm.teacher is None:
+            for collector in self.collectors:
+                collector.teacher = None  # it is not imitated any more
         share = self.steps_done / self.config.steps
         pairs = zip(self.stages, self.collectors, strict=True)
         return [collector.collect() for stage, collector in pairs if stage.is_active(share)]

@@ -159,6 +159,7 @@ def test_imitation_of_the_teacher_fades_out() -> None:
         learner.set_progress(share)
         weights.append(learner.teacher_weight)
     assert weights == [2.0, 1.0, 0.0, 0.0]
+    assert learner.teacher is None
 
 
 def test_an_unknown_teacher_is_refused() -> None:
