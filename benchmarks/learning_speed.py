@@ -15,7 +15,7 @@ import statistics
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from benchmarks.workload import add_output, interruptible, positive_whole_number, provenance
 from samarl.evaluation.table import markdown_table
@@ -42,18 +42,33 @@ SUCCESS_OF_FIVE = "validation/success_360_10h_5r"
 Curve = list[dict[str, float]]
 
 
+class Suite(NamedTuple):
+    """Recipes that are compared."""
+
+    name: str  # of the benchmark and its files
+    about: str  # documentation of its module
+    recipes: dict[str, tuple[list[str], int]]  # settings and world-steps
+    default: list[str]  # recipes to train unless others are named
+    common: list[str]  # settings of all of them
+
+
 def main() -> None:
+    """Measure the recipes of this module."""
+    measure(Suite("learning_speed", __doc__ or "", RECIPES, ["flat", "two levels"], COMMON))
+
+
+def measure(suite: Suite) -> None:
     """Train what is missing, print the table, and write the JSON file, the table and the figure."""
-    arguments = _parse()
+    arguments = _parse(suite)
     curves: dict[str, list[Curve]] = {}
     with interruptible():
         for recipe in arguments.recipes:
             curves[recipe] = [
-                train(recipe, seed, arguments.steps, arguments.folder)
+                train(suite, recipe, seed, arguments.steps, arguments.folder)
                 for seed in range(arguments.seeds)
             ]
     recipes = {recipe: summary(of_recipe) for recipe, of_recipe in curves.items()}
-    result = {"recipes": recipes, **provenance("learning_speed")}
+    result = {"recipes": recipes, **provenance(suite.name)}
     write_json(arguments.output, result)
     table = table_of(recipes)
     write_text(arguments.output.with_suffix(".md"), f"{table}\n\n{caption(result)}\n")
@@ -62,13 +77,13 @@ def main() -> None:
     print(f"\n{caption(result)}\nwritten to {arguments.output}")
 
 
-def train(recipe: str, seed: int, steps: int | None, folder: Path) -> Curve:
+def train(suite: Suite, recipe: str, seed: int, steps: int | None, folder: Path) -> Curve:
     """Train a recipe, or resume it; return the validations of its learning curve."""
     run = folder / f"{recipe.replace(', ', '_').replace(' ', '_')}_{seed}"
-    of_recipe, usual_steps = RECIPES[recipe]
+    of_recipe, usual_steps = suite.recipes[recipe]
     settings = [
         *of_recipe,
-        *COMMON,
+        *suite.common,
         f"trainer.seed={seed}",
         f"trainer.steps={steps or usual_steps}",
     ]
@@ -119,7 +134,7 @@ def caption(result: dict[str, Any]) -> str:
     """Return the line below the table."""
     seeds = len(next(iter(result["recipes"].values()))["seconds"])
     return (
-        f"Means of {seeds} seeds [smallest, largest]; two processes, {machine()}, "
+        f"Means of {seeds} seeds [smallest, largest]; {machine()}, "
         f"commit {result['commit']}: `{result['command']}`"
     )
 
@@ -139,7 +154,7 @@ def draw(curves: dict[str, list[Curve]], path: Path) -> None:
                 label=recipe if number == 0 else None,
             )
     axes.axhline(90, color="0.6", linewidth=0.8, linestyle=":")
-    axes.set(xlabel="minutes of training on two cores", ylabel="success, 3 robots (%)")
+    axes.set(xlabel="minutes of training", ylabel="success, 3 robots (%)")
     axes.set(ylim=(0, 100), xlim=(0, None))
     axes.legend(frameon=False, loc="lower right")
     for side in ("top", "right"):
@@ -157,28 +172,28 @@ def _cell(values: list[float | None]) -> str:
     return f"{mean:,.0f} [{low:,.0f}, {high:,.0f}]"
 
 
-def _parse() -> argparse.Namespace:
+def _parse(suite: Suite) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.learning_speed", description=(__doc__ or "").partition("\n")[0]
+        prog=f"python -m benchmarks.{suite.name}", description=suite.about.partition("\n")[0]
     )
     parser.add_argument(
         "recipes",
         nargs="*",
-        default=["flat", "two levels"],
-        help=f"which of {', '.join(map(repr, RECIPES))} (default: flat, two levels)",
+        default=suite.default,
+        help=f"which of {'; '.join(suite.recipes)} (default: {'; '.join(suite.default)})",
     )
     parser.add_argument("--seeds", type=positive_whole_number, default=3, help="per recipe (3)")
     parser.add_argument(
         "--steps", type=positive_whole_number, help="world-steps (each recipe's own)"
     )
     parser.add_argument(
-        "--folder", type=Path, default=Path("outputs/learning_speed"), help="of the runs"
+        "--folder", type=Path, default=Path(f"outputs/{suite.name}"), help="of the runs"
     )
-    add_output(parser, "learning_speed")
+    add_output(parser, suite.name)
     arguments = parser.parse_intermixed_args()
     for recipe in arguments.recipes:
-        if recipe not in RECIPES:
-            parser.error(f"recipe is {recipe!r}; it must be one of {', '.join(RECIPES)}")
+        if recipe not in suite.recipes:
+            parser.error(f"recipe is {recipe!r}; it must be one of {'; '.join(suite.recipes)}")
     return arguments
 
 

@@ -53,10 +53,43 @@ class REPPOConfig(OnPolicyConfig):
     kl_bound: float = required(0.0, 100.0, help="largest KL divergence from the old policy")
 
 
-class DuelingCritic(nn.Module):
-    """V(s) as the mean of a histogram over returns, and the normalised advantage A(s, a)."""
+class CategoricalValue(nn.Module):
+    """V(s) as the mean of a histogram over returns."""
 
     centers: Tensor
+
+    def __init__(self, inputs: int, hidden: int, bins: int, low: float, high: float) -> None:
+        """Create the layers.
+
+        Args:
+            inputs: length of the features of the state.
+            hidden: width of the hidden layers.
+            bins: number of categories.
+            low: smallest return of the categories.
+            high: largest return of the categories.
+        """
+        super().__init__()
+        self.body = _mlp(inputs, hidden, bins)
+        self.width = (high - low) / bins
+        self.register_buffer("centers", low + self.width * (torch.arange(bins) + 0.5))
+
+    def forward(self, features: Tensor) -> Tensor:
+        """Return V [...] for features [..., F]."""
+        value: Tensor = self.body(features).softmax(-1) @ self.centers
+        return value
+
+    def loss(self, features: Tensor, target: Tensor) -> Tensor:
+        """Return the cross-entropy with a Gaussian around each return [R] (HL-Gauss)."""
+        edges = torch.cat([self.centers - self.width / 2, self.centers[-1:] + self.width / 2])
+        target = target.clamp(float(edges[0]), float(edges[-1])).unsqueeze(-1)
+        cumulative = torch.erf((edges - target) / (SMOOTHING * self.width * math.sqrt(2.0)))
+        share = cumulative[:, 1:] - cumulative[:, :-1]
+        share = share / (cumulative[:, -1:] - cumulative[:, :1])
+        return -(share * self.body(features).log_softmax(-1)).sum(-1).mean()
+
+
+class DuelingCritic(nn.Module):
+    """The value V(s), and the normalised advantage A(s, a)."""
 
     def __init__(self, inputs: int, actions: int, hidden: int, config: REPPOConfig) -> None:
         """Create the layers.
@@ -68,30 +101,14 @@ class DuelingCritic(nn.Module):
             config: with the categories.
         """
         super().__init__()
-        self.value_body = _mlp(inputs, hidden, config.bins)
+        categories = config.bins, config.value_min, config.value_max
+        self.value = CategoricalValue(inputs, hidden, *categories)
         self.advantage_body = _mlp(inputs + actions, hidden, 1)
-        self.width = (config.value_max - config.value_min) / config.bins
-        centers = config.value_min + self.width * (torch.arange(config.bins) + 0.5)
-        self.register_buffer("centers", centers)
-
-    def value(self, features: Tensor) -> Tensor:
-        """Return V [...] for features [..., F]."""
-        value: Tensor = self.value_body(features).softmax(-1) @ self.centers
-        return value
 
     def advantage(self, features: Tensor, action: Tensor) -> Tensor:
         """Return A [...] for features [..., F] and actions [..., A]."""
         advantage: Tensor = self.advantage_body(torch.cat([features, action], -1)).squeeze(-1)
         return advantage
-
-    def value_loss(self, features: Tensor, target: Tensor) -> Tensor:
-        """Return the cross-entropy with a Gaussian around each return [R] (HL-Gauss)."""
-        edges = torch.cat([self.centers - self.width / 2, self.centers[-1:] + self.width / 2])
-        target = target.clamp(float(edges[0]), float(edges[-1])).unsqueeze(-1)
-        cumulative = torch.erf((edges - target) / (SMOOTHING * self.width * math.sqrt(2.0)))
-        share = cumulative[:, 1:] - cumulative[:, :-1]
-        share = share / (cumulative[:, -1:] - cumulative[:, :1])
-        return -(share * self.value_body(features).log_softmax(-1)).sum(-1).mean()
 
 
 def _mlp(inputs: int, hidden: int, outputs: int) -> nn.Sequential:
@@ -256,7 +273,7 @@ class REPPO(OnPolicy):
                 continue
             samples, head = samples[index], self.heads[level]
             state = _with_waypoint(features[index], samples)
-            value_loss = head.value_loss(state, samples["value_target"])
+            value_loss = head.value.loss(state, samples["value_target"])
             advantage = head.advantage(state, samples["action"].clamp(-1.0, 1.0))
             error = (advantage - samples["advantage"]).square() * samples["decides"]
             total = total + value_loss + error.mean()

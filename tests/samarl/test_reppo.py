@@ -30,10 +30,10 @@ def test_values_are_the_means_of_histograms() -> None:
     optimiser = torch.optim.Adam(critic.parameters(), lr=0.01)
     for _ in range(300):
         optimiser.zero_grad()
-        critic.value_loss(features, target).backward()
+        critic.value.loss(features, target).backward()
         optimiser.step()
     torch.testing.assert_close(critic.value(features).detach(), target, atol=0.05, rtol=0.0)
-    assert critic.value_loss(features, torch.full((3,), 1e3)).isfinite()  # beyond the categories
+    assert critic.value.loss(features, torch.full((3,), 1e3)).isfinite()  # beyond the categories
 
 
 def test_the_divergence_is_that_of_torch() -> None:
