@@ -18,7 +18,7 @@ from benchmarks.learning_speed import Suite, measure
 from samarl.algorithms import ALGORITHMS
 from samarl.algorithms.critics import CriticEncoder
 from samarl.algorithms.mappo import MAPPO, MAPPOConfig
-from samarl.algorithms.on_policy import CHUNK_SIZE, OnPolicyConfig, Statistics
+from samarl.algorithms.on_policy import OnPolicyConfig, Statistics, selected_decisions
 from samarl.algorithms.reppo import CategoricalValue
 from samarl.algorithms.training_data import TrainingData
 from samarl.encoders import ENCODERS
@@ -38,6 +38,7 @@ IDEAS = {
     "late decay of the learning rate": ["algorithm.name=late_decay"],
     "residual blocks": ["algorithm.name=residual", "encoder.name=residual"],
     "memory": ["encoder.name=memory"],
+    "REPPO": ["algorithm=reppo"],
 }
 COMMON = [
     "policy=flat",
@@ -65,40 +66,26 @@ TURNED = (1.0, -1.0, -1.0)  # of an action: forward and lateral acceleration, he
 
 @ALGORITHMS.register("mirrored", MAPPOConfig)
 class Mirrored(MAPPO):
-    """Every second epoch learns from the mirror image of the rollout."""
+    """A policy is told to do the mirror image of its action in the mirror image of a state.
 
-    def prepare(self, rollouts: list[Any], statistics: Statistics) -> list[TrainingData]:
-        """See `OnPolicy.prepare`; the mirror image is prepared with it."""
-        data = super().prepare(rollouts, statistics)
-        self.mirrored = [self._mirror(part) for part in data]
-        return data
+    The symmetry loss of Yu, Turk and Liu (Learning symmetric and low-energy locomotion, 2018).
+    Rollouts cannot be mirrored instead: their actions are too improbable where a policy prefers
+    one side.
+    """
 
-    def _run_epochs(self, data: list[TrainingData], statistics: Statistics) -> None:
-        epochs, self.config.epochs = self.config.epochs, 1
-        for epoch in range(epochs):
-            super()._run_epochs(self.mirrored if epoch % 2 else data, statistics)
-        self.config.epochs = epochs
-
-    @torch.no_grad()
-    def _mirror(self, data: TrainingData) -> TrainingData:
-        """Return the mirror image, with the old policy's probabilities of its actions."""
-        sequences = data.sequences._replace(features=mirrored(data.sequences.features))
-        local = data.levels[LOCAL].clone(recurse=False)
-        for key in ("action", "previous_noise", "safe_action"):
-            local[key] = local[key] * torch.tensor(TURNED)
-        rows, steps = local.shape
-        log_prob = []
-        for chunk in torch.arange(rows * steps).split(CHUNK_SIZE):
-            row, step = chunk // steps, chunk % steps
-            index = {LOCAL: torch.arange(len(chunk))}
-            of_chunk = local[row, step]
-            y = self.policy.embed(sequences, row * (steps + 1) + step, None, index)[LOCAL]
-            of_chunk["embedding"], of_chunk["row"] = y, row
-            distribution = self.losses[LOCAL].actor_network.get_dist(of_chunk)
-            log_prob.append(distribution.log_prob(of_chunk["action"]))
-        local["sample_log_prob"] = torch.cat(log_prob).view(rows, steps)
-        state = mirrored(data.critic_frames)
-        return data._replace(sequences=sequences, critic_frames=state, levels={LOCAL: local})
+    def _policy_loss(
+        self, data: TrainingData, statistics: Statistics, divergence: list[float]
+    ) -> Tensor:
+        mirrored_features = mirrored(data.sequences.features)
+        image = data._replace(sequences=data.sequences._replace(features=mirrored_features))
+        mean, mean_of_image = (
+            self.policy.distribution(LOCAL, decisions["embedding"], decisions["row"]).mean
+            for _, levels in (selected_decisions(self.policy, part) for part in (data, image))
+            for decisions in (levels[LOCAL],)
+        )
+        error = mean_of_image - (mean * torch.tensor(TURNED)).detach()
+        total = super()._policy_loss(data, statistics, divergence)
+        return total + error.square().sum(-1).mean()
 
 
 def mirrored(frames: Frames) -> Frames:

@@ -99,7 +99,7 @@ def evaluate(
     cases: int | Iterable[int] = 500,
     *,
     split: str | Split = Split.test,
-    batch: int = 128,
+    batch: int = Evaluation.batch,
     name: str | None = None,
 ) -> EvaluationResult:
     """Run an agent on fixed cases, like `samarl-evaluate`; results do not depend on the batch size.

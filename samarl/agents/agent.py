@@ -62,6 +62,15 @@ class Agent(ABC):
         """Return one line about how this scenario differs from the training scenarios, or None."""
         return None
 
+    def focus(self, robots: NDArray[np.bool_]) -> None:  # noqa: B027 (it only saves time)
+        """Tell the agent which actions of the next `act` will have an effect.
+
+        The others may be any: those of robots that have arrived and of episodes that are over.
+
+        Args:
+            robots: [E, N].
+        """
+
     @abstractmethod
     def act(self, observation: Observation) -> NDArray[np.float32]:
         """Return the action of every robot, [E, N, A] in [-1, 1]."""

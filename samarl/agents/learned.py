@@ -62,6 +62,7 @@ class DeployedPolicy:
         self._worlds = worlds
         self._state = self.policy.initial_state(worlds, self.scenario)
         self._is_init = np.ones(worlds, np.bool_)
+        self._active: NDArray[np.bool_] | None = None
         self._decision: Decision | None = None
 
     def reset(self, worlds: NDArray[np.bool_]) -> None:
@@ -70,12 +71,18 @@ class DeployedPolicy:
             self._initialize(len(worlds))
         self._is_init |= worlds
 
+    def focus(self, robots: NDArray[np.bool_]) -> None:
+        """See `Agent.focus`; `explain` needs an `act` without it."""
+        self._active = robots
+
     def act(self, observation: Observation) -> NDArray[np.float32]:
         """Return the mean action, [E, N, A]."""
         if len(observation.ego) != self._worlds:
             self._initialize(len(observation.ego))
-        decision = self.policy.act(observation, self._state, self._is_init, self.scenario)
-        self._decision = decision
+        decision = self.policy.act(
+            observation, self._state, self._is_init, self.scenario, active=self._active
+        )
+        self._decision, self._active = decision, None
         self._is_init = np.zeros(self._worlds, np.bool_)
         return decision.action
 
@@ -163,6 +170,10 @@ class Learned(Agent):
     def reset(self, worlds: NDArray[np.bool_]) -> None:
         """Clear the memory of the worlds [E] in which an episode begins."""
         self._deployed.reset(worlds)
+
+    def focus(self, robots: NDArray[np.bool_]) -> None:
+        """See `Agent.focus`."""
+        self._deployed.focus(robots)
 
     def act(self, observation: Observation) -> NDArray[np.float32]:
         """Return the mean action, [E, N, A]."""

@@ -48,6 +48,10 @@ class Shielded(Agent):
         self.agent.reset(worlds)
         self._track_predictor.reset(worlds)
 
+    def focus(self, robots: NDArray[np.bool_]) -> None:
+        """See `Agent.focus`."""
+        self.agent.focus(robots)
+
     def version(self) -> str:
         """Return a digest of the code of the shield and of the agent."""
         return f"{super().version()}.{self.agent.version()}"

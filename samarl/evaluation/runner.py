@@ -22,7 +22,7 @@ class Evaluation:
     first_case: int = number(0, 0, 10**9, help="first case within the split")
     cases: int = number(500, 1, 10**6, help="number of cases")
     batch: int = number(
-        128, 1, 10**5, help="worlds simulated in parallel; results do not depend on it"
+        256, 1, 10**5, help="worlds simulated in parallel; results do not depend on it"
     )
 
     def __post_init__(self) -> None:
@@ -46,7 +46,7 @@ def warm_up(agent: Controller, scenario: Scenario) -> None:
 
 
 class Controller(Protocol):
-    """The methods of an agent that `run_cases` calls."""
+    """The methods of an agent that `run_cases` calls; `focus` of an agent only if it has it."""
 
     def reset(self, worlds: NDArray[np.bool_]) -> None:
         """Clear the memory of the worlds [E] in which an episode begins."""
@@ -80,9 +80,12 @@ def run_cases(
     observation = world.reset(current)
     started, remaining = worlds, len(cases)
     records: list[Episodes] = []
+    focus = getattr(agent, "focus", None)
     while True:
         if is_init.any():
             agent.reset(is_init)
+        if focus is not None:
+            focus((current >= 0)[:, None] & ~world.state.arrived)
         step = world.step(agent.act(observation))
         observation = step.observation
         ended = (step.terminated | step.truncated) & (current >= 0)

@@ -69,6 +69,15 @@ class Tracks(NamedTuple):
         """Return the arrays that compiled planners take, see `mrsan.Observation.agents`."""
         return self.ego, *self.entities["humans"], *self.entities["robots"]
 
+    def of(self, robots: NDArray[np.bool_]) -> Tracks:
+        """Return what some robots [E, N] know, R of them, as [R, 1, ...]."""
+        entities = {
+            name: Entities(features[robots][:, None], mask[robots][:, None])
+            for name, (features, mask) in self.entities.items()
+        }
+        sensors = {name: values[robots][:, None] for name, values in self.sensors.items()}
+        return Tracks(self.ego[robots][:, None], entities, sensors)
+
     def named(self) -> dict[str, NDArray[Any]]:
         """Return all arrays by flat names: `ego`, `GROUP`, `GROUP_known`, and the sensors."""
         return {**named_arrays(self.ego, self.entities, "known"), **self.sensors}

@@ -116,6 +116,12 @@ class HierarchicalPolicy(StochasticPolicy):
         """
         return {MACRO: 2 + self.config.modes, LOCAL: self.action_size}
 
+    @property
+    def _decides_independently(self) -> bool:
+        """See there; robots may observe or be given the waypoints of team-mates that arrived."""
+        own = self.waypoint_source in (Waypoints.learned, Waypoints.first)
+        return super()._decides_independently and own and not self.config.observes_intent
+
     def check(self, scenario: Scenario) -> None:
         """See `Policy.check`; intent is not delayed, limited or lost as other reports are.
 

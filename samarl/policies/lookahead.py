@@ -108,9 +108,14 @@ class LookaheadPolicy(Policy):
     ) -> Decision:
         """See `Policy.act`; any `correlation` means to explore."""
         explore, shape = correlation is not None, observation.ego.shape[:2]
-        active = np.ones(shape, np.bool_) if active is None else active
+        tracks = self._track(observation, state, is_init, scenario)
+        explained, seen = not explore and active is None, tracks
+        if active is None:
+            active = np.ones(shape, np.bool_)
+        elif not explore:
+            seen = tracks.of(active)
+        features = self.extract_features(seen, scenario).to(self.device)
         decided = torch.from_numpy(active)
-        tracks, features = self._perceive(observation, state, is_init, scenario)
         action = torch.zeros(*shape, self.action_size)
         if explore and self.imitating:
             avoiding = orca_actions(self.config, observation, scenario)
@@ -120,7 +125,7 @@ class LookaheadPolicy(Policy):
             action[decided] = self._best(tracks, active, scenario, epsilon)
         local = LevelStep(action, torch.zeros(shape), decided)
         step = PolicyStep(action.clamp(-1.0, 1.0), action, {LOCAL: local})
-        return Decision(step, tracks, features, None if explore else self._scene(features))
+        return Decision(step, tracks, features, self._scene(features) if explained else None)
 
     def _best(
         self, tracks: Tracks, active: NDArray[np.bool_], scenario: Scenario, epsilon: float

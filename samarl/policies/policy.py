@@ -91,7 +91,7 @@ class Decision(NamedTuple):
 
     step: PolicyStep  # [E, N, ...]
     tracks: Tracks  # [E, N, ...]
-    features: Frames  # [B, 1, ...] the network's view of the tracks
+    features: Frames  # [B, 1, ...] the network's view of the tracks, perhaps of active robots only
     scene: Any = None  # [B, ...]; None while exploring
 
     @property
@@ -166,7 +166,8 @@ class Policy(nn.Module, ABC):
             is_init: [E] the worlds in which an episode begins; their memory is cleared.
             scenario: the task.
             correlation: of the exploration noise from step to step; None: take the means.
-            active: [E, N] the robots whose actions matter; the others may get any. None: all.
+            active: [E, N] the robots whose actions matter; the others may get any, and without
+                exploration the decision cannot be explained. None: all.
         """
 
     def initial_state(self, worlds: int, scenario: Scenario) -> PolicyState:
@@ -259,17 +260,6 @@ class Policy(nn.Module, ABC):
                         f"scenario.sensors is {scenario.sensors!r}; it must have {name} with "
                         f"{size} features, which this policy observes"
                     )
-
-    def _perceive(
-        self,
-        observation: Observation,
-        state: PolicyState,
-        is_init: NDArray[np.bool_],
-        scenario: Scenario,
-    ) -> tuple[Tracks, Frames]:
-        """Update the tracks of all robots; return them and the features of the networks."""
-        tracks = self._track(observation, state, is_init, scenario)
-        return tracks, self.extract_features(tracks, scenario).to(self.device)
 
     def _track(
         self,

@@ -146,26 +146,34 @@ class StochasticPolicy(Policy):
         correlation: float | None = None,
         active: NDArray[np.bool_] | None = None,
     ) -> Decision:
-        """See `Policy.act`: `step` for all robots of E worlds."""
+        """See `Policy.act`: `step` for all robots of E worlds.
+
+        Without exploration, only active robots are computed where robots decide independently.
+        """
         shape, device = observation.ego.shape[:2], self.device
 
         def per_row(values: NDArray[Any]) -> Tensor:
             return torch.from_numpy(np.ascontiguousarray(values)).flatten(0, 1).to(device)
 
-        tracks, features = self._perceive(observation, state, is_init, scenario)
+        tracks = self._track(observation, state, is_init, scenario)
         policy_state = {name: value for name, value in state.items() if name != "tracks"}
         noise = None
         if correlation is not None:
-            noise = self.draw_noise(len(features.ego), correlation)
-        with self._precision():
-            step, policy_state = self.step(
-                features,
-                per_row(observation.ego),
-                per_row(self.route(observation, scenario)),
-                per_row(np.repeat(is_init[:, None], shape[1], 1)),
-                policy_state,
-                noise,
-            )
+            noise = self.draw_noise(shape[0] * shape[1], correlation)
+        inputs = (
+            per_row(observation.ego),
+            per_row(self.route(observation, scenario)),
+            per_row(np.repeat(is_init[:, None], shape[1], 1)),
+            policy_state,
+        )
+        if noise is None and active is not None and self._decides_independently:
+            features = self.extract_features(tracks.of(active), scenario).to(device)
+            with self._precision():
+                step, policy_state = self._step_of(per_row(active), features, *inputs)
+        else:
+            features = self.extract_features(tracks, scenario).to(device)
+            with self._precision():
+                step, policy_state = self.step(features, *inputs, noise)
         state.update(policy_state)
         scene = step.scene if noise is None else None
 
@@ -174,6 +182,50 @@ class StochasticPolicy(Policy):
 
         step = tree_map(per_robot, step._replace(scene=None))
         return Decision(step, tracks, features, scene)
+
+    @property
+    def _decides_independently(self) -> bool:
+        """Return whether what a robot does is the same whatever others are computed with it."""
+        return len(self.networks) == 1
+
+    def _step_of(
+        self,
+        active: Tensor,
+        features: Frames,
+        pose: Tensor,
+        route: Tensor,
+        is_init: Tensor,
+        state: PolicyState,
+    ) -> tuple[PolicyStep, PolicyState]:
+        """Return `step` of the active robots; others get zeros, and keep their memory.
+
+        Args:
+            active: [B] bool, true for R of them.
+            features: [R, 1, ...]; the following are as in `step`, [B, ...].
+            pose: own states.
+            route: where the routes lead next.
+            is_init: an episode begins.
+            state: the memory.
+        """
+        rows = active.nonzero().squeeze(1)
+        step, state_of_rows = self.step(
+            features,
+            pose[rows],
+            route[rows],
+            is_init[rows],
+            tree_map(lambda tensor: tensor[rows], state),
+        )
+
+        def spread(tensor: Tensor | None) -> Tensor | None:
+            if tensor is None:
+                return None
+            return tensor.new_zeros(len(active), *tensor.shape[1:]).index_copy(0, rows, tensor)
+
+        def updated(before: Tensor, after: Tensor) -> Tensor:
+            return before.index_copy_(0, rows, after)
+
+        step = tree_map(spread, step._replace(scene=None))
+        return step, tree_map(updated, state, state_of_rows)
 
     def draw_noise(self, rows: int, correlation: float) -> ExplorationNoise:
         """Draw the exploration noise of B robots in one step, on the CPU for reproducibility."""

@@ -55,6 +55,43 @@ def test_the_batch_does_not_change_a_decision() -> None:
         observation = world.step(actions).observation
 
 
+@pytest.mark.parametrize(
+    ("name", "encoder"),
+    [
+        ("hierarchical", "spatio_temporal"),
+        ("hierarchical", "set_pool"),
+        ("flat", "structural_rnn"),
+        ("squashed", "temporal_spatial_graph"),
+        ("hierarchical", "gru"),
+    ],
+)
+def test_robots_whose_actions_have_no_effect_are_left_out_and_the_others_do_the_same(
+    name: str, encoder: str
+) -> None:
+    model, world = policy(name, encoder, gain=20.0), World(SCENARIO, 5)
+    every, focused = DeployedPolicy(model, SCENARIO), DeployedPolicy(model, SCENARIO)
+    for agent in (every, focused):
+        agent.reset(np.ones(5, np.bool_))
+    observation = world.reset([0, 1, 2, 3, 4])
+    active = np.ones((5, SCENARIO.robots), np.bool_)
+    for step in range(8):
+        active[step // 2, step % 2] = False  # as robots arrive one after another
+        focused.focus(active)
+        expected, actions = every.act(observation), focused.act(observation)
+        np.testing.assert_allclose(actions[active], expected[active], atol=1e-5)
+        assert not actions[~active].any()
+        observation = world.step(expected).observation
+    again = np.ones(5, np.bool_)
+    again[1:] = False  # the episode of the first world begins anew
+    active[0] = True
+    for agent in (every, focused):
+        agent.reset(again)
+    observation = world.reset(np.full(5, 9), again)
+    focused.focus(active)
+    expected, actions = every.act(observation), focused.act(observation)
+    np.testing.assert_allclose(actions[active], expected[active], atol=1e-5)
+
+
 def test_a_waypoint_stays_where_it_is_while_the_robot_moves() -> None:
     scenario = replace(SCENARIO, fov_degrees=360.0)
     model, world = policy(), World(scenario)
