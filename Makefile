@@ -20,7 +20,7 @@ bench: setup ## Evaluate the README's rows of Table I, 100 cases each (2 minutes
 	  $(if $(LEARNED_CASES),learned_cases=$(LEARNED_CASES))
 
 test: setup ## Run the tests on all cores
-	@$(BIN)/pytest -n auto --maxprocesses 8 --durations 20
+	@$(BIN)/pytest -n auto --maxprocesses 8 --dist worksteal --durations 20
 
 test-browser: setup ## Test the report in headless Chromium, which must be installed
 	@$(BIN)/pytest -m browser -n auto --maxprocesses 2

@@ -41,6 +41,7 @@ TWO_LEVELS = [
 MODES = [*TWO_LEVELS, "policy.modes=true", "algorithm.macro_entropy_coefficient=0.05"]
 RECIPES = {  # settings, in addition to `COMMON`
     "two levels, modes": MODES,
+    "two levels, modes, events": [*MODES, "policy.macro_steps=24", "policy.ends_when_blocked=true"],
     "two levels": TWO_LEVELS,
     "flat": ["policy=flat"],
     "flat, long horizon": ["policy=flat", "algorithm.local_discount=0.998"],

@@ -320,6 +320,36 @@ def policies() -> str:
 
 
 @table
+def training_ranges() -> str:
+    """Return the scenarios with which every included policy was trained."""
+    lines = []
+    for path in sorted((RESULTS / "checkpoints").glob("*.json")):
+        if path.stem.rpartition("_seed")[2].isdigit():
+            continue  # the same scenarios as another seed
+        card = json.loads(path.read_text(encoding="utf-8"))
+        stages = card["provenance"]["configuration"]["curriculum"]["stages"]
+        scenarios = [stage["scenario"] for stage in stages]
+        people = [s["humans"] for s in scenarios]
+        people += [s["humans"] if (few := s.get("humans_min")) is None else few for s in scenarios]
+        layouts = [str(s.get("layout", "circle")).rpartition(".")[2] for s in scenarios]
+        lines.append(
+            [
+                f"`{path.stem}`",
+                ", ".join(f"`{layout}`" for layout in dict.fromkeys(layouts)),
+                _range(s["robots"] for s in scenarios),
+                _range(people),
+                ", ".join(f"{view:g}" for view in sorted({s["fov_degrees"] for s in scenarios})),
+            ]
+        )
+    return markdown_table(["policy", "layouts", "robots", "people", "views, degrees"], lines)
+
+
+def _range(numbers: Iterable[int]) -> str:
+    low, *_, high = sorted((*numbers,) * 2)
+    return str(low) if low == high else f"{low} to {high}"
+
+
+@table
 def latency() -> str:
     """Return the duration of a decision of the main agents."""
     lines = []

@@ -36,6 +36,7 @@ from samarl.policies.macro_actions import (
     Waypoints,
     decode_waypoint,
     encode_macro_action,
+    is_blocked,
     waypoint_of,
     waypoint_size,
     with_waypoints,
@@ -54,6 +55,7 @@ from samarl.policies.policy import (
 from samarl.policies.stochastic import ExplorationNoise, StochasticPolicy
 
 REACHED = 0.3  # m; a waypoint that is nearer is replaced
+PATIENCE = 4  # steps after a decision before a robot that is blocked decides again
 NEVER = 2**31 - 1  # steps until the next waypoint is due
 
 
@@ -195,7 +197,8 @@ class HierarchicalPolicy(StochasticPolicy):
     ) -> tuple[PolicyStep, PolicyState]:
         """See `StochasticPolicy.step`. A new waypoint is due after K steps, or when it is reached.
 
-        A robot that waits or yields does so for all steps of its macro action.
+        With `ends_when_blocked` it is also due when somebody stands in the way. A robot that waits or
+        yields does so for all steps of its macro action.
         """
         scene = self._encode(features, is_init, state)
         ego, rows = features.ego[:, 0], torch.arange(len(is_init), device=is_init.device)
@@ -206,6 +209,8 @@ class HierarchicalPolicy(StochasticPolicy):
             if self.config.modes:
                 reached = reached & (state["mode"] == Mode.go)
             due = due | reached
+        if self.config.ends_when_blocked:
+            due = due | self._blocked(features, pose, state)
         macro = self._macro_step(scene, ego, rows, due, noise)
         macro_action = self._ablated(macro)
         chosen = to_world(waypoint_of(self.config, route, macro_action), pose)
@@ -229,6 +234,13 @@ class HierarchicalPolicy(StochasticPolicy):
             scene=scene,
         )
         return step, {**state, **following, "noise": current}
+
+    def _blocked(self, features: Frames, pose: Tensor, state: PolicyState) -> Tensor:
+        """Return which robots [B] go, but have been stopped `PATIENCE` steps after they decided."""
+        c = self.config
+        blocked = is_blocked(features, to_body(state["waypoint"], pose))
+        blocked = blocked & (state["steps_left"] <= c.macro_steps - PATIENCE)
+        return blocked & (state["mode"] == Mode.go) if c.modes else blocked
 
     def _duration(self, macro: Tensor) -> Tensor:
         """Return the largest number of steps [B] of macro actions [B, A]."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import Enum, IntEnum
 
@@ -12,12 +13,24 @@ from torch import Tensor
 
 from mrsan import Entities
 from mrsan.fields import number, required, setting
-from samarl.observations.features import EGO_PLACE, EGO_ROUTE, EGO_TARGET, EGO_TIME
+from samarl.observations.features import (
+    EGO_PLACE,
+    EGO_ROUTE,
+    EGO_TARGET,
+    EGO_TIME,
+    EGO_VELOCITY,
+    NEAR_NOW,
+    POSITION,
+)
+from samarl.observations.frames import Frames
 from samarl.observations.tracker import Tracks
 from samarl.policies.policy import WAYPOINT_FEATURES, PolicyConfig
 from samarl.registry import needed
 
 YIELD_BACK, YIELD_ASIDE = 1.0, 1.2  # m; where a robot makes way: back along the route, and aside
+
+STANDING = 0.1  # m/s; a robot that is slower stands
+IN_THE_WAY = 0.5  # m; somebody whose surface is nearer may block the way
 
 
 class Waypoints(Enum):
@@ -64,6 +77,9 @@ class HierarchicalConfig(PolicyConfig):
     modes: bool = setting(
         False, kw_only=True, help="the macro level chooses to go, to wait or to yield to a side"
     )
+    ends_when_blocked: bool = setting(
+        False, kw_only=True, help="a macro action also ends when somebody stands in the way"
+    )
     making_way_steps: int = number(16, 1, 1000, help="steps for which a robot waits or yields")
     making_way_penalty: float = number(
         0.25,
@@ -104,6 +120,28 @@ def waypoint_of(config: HierarchicalConfig, route: Tensor, macro: Tensor) -> Ten
     side = side.unsqueeze(-1)
     making_way = YIELD_ASIDE * side * left - YIELD_BACK * side.abs() * ahead
     return torch.where((mode == Mode.go).unsqueeze(-1), going, making_way)
+
+
+def is_blocked(frames: Frames, waypoint: Tensor) -> Tensor:
+    """Return which robots [B] stand because somebody is in the way of their waypoint.
+
+    A robot stands below `STANDING`; a person or robot is in the way whose surface is nearer than
+    `IN_THE_WAY` and who is less than 60 degrees from the direction of the waypoint.
+
+    Args:
+        frames: [B, 1, ...] the features of the networks.
+        waypoint: [B, 2] in the body frame, m.
+    """
+    ego = frames.ego[:, 0]
+    blocked = torch.zeros_like(ego[:, 0], dtype=torch.bool)
+    ahead = waypoint / waypoint.norm(dim=-1, keepdim=True).clamp_min(1e-6)
+    for name in ("humans", "robots"):
+        features, known = (tensor[:, 0] for tensor in frames.entities[name])
+        position = features[..., POSITION]
+        cos = (position * ahead.unsqueeze(1)).sum(-1) / position.norm(dim=-1).clamp_min(1e-6)
+        near = features[..., NEAR_NOW] > math.exp(-2.0 * IN_THE_WAY)
+        blocked = blocked | (known & near & (cos > 0.5)).any(-1)
+    return blocked & (ego[:, EGO_VELOCITY].norm(dim=-1) < STANDING)
 
 
 def encode_macro_action(waypoint: Tensor, mode: Tensor | None) -> Tensor:

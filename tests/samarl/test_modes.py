@@ -8,12 +8,20 @@ import pytest
 import torch
 
 from mrsan import ConfigurationError, TeamPerception, World
+from mrsan.features import VELOCITY
 from samarl.agents.learned import DeployedPolicy
 from samarl.algorithms import ALGORITHMS
-from samarl.observations.features import NETWORK_OTHER_FEATURES, to_body
+from samarl.observations.features import (
+    NETWORK_OTHER_FEATURES,
+    empty_tracks,
+    frames_of,
+    to_body,
+)
+from samarl.observations.frames import Frames
+from samarl.policies import hierarchical
 from samarl.policies.heads import ModeAndOffset
 from samarl.policies.hierarchical import HierarchicalPolicy
-from samarl.policies.macro_actions import YIELD_ASIDE, YIELD_BACK, Mode, decode_waypoint
+from samarl.policies.macro_actions import YIELD_ASIDE, YIELD_BACK, Mode, decode_waypoint, is_blocked
 from samarl.policies.policy import MACRO, WAYPOINT_FEATURES
 from tests.learning import REPPO_NUMBERS, SCENARIO, algorithm, collector, policy
 
@@ -106,6 +114,53 @@ def test_a_robot_that_waits_decides_again_after_all_steps_of_its_macro_action() 
         decided.append(bool(decision.levels[MACRO].decided.all()))
         begins = np.zeros(1, np.bool_)
     assert decided == [True, *[False] * 5, True, False]
+
+
+def frames_with(speed: float, ahead: float, left: float, known: bool = True) -> Frames:
+    """What a robot knows that drives at `speed`, with one person at (ahead, left), m."""
+    tracks = empty_tracks(replace(OPEN, robots=1, humans=1))
+    tracks.ego[..., VELOCITY] = speed, 0.0
+    features, mask = tracks.entities["humans"]
+    features[..., :2], features[..., 4], mask[:] = (ahead, left), 0.3, known
+    return frames_of(tracks, OPEN)
+
+
+@pytest.mark.parametrize(
+    ("frames", "blocked"),
+    [
+        (frames_with(0.0, 1.0, 0.0), True),
+        (frames_with(0.0, 1.0, 0.0, known=False), False),
+        (frames_with(0.5, 1.0, 0.0), False),  # it drives
+        (frames_with(0.0, 1.2, 0.0), False),  # 0.6 m between the surfaces
+        (frames_with(0.0, 0.6, 0.8), True),  # 53 degrees to the side
+        (frames_with(0.0, 0.4, 0.9), False),  # 66 degrees
+        (frames_with(0.0, -1.0, 0.0), False),  # behind it
+    ],
+)
+def test_a_standing_robot_is_blocked_by_whoever_is_near_and_ahead(
+    frames: Frames, blocked: bool
+) -> None:
+    assert OPEN.robot_radius == pytest.approx(0.3)
+    assert is_blocked(frames, torch.tensor([[2.0, 0.0]])).tolist() == [blocked]
+
+
+@pytest.mark.parametrize(("mode", "expected"), [(Mode.go, [0, 4, 8]), (Mode.wait, [0])])
+def test_a_blocked_robot_decides_again_after_some_patience_unless_it_waits(
+    mode: Mode, expected: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def everybody(frames: Frames, waypoint: torch.Tensor) -> torch.Tensor:
+        return torch.ones(len(waypoint), dtype=torch.bool)
+
+    monkeypatch.setattr(hierarchical, "is_blocked", everybody)
+    model, world = with_mode(mode, macro_steps=20, ends_when_blocked=True), World(OPEN)
+    observation, begins = world.reset([0]), np.ones(1, np.bool_)
+    state, decided = model.initial_state(1, OPEN), []
+    for step in range(10):
+        decision = model.act(observation, state, begins, OPEN)
+        if decision.levels[MACRO].decided.all():
+            decided.append(step)
+        begins = np.zeros(1, np.bool_)
+    assert decided == expected
 
 
 def test_the_macro_level_learns_to_wait_if_only_that_is_rewarded() -> None:
