@@ -197,8 +197,8 @@ class HierarchicalPolicy(StochasticPolicy):
     ) -> tuple[PolicyStep, PolicyState]:
         """See `StochasticPolicy.step`. A new waypoint is due after K steps, or when it is reached.
 
-        With `ends_when_blocked` it is also due when somebody stands in the way. A robot that waits or
-        yields does so for all steps of its macro action.
+        With `ends_when_blocked` it is also due when somebody stands in the way. A robot that waits
+        or yields does so for all steps of its macro action.
         """
         scene = self._encode(features, is_init, state)
         ego, rows = features.ego[:, 0], torch.arange(len(is_init), device=is_init.device)
