@@ -35,6 +35,7 @@ IDEAS = {
     "Muon, learning rate 0.001": ["algorithm.name=muon", "algorithm.learning_rate=0.001"],
     "categorical critic": ["algorithm.name=categorical"],
     "relative advantage filter": ["algorithm.name=relative_filter"],
+    "Muon and relative advantage filter": ["algorithm.name=muon_relative_filter"],
     "late decay of the learning rate": ["algorithm.name=late_decay"],
     "residual blocks": ["algorithm.name=residual", "encoder.name=residual"],
     "memory": ["encoder.name=memory"],
@@ -53,7 +54,7 @@ COMMON = [
 def main() -> None:
     """Measure all ideas."""
     recipes = {name: (settings, STEPS) for name, settings in IDEAS.items()}
-    measure(Suite("learning_leads", __doc__ or "", recipes, list(recipes), COMMON))
+    measure(Suite("learning_leads", __doc__ or "", recipes, list(recipes), COMMON, True))
 
 
 # Mirror images: left and right change places.
@@ -193,6 +194,11 @@ class RelativeFilter(MAPPO):
             batch[LOCAL]["decides"] & ((part >= 0.01 * self.largest) | batch[LOCAL]["unsafe"])
             for batch, part in zip(batches, size, strict=True)
         ]
+
+
+@ALGORITHMS.register("muon_relative_filter", MAPPOConfig)
+class MuonAndRelativeFilter(WithMuon, RelativeFilter):
+    """Both."""
 
 
 @ALGORITHMS.register("late_decay", MAPPOConfig)

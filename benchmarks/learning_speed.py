@@ -50,6 +50,7 @@ class Suite(NamedTuple):
     recipes: dict[str, tuple[list[str], int]]  # settings and world-steps
     default: list[str]  # recipes to train unless others are named
     common: list[str]  # settings of all of them
+    over_steps: bool = False  # draw success over steps instead of time
 
 
 def main() -> None:
@@ -72,7 +73,7 @@ def measure(suite: Suite) -> None:
     write_json(arguments.output, result)
     table = table_of(recipes)
     write_text(arguments.output.with_suffix(".md"), f"{table}\n\n{caption(result)}\n")
-    draw(curves, arguments.output.with_suffix(".png"))
+    draw(curves, arguments.output.with_suffix(".png"), suite.over_steps)
     print(table)
     print(f"\n{caption(result)}\nwritten to {arguments.output}")
 
@@ -139,24 +140,26 @@ def caption(result: dict[str, Any]) -> str:
     )
 
 
-def draw(curves: dict[str, list[Curve]], path: Path) -> None:
-    """Draw the success of every run over the time of training."""
+def draw(curves: dict[str, list[Curve]], path: Path, over_steps: bool = False) -> None:
+    """Draw the success of every run over the time or the steps of training."""
     import matplotlib.pyplot as plt
 
-    figure, axes = plt.subplots(figsize=(6.4, 3.6), layout="constrained")
+    key, unit, label = "seconds", 60.0, "minutes of training"
+    if over_steps:
+        key, unit, label = "steps", 1e6, "million steps of training"
+    figure, axes = plt.subplots(figsize=(7.6, 3.6), layout="constrained")
     for index, (recipe, of_recipe) in enumerate(curves.items()):
         for number, curve in enumerate(of_recipe):
             axes.plot(
-                [row["seconds"] / 60 for row in curve],
+                [row[key] / unit for row in curve],
                 [100 * row[SUCCESS] for row in curve],
                 color=f"C{index}",
                 linewidth=1.2,
                 label=recipe if number == 0 else None,
             )
     axes.axhline(90, color="0.6", linewidth=0.8, linestyle=":")
-    axes.set(xlabel="minutes of training", ylabel="success, 3 robots (%)")
-    axes.set(ylim=(0, 100), xlim=(0, None))
-    axes.legend(frameon=False, loc="lower right")
+    axes.set(xlabel=label, ylabel="success, 3 robots (%)", ylim=(0, 100), xlim=(0, None))
+    figure.legend(loc="outside right upper", frameon=False, fontsize=8)
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)
     figure.savefig(path, dpi=160)

@@ -64,6 +64,7 @@ HIERARCHY_ORDER = (
     "two levels",
     "two levels, modes",
     "two levels, modes, intent",
+    "two levels, modes, events",
     "random macro actions",
     "macro actions of team-mates",
 )
@@ -271,10 +272,22 @@ def learning_speed() -> str:
 
 
 @table
+def learning_leads() -> str:
+    """Return steps to success rates of every idea for learning faster, means [range] of seeds."""
+    lines = []
+    for idea, runs in find_value("learning_leads", "recipes").items():
+        steps = [_mean_and_range(runs[f"steps_to_{rate}"], 1000, ",.0f") for rate in (80, 90)]
+        success = [_mean_and_range(runs[f"final_success_{n}_robots"], 0.01, ".1f") for n in (3, 5)]
+        lines.append([idea, *steps, *success])
+    header = ["idea", "80 %, 1000 steps", "90 %, 1000 steps", "end, 3 robots, %", "5 robots, %"]
+    return markdown_table(header, lines)
+
+
+@table
 def hierarchy() -> str:
     """Return success and deadlocks in a narrow doorway and corridor, means over training seeds."""
     cells: dict[str, dict[str, list[float]]] = {method: {} for method in HIERARCHY_ORDER}
-    for row in find_value("hierarchy", "rows"):
+    for row in [*find_value("hierarchy", "rows"), *find_value("hierarchy_events", "rows")]:
         if row["width_min"] < row["width_max"]:  # doorways of a fixed width are in the figure
             of_method = cells.setdefault(row["method"], {})
             of_method.setdefault(f"{row['layout']} success", []).append(row["success"])

@@ -10,10 +10,13 @@ from dataclasses import dataclass
 
 import torch
 from torch import Tensor, nn
+from torch.jit import is_tracing  # type: ignore[attr-defined]
 
 from mrsan.fields import required
 from samarl.encoders.encoder import ENCODERS, Encoder, EncoderState, single_frames
-from samarl.observations.frames import FeatureSizes, Frames
+from samarl.observations.frames import EntityFeatures, FeatureSizes, Frames
+
+DENSE = 0.7  # share of the slots from which on empty ones are computed as well: that is faster
 
 
 @dataclass
@@ -41,7 +44,12 @@ class PairwiseEncoder(Encoder):
             nn.Linear(sizes.entities[group], width, bias=False) for group in ("humans", "robots")
         )
         self.pair, self.alone = (
-            nn.Sequential(nn.ReLU(), nn.Linear(width, width), nn.ReLU(), nn.Linear(width, 1))
+            nn.Sequential(
+                nn.ReLU(inplace=True),
+                nn.Linear(width, width),
+                nn.ReLU(inplace=True),
+                nn.Linear(width, 1),
+            )
             for _ in range(2)
         )
         self.own_alone = nn.Linear(2 * sizes.ego, width)
@@ -56,12 +64,22 @@ class PairwiseEncoder(Encoder):
         """See `Encoder.read`; the minimum, [P, 1]."""
         own_and_query = torch.cat([scene.ego, query], -1)
         own, minimum = self.own(own_and_query), torch.full_like(scene.ego[:, 0], torch.inf)
-        for embed, (others, known) in (
+        for embed, group in (
             (self.humans, scene.entities["humans"]),
             (self.robots, scene.entities["robots"]),
         ):
-            sample, slot = known.nonzero(as_tuple=True)  # empty slots cost nothing
-            values = self.pair(embed(others[sample, slot]) + own[sample]).squeeze(-1)
-            minimum = minimum.scatter_reduce(0, sample, values, "amin")
+            minimum = torch.minimum(minimum, self._least(embed, group, own))
         alone = self.alone(self.own_alone(own_and_query)).squeeze(-1)
         return torch.where(minimum.isinf(), alone, minimum).unsqueeze(1)
+
+    def _least(self, embed: nn.Linear, group: EntityFeatures, own: Tensor) -> Tensor:
+        """Return the smallest value of the encounters with a group, [P]; infinite without any."""
+        features, known = group
+        if not is_tracing() and known.sum() > DENSE * known.numel():
+            values = self.pair(embed(features) + own.unsqueeze(1)).squeeze(-1)
+            return values.masked_fill(~known, torch.inf).amin(1)
+        sample, slot = known.nonzero(as_tuple=True)
+        row = sample * known.shape[1] + slot
+        first = torch.addmm(own[sample], features.flatten(0, 1)[row], embed.weight.t())
+        least = torch.full_like(own[:, 0], torch.inf)
+        return least.scatter_reduce(0, sample, self.pair(first).squeeze(-1), "amin")
