@@ -69,16 +69,20 @@ class PairwiseEncoder(Encoder):
             (self.robots, scene.entities["robots"]),
         ):
             minimum = torch.minimum(minimum, self._least(embed, group, own))
-        alone = self.alone(self.own_alone(own_and_query)).squeeze(-1)
-        return torch.where(minimum.isinf(), alone, minimum).unsqueeze(1)
+        if is_tracing():
+            alone = self.alone(self.own_alone(own_and_query)).squeeze(-1)
+            return torch.where(minimum.isinf(), alone, minimum).unsqueeze(1)
+        lonely = minimum.isinf().nonzero().squeeze(1)
+        alone = self.alone(self.own_alone(own_and_query[lonely])).squeeze(-1)
+        return minimum.index_copy(0, lonely, alone).unsqueeze(1)
 
     def _least(self, embed: nn.Linear, group: EntityFeatures, own: Tensor) -> Tensor:
         """Return the smallest value of the encounters with a group, [P]; infinite without any."""
         features, known = group
-        if not is_tracing() and known.sum() > DENSE * known.numel():
+        sample, slot = known.nonzero(as_tuple=True)
+        if not is_tracing() and len(sample) > DENSE * known.numel():
             values = self.pair(embed(features) + own.unsqueeze(1)).squeeze(-1)
             return values.masked_fill(~known, torch.inf).amin(1)
-        sample, slot = known.nonzero(as_tuple=True)
         row = sample * known.shape[1] + slot
         first = torch.addmm(own[sample], features.flatten(0, 1)[row], embed.weight.t())
         least = torch.full_like(own[:, 0], torch.inf)

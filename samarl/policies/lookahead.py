@@ -35,7 +35,7 @@ from samarl.policies.policy import (
     PolicyStep,
 )
 
-CHUNK_SIZE = 256  # states that are evaluated together; more do not fit into a processor's cache
+CHUNK_SIZE = 512  # states that are evaluated together; more do not fit into a processor's cache
 VALUE_SCALE = 10.0  # a network output of 1; the rewards of an episode add up to about 30
 
 
