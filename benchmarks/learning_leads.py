@@ -35,7 +35,6 @@ IDEAS = {
     "Muon, learning rate 0.001": ["algorithm.name=muon", "algorithm.learning_rate=0.001"],
     "categorical critic": ["algorithm.name=categorical"],
     "relative advantage filter": ["algorithm.name=relative_filter"],
-    "Muon and relative advantage filter": ["algorithm.name=muon_relative_filter"],
     "late decay of the learning rate": ["algorithm.name=late_decay"],
     "residual blocks": ["algorithm.name=residual", "encoder.name=residual"],
     "memory": ["encoder.name=memory"],
@@ -194,11 +193,6 @@ class RelativeFilter(MAPPO):
             batch[LOCAL]["decides"] & ((part >= 0.01 * self.largest) | batch[LOCAL]["unsafe"])
             for batch, part in zip(batches, size, strict=True)
         ]
-
-
-@ALGORITHMS.register("muon_relative_filter", MAPPOConfig)
-class MuonAndRelativeFilter(WithMuon, RelativeFilter):
-    """Both."""
 
 
 @ALGORITHMS.register("late_decay", MAPPOConfig)
