@@ -15,6 +15,7 @@ from tensordict import TensorDict
 from torch import Tensor, nn
 
 from benchmarks.learning_speed import Suite, measure
+from benchmarks.mirror_images import TURNED, mirrored
 from samarl.algorithms import ALGORITHMS
 from samarl.algorithms.critics import CriticEncoder
 from samarl.algorithms.mappo import MAPPO, MAPPOConfig
@@ -24,7 +25,7 @@ from samarl.algorithms.training_data import TrainingData
 from samarl.encoders import ENCODERS
 from samarl.encoders.encoder import EncoderState
 from samarl.encoders.set_pool import SetPoolConfig, SetPoolEncoder
-from samarl.observations.frames import EntityFeatures, FeatureSizes, Frames
+from samarl.observations.frames import FeatureSizes, Frames
 from samarl.policies.policy import LOCAL, Policy
 
 STEPS = 600_000
@@ -56,12 +57,7 @@ def main() -> None:
     measure(Suite("learning_leads", __doc__ or "", recipes, list(recipes), COMMON, True))
 
 
-# Mirror images: left and right change places.
-
-LATERAL_OF_EGO = (1, 3, 6, 8)  # features whose sign changes: the target, its direction, ...
-LATERAL_OF_AGENT = (1, 3)  # position and velocity
-LATERAL_GOAL = 10  # in the true state
-TURNED = (1.0, -1.0, -1.0)  # of an action: forward and lateral acceleration, heading change
+# Mirror images.
 
 
 @ALGORITHMS.register("mirrored", MAPPOConfig)
@@ -86,23 +82,6 @@ class Mirrored(MAPPO):
         error = mean_of_image - (mean * torch.tensor(TURNED)).detach()
         total = super()._policy_loss(data, statistics, divergence)
         return total + error.square().sum(-1).mean()
-
-
-def mirrored(frames: Frames) -> Frames:
-    """Return the mirror image of frames of an actor or a critic, without walls."""
-    entities = {}
-    for name, (features, mask) in frames.entities.items():
-        lateral: tuple[int, ...] = LATERAL_OF_AGENT
-        if features.shape[-1] > LATERAL_GOAL:
-            lateral = (*lateral, LATERAL_GOAL)
-        entities[name] = EntityFeatures(_with_other_sign(features, lateral), mask)
-    return Frames(_with_other_sign(frames.ego, LATERAL_OF_EGO), entities, {})
-
-
-def _with_other_sign(features: Tensor, lateral: tuple[int, ...]) -> Tensor:
-    sign = torch.ones(features.shape[-1])
-    sign[list(lateral)] = -1.0
-    return features * sign
 
 
 # The optimiser Muon for matrices between hidden layers, Adam for the rest.

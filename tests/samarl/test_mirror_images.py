@@ -1,9 +1,9 @@
-"""The ideas of `benchmarks.learning_leads`."""
+"""Mirror images, of which `benchmarks.learning_leads` makes use."""
 
 import numpy as np
 import torch
 
-from benchmarks.learning_leads import TURNED, mirrored
+from benchmarks.mirror_images import TURNED, mirrored
 from mrsan import Scenario, World
 from mrsan.state import State
 from samarl.observations.features import frames_of, state_of
