@@ -24,6 +24,7 @@ from samarl.algorithms.reppo import CategoricalValue
 from samarl.algorithms.training_data import TrainingData
 from samarl.encoders import ENCODERS
 from samarl.encoders.encoder import EncoderState
+from samarl.encoders.gru import unroll
 from samarl.encoders.set_pool import SetPoolConfig, SetPoolEncoder
 from samarl.observations.frames import FeatureSizes, Frames
 from samarl.policies.policy import LOCAL, Policy
@@ -62,7 +63,7 @@ def main() -> None:
 
 @ALGORITHMS.register("mirrored", MAPPOConfig)
 class Mirrored(MAPPO):
-    """A policy is told to do the mirror image of its action in the mirror image of a state.
+    """The policy is trained to take the mirrored action in the mirrored state.
 
     The symmetry loss of Yu, Turk and Liu (Learning symmetric and low-energy locomotion, 2018).
     Rollouts cannot be mirrored instead: their actions are too improbable where a policy prefers
@@ -74,14 +75,14 @@ class Mirrored(MAPPO):
     ) -> Tensor:
         mirrored_features = mirrored(data.sequences.features)
         image = data._replace(sequences=data.sequences._replace(features=mirrored_features))
-        mean, mean_of_image = (
-            self.policy.distribution(LOCAL, decisions["embedding"], decisions["row"]).mean
-            for _, levels in (selected_decisions(self.policy, part) for part in (data, image))
-            for decisions in (levels[LOCAL],)
-        )
-        error = mean_of_image - (mean * torch.tensor(TURNED)).detach()
+        error = self._means(image) - (self._means(data) * torch.tensor(TURNED)).detach()
         total = super()._policy_loss(data, statistics, divergence)
         return total + error.square().sum(-1).mean()
+
+    def _means(self, data: TrainingData) -> Tensor:
+        """Return the mean actions in the selected steps, [Q, 3]."""
+        decisions = selected_decisions(self.policy, data)[1][LOCAL]
+        return self.policy.distribution(LOCAL, decisions["embedding"], decisions["row"]).mean
 
 
 # The optimiser Muon for matrices between hidden layers, Adam for the rest.
@@ -247,11 +248,8 @@ class MemoryEncoder(SetPoolEncoder):
     ) -> Tensor:
         """See `Encoder.observe`; the scene is that of one frame, and the hidden state."""
         scene = super().observe(frames, is_init, state).unflatten(0, is_init.shape)
-        hidden, hidden_states = state["hidden"], []
-        for t in range(scene.shape[1]):
-            hidden = self.cell(scene[:, t], torch.where(is_init[:, t, None], 0.0, hidden))
-            hidden_states.append(hidden)
-        both = torch.cat([scene, torch.stack(hidden_states, 1)], -1).flatten(0, 1)
+        hidden = unroll(self.cell, scene, is_init, state["hidden"])
+        both = torch.cat([scene, hidden], -1).flatten(0, 1)
         return both if samples is None else both[samples]
 
     def initial_state(self, frame: Frames) -> EncoderState:

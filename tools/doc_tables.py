@@ -349,7 +349,7 @@ def training_ranges() -> str:
             [
                 f"`{path.stem}`",
                 ", ".join(f"`{layout}`" for layout in dict.fromkeys(layouts)),
-                _range(s["robots"] for s in scenarios),
+                _range([s["robots"] for s in scenarios]),
                 _range(people),
                 ", ".join(f"{view:g}" for view in sorted({s["fov_degrees"] for s in scenarios})),
             ]
@@ -357,8 +357,8 @@ def training_ranges() -> str:
     return markdown_table(["policy", "layouts", "robots", "people", "views, degrees"], lines)
 
 
-def _range(numbers: Iterable[int]) -> str:
-    low, *_, high = sorted((*numbers,) * 2)
+def _range(numbers: Sequence[int]) -> str:
+    low, high = min(numbers), max(numbers)
     return str(low) if low == high else f"{low} to {high}"
 
 

@@ -21,6 +21,22 @@ class GRUConfig:
     features: int = required(8, 4096, help="length of the output Y")
 
 
+def unroll(cell: nn.GRUCell, inputs: Tensor, is_init: Tensor, hidden: Tensor) -> Tensor:
+    """Return the hidden states [B, T, D] of a recurrent cell.
+
+    Args:
+        cell: called once per frame.
+        inputs: [B, T, F].
+        is_init: [B, T] bool, an episode begins and the hidden state is cleared.
+        hidden: [B, D] before the first frame.
+    """
+    hidden_states = []
+    for t in range(inputs.shape[1]):
+        hidden = cell(inputs[:, t], torch.where(is_init[:, t, None], 0.0, hidden))
+        hidden_states.append(hidden)
+    return torch.stack(hidden_states, 1)
+
+
 @ENCODERS.register("gru", GRUConfig)
 class GRUEncoder(Encoder):
     """Embed every agent, pool each feature by its maximum, and feed a GRU (Cho et al., 2014)."""
@@ -44,11 +60,8 @@ class GRUEncoder(Encoder):
         self, frames: Frames, is_init: Tensor, state: EncoderState, samples: Tensor | None = None
     ) -> Tensor:
         """See `Encoder.observe`; the scene is the summary plus the hidden state, [P, D]."""
-        summary, hidden, hidden_states = self._summary(frames), state["hidden"], []
-        for t in range(summary.shape[1]):
-            hidden = self.cell(summary[:, t], torch.where(is_init[:, t, None], 0.0, hidden))
-            hidden_states.append(hidden)
-        scene = (summary + torch.stack(hidden_states, 1)).flatten(0, 1)
+        summary = self._summary(frames)
+        scene = (summary + unroll(self.cell, summary, is_init, state["hidden"])).flatten(0, 1)
         return scene if samples is None else scene[samples]
 
     def read(self, scene: Tensor, query: Tensor) -> Tensor:

@@ -166,14 +166,15 @@ class StochasticPolicy(Policy):
             per_row(np.repeat(is_init[:, None], shape[1], 1)),
             policy_state,
         )
-        if noise is None and active is not None and self._decides_independently:
-            features = self.extract_features(tracks.of(active), scenario).to(device)
-            with self._precision():
-                step, policy_state = self._step_of(per_row(active), features, *inputs)
-        else:
-            features = self.extract_features(tracks, scenario).to(device)
-            with self._precision():
+        if noise is not None or not self._decides_independently:
+            active = None
+        seen = tracks if active is None else tracks.of(active)
+        features = self.extract_features(seen, scenario).to(device)
+        with self._precision():
+            if active is None:
                 step, policy_state = self.step(features, *inputs, noise)
+            else:
+                step, policy_state = self._step_of(per_row(active), features, *inputs)
         state.update(policy_state)
         scene = step.scene if noise is None else None
 

@@ -82,7 +82,7 @@ def test_robots_whose_actions_have_no_effect_are_left_out_and_the_others_do_the_
         assert not actions[~active].any()
         observation = world.step(expected).observation
     again = np.ones(5, np.bool_)
-    again[1:] = False  # the episode of the first world begins anew
+    again[1:] = False  # the first world starts a new episode
     active[0] = True
     for agent in (every, focused):
         agent.reset(again)
