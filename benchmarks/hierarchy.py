@@ -39,6 +39,11 @@ TWO_LEVELS = [
     "algorithm.discount=0.998",  # waiting for 6 s would cost a fifth of the return with 0.99
 ]
 MODES = [*TWO_LEVELS, "policy.modes=true", "algorithm.macro_entropy_coefficient=0.05"]
+STANDSTILL = [
+    f"curriculum.stages.{stage}.standstill_{name}"
+    for stage in range(4)
+    for name in ("limit=5", "penalty=20")
+]
 RECIPES = {  # settings, in addition to `COMMON`
     "two levels, modes": MODES,
     "two levels, modes, events": [*MODES, "policy.macro_steps=24", "policy.ends_when_blocked=true"],
@@ -47,6 +52,17 @@ RECIPES = {  # settings, in addition to `COMMON`
     "flat, long horizon": ["policy=flat", "algorithm.local_discount=0.998"],
     "two levels, modes, intent": [*MODES, "policy.observes_intent=true", *TEAM],
     "flat, team tracks": ["policy=flat", *TEAM],
+    "two levels, modes, standstill": [*MODES, *STANDSTILL],
+    "two levels, modes, standstill, macro reward": [
+        *MODES,
+        *STANDSTILL,
+        "algorithm.macro_advantage_reward=0.1",
+    ],
+    "flat, long horizon, standstill": [
+        "policy=flat",
+        "algorithm.local_discount=0.998",
+        *STANDSTILL,
+    ],
 }
 ABLATIONS = {
     "random macro actions": Waypoints.random,

@@ -14,7 +14,7 @@ from mrsan import Observation, Scenario, Step
 from mrsan.features import GOAL
 from samarl.observations.features import speed_of, to_world
 from samarl.policies.hierarchical import HierarchicalPolicy
-from samarl.policies.macro_actions import HierarchicalConfig, Mode
+from samarl.policies.macro_actions import HierarchicalConfig, makes_way
 from samarl.policies.policy import LOCAL, MACRO, Policy, PolicyState
 
 Floats = NDArray[np.float32]
@@ -58,8 +58,8 @@ def level_rewards(
         waypoint = state["waypoint"].view(*task.shape, 2).cpu().numpy()
         local = _waypoint_reward(policy.config, waypoint, before, step)
         if policy.has_modes(MACRO):
-            makes_way = (state["mode"] != Mode.go).view(task.shape).cpu().numpy() & active
-            local -= _making_way_penalty(policy.config, waypoint, step) * makes_way
+            stays = makes_way(state["mode"]).view(task.shape).cpu().numpy() & active
+            local -= _making_way_penalty(policy.config, waypoint, step) * stays
         rewards = {MACRO: task, LOCAL: local}
     if shaping.path_penalty > 0.0:
         per_speed = np.float32(shaping.path_penalty * scenario.time_step)

@@ -72,6 +72,7 @@ PPO_NUMBERS: dict[str, Any] = {
     "clip_epsilon": 0.2,
     "entropy_coefficient": 0.01,
     "macro_entropy_coefficient": 0.01,
+    "macro_advantage_reward": 0.0,
     "critic_coefficient": 0.5,
     "max_gradient_norm": 1.0,
     "advantage_filter_fraction": 1.0,
@@ -94,6 +95,7 @@ _ONLY_PPO = {
     "clip_epsilon",
     "entropy_coefficient",
     "macro_entropy_coefficient",
+    "macro_advantage_reward",
     "critic_coefficient",
     "advantage_filter_fraction",
 }

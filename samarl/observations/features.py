@@ -55,6 +55,7 @@ EGO_PLACE = slice(7, 9)  # the map's origin
 EGO_TIME = slice(9, 10)
 
 EGO_ROUTE = slice(11, 16)  # of the next corner, see `features_of_target`; only with a route
+EGO_OTHER_ROUTE = slice(16, 22)  # see `_other_route_features`; only with the sensor `other_route`
 
 # Slices of the features of a person or robot, see `_agent_features`:
 POSITION = slice(0, 2)  # in the body frame, in units of LENGTH_SCALE
@@ -245,6 +246,9 @@ def _ego_features(tracks: Tracks, scenario: Scenario) -> Tensor:
     ]
     if "route" in tracks.sensors:
         parts.append(features_of_target(torch.as_tensor(tracks.sensors["route"]).flatten(0, 1)))
+        if "other_route" in tracks.sensors:
+            other = torch.as_tensor(tracks.sensors["other_route"]).flatten(0, 1)
+            parts.append(_other_route_features(other))
     return torch.cat(parts, -1).unsqueeze(1)
 
 
@@ -253,6 +257,17 @@ def features_of_target(target: Tensor) -> Tensor:
     distance = target.norm(dim=-1, keepdim=True)
     direction = target / distance.clamp_min(1e-3)
     return torch.cat([target / LENGTH_SCALE, direction, torch.exp(-distance)], -1)
+
+
+def _other_route_features(other: Tensor) -> Tensor:
+    """Return the features [B, 6] of other routes [B, 3] (see `mrsan.sensors.walls.OtherRoute`).
+
+    These are `features_of_target`, and exp(-d / 5), where d is the additional length in m; zeros if
+    there is no other route.
+    """
+    exists = (other[:, :2] != 0.0).any(-1, keepdim=True)
+    features = [features_of_target(other[:, :2]), torch.exp(-other[:, 2:] / LENGTH_SCALE)]
+    return torch.cat(features, -1) * exists
 
 
 def _agent_features(
@@ -306,7 +321,7 @@ def _additional_sensors(
     """Return the features [B, 1, ...] of further sensors."""
     sensors = {}
     for name, values in observed.items():
-        if name == "route":  # part of the robots' own features
+        if name in ("route", "other_route"):  # part of the robots' own features
             continue
         features = torch.as_tensor(values).flatten(0, 1)
         if name in ADDITIONAL_FEATURES:

@@ -37,6 +37,7 @@ from samarl.policies.macro_actions import (
     decode_waypoint,
     encode_macro_action,
     is_blocked,
+    makes_way,
     waypoint_of,
     waypoint_size,
     with_waypoints,
@@ -207,13 +208,13 @@ class HierarchicalPolicy(StochasticPolicy):
         if self.waypoint_source is not Waypoints.first:
             reached = to_body(state["waypoint"], pose).norm(dim=-1) < REACHED
             if self.config.modes:
-                reached = reached & (state["mode"] == Mode.go)
+                reached = reached & ~makes_way(state["mode"])
             due = due | reached
         if self.config.ends_when_blocked:
             due = due | self._blocked(features, pose, state)
         macro = self._macro_step(scene, ego, rows, due, noise)
         macro_action = self._ablated(macro)
-        chosen = to_world(waypoint_of(self.config, route, macro_action), pose)
+        chosen = to_world(waypoint_of(self.config, route, macro_action, features), pose)
         waypoint = torch.where(due.unsqueeze(-1), chosen, state["waypoint"])
         steps_left = torch.where(due, self._duration(macro_action), steps_left) - 1
 
@@ -240,7 +241,7 @@ class HierarchicalPolicy(StochasticPolicy):
         c = self.config
         blocked = is_blocked(features, to_body(state["waypoint"], pose))
         blocked = blocked & (state["steps_left"] <= c.macro_steps - PATIENCE)
-        return blocked & (state["mode"] == Mode.go) if c.modes else blocked
+        return blocked & ~makes_way(state["mode"]) if c.modes else blocked
 
     def _duration(self, macro: Tensor) -> Tensor:
         """Return the largest number of steps [B] of macro actions [B, A]."""
@@ -249,7 +250,7 @@ class HierarchicalPolicy(StochasticPolicy):
         if self.waypoint_source is Waypoints.first:
             return torch.full_like(duration, NEVER)
         if c.modes:
-            duration = torch.where(macro[:, 0] == Mode.go, duration, c.making_way_steps)
+            duration = torch.where(makes_way(macro[:, 0]), c.making_way_steps, duration)
         return duration
 
     def _macro_step(

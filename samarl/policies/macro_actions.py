@@ -10,15 +10,18 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
+from torch.jit import is_tracing  # type: ignore[attr-defined]
 
 from mrsan import Entities
 from mrsan.fields import number, required, setting
 from samarl.observations.features import (
+    EGO_OTHER_ROUTE,
     EGO_PLACE,
     EGO_ROUTE,
     EGO_TARGET,
     EGO_TIME,
     EGO_VELOCITY,
+    LENGTH_SCALE,
     NEAR_NOW,
     POSITION,
 )
@@ -27,7 +30,9 @@ from samarl.observations.tracker import Tracks
 from samarl.policies.policy import WAYPOINT_FEATURES, PolicyConfig
 from samarl.registry import needed
 
-YIELD_BACK, YIELD_ASIDE = 1.0, 1.2  # m; where a robot makes way: back along the route, and aside
+PLACES_TO_YIELD = [(back, aside) for aside in (1.2, 0.8) for back in (1.0, 0.0, 2.0, 3.0)]
+"""Where a robot yields, m: back along the route and aside from it; the first free place counts."""
+ROOM = 0.4  # m from walls, which a robot needs at such a place
 
 STANDING = 0.1  # m/s; a robot that is slower stands
 IN_THE_WAY = 0.5  # m; somebody whose surface is nearer may block the way
@@ -49,6 +54,12 @@ class Mode(IntEnum):
     wait = 1  # where it is
     yield_left = 2  # make way: back and to the left of the route, or ...
     yield_right = 3  # ... to the right
+    other_route = 4  # along another route, if the robot observes one
+
+
+def makes_way(mode: Tensor) -> Tensor:
+    """Return where modes are to wait or to yield."""
+    return (mode >= Mode.wait) & (mode <= Mode.yield_right)
 
 
 @dataclass
@@ -75,7 +86,7 @@ class HierarchicalConfig(PolicyConfig):
         False, kw_only=True, help="robots observe the waypoints and modes that team-mates report"
     )
     modes: bool = setting(
-        False, kw_only=True, help="the macro level chooses to go, to wait or to yield to a side"
+        False, kw_only=True, help="the macro level chooses to go, wait, yield or take another route"
     )
     ends_when_blocked: bool = setting(
         False, kw_only=True, help="a macro action also ends when somebody stands in the way"
@@ -89,37 +100,100 @@ class HierarchicalConfig(PolicyConfig):
     )
 
 
-def waypoint_of(config: HierarchicalConfig, route: Tensor, macro: Tensor) -> Tensor:
+def waypoint_of(
+    config: HierarchicalConfig, route: Tensor, macro: Tensor, frames: Frames | None = None
+) -> Tensor:
     """Return the waypoints [B, 2] in the body frame (m) of macro actions [B, A].
 
     A robot that goes has its waypoint on the route, `waypoint_ahead` in front of it, moved by the
     macro action in [-1, 1] times `waypoint_range`; zero means "along the route". Without
     `local_goal` it is moved by proportionally less once less than `waypoint_ahead` of the route
     remains: a local level that does not see the goal could not reach it otherwise. The waypoint of
-    a robot that waits is its own position; that of one that yields lies straight back from the
-    direction of the route and to the side.
+    a robot that waits is its own position, and that of one that yields is beside its route, see
+    `place_to_yield`. On another route the waypoint is not moved; without one the robot stays on its
+    route.
 
     Args:
         config: of the policy.
         route: [B, 2] where the route leads next in the body frame, m.
         macro: [B, A] before clipping.
+        frames: [B, 1, ...] the features of the networks; only used with modes.
     """
     c = config
-    mode, offset = macro[:, 0], macro[:, -2:]  # without `modes` there is no mode, only the offset
+    offset = macro[:, -2:]  # without `modes` there is no mode, only the offset
     distance = route.norm(dim=-1, keepdim=True).clamp(min=1e-6)
-    share = (c.waypoint_ahead / distance).clamp(max=1.0)
     reach = c.waypoint_range
     if not c.local_goal:
         reach = reach * (distance / c.waypoint_ahead).clamp(max=1.0)
-    going = route * share + reach * offset.clamp(-1.0, 1.0)
+    going = _ahead(config, route) + reach * offset.clamp(-1.0, 1.0)
     if not c.modes:
         return going
-    ahead = route / distance
+    assert frames is not None
+    mode = macro[:, :1]
+    waypoint = torch.where(mode == Mode.go, going, torch.zeros_like(going))
+    other = _ahead(config, other_route(frames, route))
+    waypoint = torch.where(mode == Mode.other_route, other, waypoint)
+    direction = route / distance
+    for side, sign in ((Mode.yield_left, 1.0), (Mode.yield_right, -1.0)):
+        yields = mode == side
+        if is_tracing() or yields.any():
+            waypoint = torch.where(yields, place_to_yield(direction, sign, frames), waypoint)
+    return waypoint
+
+
+def _ahead(config: HierarchicalConfig, route: Tensor) -> Tensor:
+    """Return the points `waypoint_ahead` away, or less, in the direction of `route` [B, 2], m."""
+    distance = route.norm(dim=-1, keepdim=True).clamp(min=1e-6)
+    return route * (config.waypoint_ahead / distance).clamp(max=1.0)
+
+
+def other_route(frames: Frames, route: Tensor) -> Tensor:
+    """Return where another route leads next in the body frame [B, 2], m; without one, `route`."""
+    features = frames.ego[:, 0, EGO_OTHER_ROUTE]
+    if features.shape[-1] == 0:
+        return route
+    position = LENGTH_SCALE * features[:, :2]
+    return torch.where((position != 0.0).any(-1, keepdim=True), position, route)
+
+
+def place_to_yield(ahead: Tensor, side: float, frames: Frames) -> Tensor:
+    """Return where robots yield in the body frame, [B, 2], m.
+
+    That is the first of `PLACES_TO_YIELD` to which the robot can move straight, with `ROOM` to the
+    walls there; without a free place, the robot's position. In front of a doorway this is a place
+    beside it, and in a corridor a niche.
+
+    Args:
+        ahead: [B, 2] direction of the route, of length 1.
+        side: 1: to the left, -1: to the right.
+        frames: [B, 1, ...] the features of the networks, with the walls if there are any.
+    """
+    back, aside = torch.tensor(PLACES_TO_YIELD, device=ahead.device).unbind(-1)
     left = torch.stack([-ahead[:, 1], ahead[:, 0]], -1)
-    side = (mode == Mode.yield_left).to(route.dtype) - (mode == Mode.yield_right).to(route.dtype)
-    side = side.unsqueeze(-1)
-    making_way = YIELD_ASIDE * side * left - YIELD_BACK * side.abs() * ahead
-    return torch.where((mode == Mode.go).unsqueeze(-1), going, making_way)
+    places = side * aside[:, None] * left[:, None] - back[:, None] * ahead[:, None]  # [B, C, 2]
+    if "walls" not in frames.entities:
+        return places[:, 0]
+    features, known = (tensor[:, 0] for tensor in frames.entities["walls"])
+    start, end = (LENGTH_SCALE * features[:, None, :, s] for s in (slice(0, 2), slice(2, 4)))
+    along = end - start  # [B, 1, K, 2], from here on with C places
+    to_place = places[:, :, None] - start
+    share = (to_place * along).sum(-1) / along.square().sum(-1).clamp_min(1e-6)
+    nearest = share.clamp(0.0, 1.0).unsqueeze(-1) * along
+    near = (to_place - nearest).square().sum(-1) < ROOM**2
+    # A wall is in between if place and robot are on different sides of it, and its ends on
+    # different sides of the way.
+    across = _cross(along, to_place) * _cross(along, -start) < 0.0
+    way = places[:, :, None]
+    between = across & (_cross(way, start) * _cross(way, end) < 0.0)
+    free = ~((near | between) & known[:, None]).any(-1)  # [B, C]
+    first = free.long().argmax(1)
+    place = places[torch.arange(len(places), device=ahead.device), first]
+    return place * free.any(1, keepdim=True)
+
+
+def _cross(a: Tensor, b: Tensor) -> Tensor:
+    """Return the cross products [...] of vectors [..., 2]."""
+    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
 
 
 def is_blocked(frames: Frames, waypoint: Tensor) -> Tensor:
@@ -176,8 +250,9 @@ def decode_waypoint(features: Tensor) -> Tensor:
 
 
 def without_goal(ego: Tensor, hide_route: bool) -> Tensor:
-    """Return own states [..., F_e] without goal, place, time and, with `hide_route`, the route."""
+    """Return own states [..., F_e] without goal, place, time and, with `hide_route`, routes."""
     blind = ego.clone()
-    for hidden in (EGO_TARGET, EGO_PLACE, EGO_TIME, *([EGO_ROUTE] if hide_route else [])):
+    routes = [EGO_ROUTE, EGO_OTHER_ROUTE] if hide_route else []
+    for hidden in (EGO_TARGET, EGO_PLACE, EGO_TIME, *routes):
         blind[..., hidden] = 0.0
     return blind

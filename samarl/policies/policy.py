@@ -27,7 +27,13 @@ from mrsan.fields import required, setting
 from mrsan.sensors.walls import WALL_FEATURES
 from samarl.encoders import ENCODERS, Encoder
 from samarl.encoders.encoder import samples_of
-from samarl.observations.features import AGENT_SIZES, NETWORK_EGO_FEATURES, empty_tracks, frames_of
+from samarl.observations.features import (
+    AGENT_SIZES,
+    EGO_OTHER_ROUTE,
+    NETWORK_EGO_FEATURES,
+    empty_tracks,
+    frames_of,
+)
 from samarl.observations.frames import FeatureSizes, Frames
 from samarl.observations.route import heading_for_route, next_point
 from samarl.observations.route import route as next_on_route
@@ -277,6 +283,11 @@ class Policy(nn.Module, ABC):
         """Return whether the policy was trained with routes round walls."""
         return self.sizes.ego > NETWORK_EGO_FEATURES
 
+    @property
+    def observes_other_route(self) -> bool:
+        """Return whether the policy was trained with the sensor `other_route`."""
+        return self.sizes.ego > EGO_OTHER_ROUTE.start
+
     def extract_features(self, tracks: Tracks, scenario: Scenario) -> Frames:
         """Return the features [B, 1, ...] of the groups and sensors that this policy observes."""
         tracks = self._as_trained(tracks)
@@ -286,13 +297,18 @@ class Policy(nn.Module, ABC):
         """Return the tracks with the parts that this policy was trained with.
 
         A policy that was trained without walls takes the next corner of its route for its goal. One
-        that was trained with them sees none where there are none, and its route is its goal.
+        that was trained with them sees none where there are none, and its route is its goal. One
+        that was trained with the sensor `other_route` knows no other route without it.
         """
         entities, sensors = dict(tracks.entities), dict(tracks.sensors)
         if "route" in sensors and not self.observes_route:
             return tracks._replace(ego=heading_for_route(tracks))
         if "route" not in sensors and self.observes_route:
             sensors["route"] = next_point(tracks)
+        if not self.observes_other_route:
+            sensors.pop("other_route", None)
+        elif "other_route" not in sensors:
+            sensors["other_route"] = np.zeros((*tracks.ego.shape[:2], 3), np.float32)
         if "walls" in self.sizes.entities and "walls" not in entities:
             shape = (*tracks.ego.shape[:2], 1)
             features = np.zeros((*shape, len(WALL_FEATURES)), np.float32)

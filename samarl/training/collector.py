@@ -18,6 +18,7 @@ from samarl.observations.features import speed_of, state_features, true_state
 from samarl.observations.frames import Frames
 from samarl.observations.tracker import Tracks
 from samarl.planning.shield import Shield, apply_shield
+from samarl.policies.macro_actions import STANDING
 from samarl.policies.policy import LOCAL, Decision, Policy, PolicyState
 from samarl.policies.stochastic import StochasticPolicy
 from samarl.reward_shaping import RewardShaping, level_rewards
@@ -79,6 +80,7 @@ class RolloutCollector:
         self.snapshots = SnapshotBuffer(RESTART_STEPS)
         self.age = np.zeros(worlds, np.int64)  # steps since the episode began or was restarted
         self.fresh = np.ones(worlds, np.bool_)  # the episode has not been restarted
+        self.standstill = np.zeros((worlds, scenario.robots), np.int64)  # steps without moving
         # Columns of the frame buffer: history for the encoder and restarts, then steps 0 to T.
         self.past = policy.history + (RESTART_STEPS if self._restarts else 0)
         columns = self.past + steps + 1
@@ -115,7 +117,7 @@ class RolloutCollector:
         for step in range(t):
             states.append(self._true_state())
             columns.append(self._decision_column() | self._step(episodes))
-            back = self._begin(world.state.done)
+            back = self._begin(columns[-1]["next", "done"][:, 0].numpy())
             if back.any():
                 worlds = np.flatnonzero(back)
                 rows = self._rows_of(worlds)
@@ -206,8 +208,11 @@ class RolloutCollector:
             self.state,
             self.active,
         )
-        ended = (result.terminated | result.truncated)[:, None]
-        terminated = (self._failed() | world.state.arrived.all(1, keepdims=True)) & ended
+        stuck = self._count_standstill()
+        ended = (result.terminated | result.truncated | stuck.any(1))[:, None]
+        failed = self._failed() | stuck
+        terminated = (failed | world.state.arrived.all(1, keepdims=True)) & ended
+        penalty = np.float32(self.stage.standstill_penalty) * stuck
         if ended.any():
             episodes.append(episodes_of(world.state, world.scenario, ended[:, 0] & self.fresh))
         self.age += 1
@@ -217,8 +222,17 @@ class RolloutCollector:
             ("next", "agents", "terminated"): torch.from_numpy(terminated),
         }
         for level, reward in rewards.items():
-            outcome[("next", *level_key(level), "reward")] = torch.from_numpy(reward)
+            outcome[("next", *level_key(level), "reward")] = torch.from_numpy(reward - penalty)
         return outcome
+
+    def _count_standstill(self) -> NDArray[np.bool_]:
+        """Count the steps for which each robot stands; return who has stood too long, [E, N]."""
+        stage, state = self.stage, self.world.state
+        stands = (np.hypot(*np.moveaxis(state.robot_velocity, -1, 0)) < STANDING) & ~state.arrived
+        self.standstill = np.where(stands, self.standstill + 1, 0)
+        if stage.standstill_limit == 0.0:
+            return np.zeros_like(stands)
+        return self.standstill >= max(stage.scenario.steps(stage.standstill_limit), 1)
 
     def _failed(self) -> NDArray[np.bool_]:
         """Return which robots ended an episode by a collision, [E, N]."""
@@ -249,6 +263,7 @@ class RolloutCollector:
             self.crowd.enter(world, midway, self.policy.config.round_radius)
             self.observation = world.observe()
         self.age[ended] = 0
+        self.standstill[ended] = 0
         self.fresh[ended] = reset[ended]
         return back
 
@@ -356,6 +371,7 @@ class RolloutCollector:
             "snapshots": list(self.snapshots.snapshots),
             "age": self.age,
             "fresh": self.fresh,
+            "standstill": self.standstill,
             "is_init": self.is_init,
             "frames": self.frames,
             "begins": self.begins,
@@ -375,6 +391,7 @@ class RolloutCollector:
             "state",
             "age",
             "fresh",
+            "standstill",
             "is_init",
             "frames",
             "begins",

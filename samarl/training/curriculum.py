@@ -26,6 +26,12 @@ class CurriculumStage:
     noise_correlation: float = number(
         0.0, 0.0, 0.99, help="correlation of the local level's noise between steps"
     )
+    standstill_limit: float = number(
+        0.0, 0.0, 1e6, unit="s", help="an episode ends once a robot stands for so long; 0: never"
+    )
+    standstill_penalty: float = number(
+        0.0, 0.0, 1e6, help="penalty of the robot that ended an episode by standing"
+    )
     scenario: Scenario = field(default_factory=Scenario)
 
     def is_active(self, share: float) -> bool:

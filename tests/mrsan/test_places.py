@@ -9,6 +9,7 @@ import pytest
 import shapely
 
 from mrsan import ConfigurationError, Layout, Outcome, Place, Scenario, World
+from mrsan.kernels.other_route import AVOIDED
 from mrsan.kernels.tally import DEADLOCKS
 from mrsan.kernels.walls import CLEARANCE, CORNERS, REDRAWS, WALLS
 from mrsan.place import FAMILIES
@@ -83,8 +84,64 @@ def test_routes_are_the_shortest_in_the_graph(layout: Layout) -> None:
             assert route_length == pytest.approx(expected, abs=0.01)
 
 
+@pytest.mark.parametrize("layout", [Layout.rooms, Layout.pillars])
+def test_the_other_route_is_the_shortest_that_avoids_the_next_corner(layout: Layout) -> None:
+    number = 20
+    world = worlds_of(layout, number, humans=0, sensors={"other_route": {}})
+    state, observed, found = world.state, world.observe().sensors["other_route"], 0
+    for e in range(number):
+        lines, clearance = lines_of(state, e), float(state.place[e, CLEARANCE]) - 1e-3
+        count = int(state.place[e, CORNERS])
+        corners = state.corners[e, :2, :count].T.astype(float)
+        for i in range(3):
+            start, goal = (x[e, i].astype(float) for x in (state.robot_position, state.robot_goal))
+            longer = observed[e, i, 2]
+            if state.route_corner[e, i] < 0:  # the goal can be reached straight on
+                assert not observed[e, i].any()
+                continue
+            nodes = np.array([start, goal, *corners])
+            length = np.linalg.norm(nodes[:, None] - nodes[None], axis=-1)
+            link = np.zeros(length.shape, bool)
+            link[2:, 2:] = state.corner_distance[e, :count, :count] < length[2:, 2:] + 1e-4
+            link[2:, 1] = state.route_cost[e, i, :count] < length[2:, 1] + 1e-4
+            for k in range(count):
+                link[0, 2 + k] = lines.distance(shapely.LineString(nodes[[0, 2 + k]])) >= clearance
+            avoided = corners[state.route_corner[e, i]]
+            link[:, 2:] &= np.linalg.norm(corners - avoided, axis=-1) >= AVOIDED
+            for a, b in zip(*np.nonzero(link), strict=True):
+                link[a, b] = avoids(avoided, nodes[a], nodes[b])
+            expected = dijkstra(np.where(link, length, np.inf))
+            if np.isinf(expected):
+                assert not observed[e, i].any()
+                continue
+            found += 1
+            expected = max(expected - state.route_left[e, i], 0.0)
+            assert longer == pytest.approx(expected, abs=2e-3)
+            first = start + rotated(observed[e, i, :2], state.robot_heading[e, i])
+            assert np.linalg.norm(corners - first, axis=-1).min() < 1e-3
+    assert found >= 10
+
+
+def avoids(avoided: np.ndarray, start: np.ndarray, end: np.ndarray) -> bool:
+    """Whether a way stays away from `avoided`, or leads away from it where it begins nearer."""
+    if (avoided - start) @ (end - start) <= 0.0:
+        return True
+    return bool(shapely.LineString([start, end]).distance(shapely.Point(avoided)) >= AVOIDED)
+
+
+def rotated(point: np.ndarray, angle: float) -> np.ndarray:
+    cos, sin = np.cos(angle), np.sin(angle)
+    return np.array([cos * point[0] - sin * point[1], sin * point[0] + cos * point[1]])
+
+
+@pytest.mark.parametrize("layout", [Layout.circle, Layout.doorway])
+def test_there_is_no_other_route_where_there_is_one_way_only(layout: Layout) -> None:
+    world = worlds_of(layout, 20, sensors={"other_route": {}})
+    assert not world.observe().sensors["other_route"].any()
+
+
 def dijkstra(length: np.ndarray) -> float:
-    """The length of the shortest way from node 0 to node 1."""
+    """The length of the shortest way from node 0 to node 1; inf if there is none."""
     best, queue = {}, [(0.0, 0)]
     while queue:
         reached, node = heapq.heappop(queue)
@@ -93,7 +150,7 @@ def dijkstra(length: np.ndarray) -> float:
         best[node] = reached
         for other in np.flatnonzero(np.isfinite(length[node])):
             heapq.heappush(queue, (reached + length[node, other], int(other)))
-    return best[1]
+    return best.get(1, np.inf)
 
 
 @pytest.mark.parametrize("crowd", ["orca", "social_force"])

@@ -5,9 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import shapely
 import torch
 
-from mrsan import ConfigurationError, TeamPerception, World
+from mrsan import ConfigurationError, Layout, Scenario, TeamPerception, World
 from mrsan.features import VELOCITY
 from samarl.agents.learned import DeployedPolicy
 from samarl.algorithms import ALGORITHMS
@@ -18,21 +19,29 @@ from samarl.observations.features import (
     to_body,
 )
 from samarl.observations.frames import Frames
+from samarl.observations.tracker import Tracks
 from samarl.policies import hierarchical
 from samarl.policies.heads import ModeAndOffset
 from samarl.policies.hierarchical import HierarchicalPolicy
-from samarl.policies.macro_actions import YIELD_ASIDE, YIELD_BACK, Mode, decode_waypoint, is_blocked
+from samarl.policies.macro_actions import (
+    PLACES_TO_YIELD,
+    ROOM,
+    Mode,
+    decode_waypoint,
+    is_blocked,
+    place_to_yield,
+)
 from samarl.policies.policy import MACRO, WAYPOINT_FEATURES
 from tests.learning import REPPO_NUMBERS, SCENARIO, algorithm, collector, policy
 
 OPEN = replace(SCENARIO, humans=0, fov_degrees=360.0, time_limit=50.0)
-LOGITS = torch.tensor([[2.0, 0.0, 1.0, -1.0]])
+LOGITS = torch.tensor([[2.0, 0.0, 1.0, -1.0, 0.5]])
 LOC, SCALE = torch.tensor([[0.5, -0.5]]), torch.tensor([[0.1, 0.2]])
 
 
-def with_mode(mode: Mode, **numbers: int) -> HierarchicalPolicy:
+def with_mode(mode: Mode, scenario: Scenario | None = None, **numbers: int) -> HierarchicalPolicy:
     """A policy that always chooses `mode` and moves no waypoint."""
-    model = policy(modes=True, **numbers)
+    model = policy(scenario=scenario, modes=True, **numbers)
     assert isinstance(model, HierarchicalPolicy)
     head = model.networks[0].heads[MACRO]
     with torch.no_grad():
@@ -76,7 +85,7 @@ def test_modes_are_drawn_as_often_as_their_probabilities_say() -> None:
     torch.manual_seed(0)
     embedding = torch.zeros(rows, head.body[0].in_features)
     action, log_prob = model._sample_macro(embedding, torch.arange(rows), torch.randn(rows, 3))
-    share = torch.bincount(action[:, 0].long(), minlength=4) / rows
+    share = torch.bincount(action[:, 0].long(), minlength=len(Mode)) / rows
     expected = LOGITS[0].softmax(-1)
     assert share.tolist() == pytest.approx(expected.tolist(), abs=0.015)
     waits = action[:, 0] == Mode.wait
@@ -88,8 +97,9 @@ def test_modes_are_drawn_as_often_as_their_probabilities_say() -> None:
     [
         (Mode.go, 2.0, 0.0),
         (Mode.wait, 0.0, 0.0),
-        (Mode.yield_left, -YIELD_BACK, YIELD_ASIDE),
-        (Mode.yield_right, -YIELD_BACK, -YIELD_ASIDE),
+        (Mode.yield_left, -1.0, 1.2),
+        (Mode.yield_right, -1.0, -1.2),
+        (Mode.other_route, 2.0, 0.0),  # there is none
     ],
 )
 def test_the_waypoint_of_a_mode(mode: Mode, ahead: float, left: float) -> None:
@@ -103,6 +113,48 @@ def test_the_waypoint_of_a_mode(mode: Mode, ahead: float, left: float) -> None:
     assert features is not None
     one_hot = [float(other is mode) for other in Mode]
     assert features[0, 0, WAYPOINT_FEATURES:].tolist() == one_hot
+
+
+def test_a_robot_takes_another_route_where_there_is_one() -> None:
+    scenario = replace(OPEN, layout=Layout.rooms, sensors={"other_route": {}}, nearest_walls=8)
+    model, world = with_mode(Mode.other_route, scenario), World(scenario, 40)
+    observation = world.reset(np.arange(40))
+    state = model.initial_state(40, scenario)
+    model.act(observation, state, np.ones(40, np.bool_), scenario)
+    waypoint = to_body(state["waypoint"].view(40, 2, 2).numpy(), observation.ego)
+    other = observation.sensors["other_route"][..., :2]
+    exists = other.any(-1)
+    assert 5 < exists.sum() < 75
+    towards = np.where(exists[..., None], other, observation.sensors["route"])
+    distance = np.linalg.norm(towards, axis=-1, keepdims=True)
+    np.testing.assert_allclose(waypoint, towards * np.minimum(2.0 / distance, 1.0), atol=1e-3)
+
+
+def test_a_robot_yields_at_the_first_place_that_it_can_reach() -> None:
+    """Compared with shapely, in doorways and rooms."""
+    seen = set()
+    for layout in (Layout.doorway, Layout.rooms):
+        scenario = replace(OPEN, layout=layout, nearest_walls=12)
+        world = World(scenario, 60)
+        observation = world.reset(np.arange(60))
+        frames = frames_of(Tracks(*observation[:3]), scenario)
+        route = torch.from_numpy(observation.sensors["route"]).flatten(0, 1)
+        ahead = route / route.norm(dim=-1, keepdim=True)
+        segments, known = (x.reshape(120, 12, -1) for x in observation.entities["walls"])
+        for side in (1.0, -1.0):
+            places = place_to_yield(ahead, side, frames).numpy()
+            for place, (x, y), ends, seen_walls in zip(places, ahead, segments, known, strict=True):
+                walls = shapely.multilinestrings(ends[seen_walls[:, 0]].reshape(-1, 2, 2))
+                expected, first = np.zeros(2), None
+                for number, (back, aside) in enumerate(PLACES_TO_YIELD):
+                    at = np.array([-back * x - side * aside * y, -back * y + side * aside * x])
+                    near = walls.distance(shapely.Point(at)) < ROOM
+                    if not near and not walls.crosses(shapely.LineString([(0, 0), at])):
+                        expected, first = at, number
+                        break
+                seen.add(first)
+                np.testing.assert_allclose(place, expected, atol=1e-4)
+    assert {None, 0, 1, 4} <= seen  # also no place, not back, and not as far aside
 
 
 def test_a_robot_that_waits_decides_again_after_all_steps_of_its_macro_action() -> None:

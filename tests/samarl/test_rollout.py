@@ -109,6 +109,35 @@ def test_a_collision_that_does_not_end_the_episode_ends_no_stream() -> None:
     assert not terminated[steps["next", "agents", "macro", "reward"] < -15.0].any()
 
 
+def test_a_robot_that_stands_for_too_long_ends_the_episode_and_pays() -> None:
+    """Robot 0 brakes for ever; robot 1 drives on, and its stream is only cut short."""
+    model = policy("flat", num_parameter_sets=2)
+    with torch.no_grad():
+        for networks, acceleration in zip(model.networks, (-3.0, 3.0), strict=True):
+            head = networks.heads[LOCAL]
+            head.body[-1].weight.zero_()
+            head.body[-1].bias.copy_(torch.tensor([acceleration, 0.0, 0.0]))
+            head.log_std.fill_(-5.0)
+    scenario = replace(SCENARIO, humans=0)
+    rollouts = []
+    for stage in ({"standstill_limit": 1.0, "standstill_penalty": 7.0}, {}):
+        torch.manual_seed(0)
+        rollouts.append(collector(model, 4, 9, scenario, **stage).collect().steps)
+    steps, free = rollouts
+    # 1 s is 4 steps.
+    done, terminated = steps["next", "done"][..., 0], steps["next", "agents", "terminated"]
+    assert done[0].nonzero().flatten().tolist() == [3, 7]
+    assert (done == done[:1]).all()
+    assert torch.equal(terminated[..., 0], done)
+    assert not terminated[..., 1].any()
+    assert steps["is_init"][0, :, 0].nonzero().flatten().tolist() == [0, 4, 8]
+    paid = free["next", "agents", "reward"] - steps["next", "agents", "reward"]
+    assert paid[:, 3, 0].tolist() == pytest.approx([7.0] * 4, abs=1e-5)
+    assert not paid[:, :3].any()
+    assert not paid[:, 3, 1].any()
+    assert not free["next", "done"].any()
+
+
 def test_exploration_keeps_its_direction_for_a_while() -> None:
     torch.manual_seed(0)
     model = policy(gain=0.0)

@@ -67,18 +67,19 @@ _REACHED = np.float32(0.3)  # m, distance at which a corner counts as reached
 def is_free(walls, place, x, y):
     """Return whether (x, y) is on the floor, with clearance from all walls."""
     count = wall_count(place)
-    return winding_number(walls, count, x, y) == int(place[WINDING]) and _has_clearance(
+    return winding_number(walls, count, x, y) == int(place[WINDING]) and has_clearance(
         walls, place, x, y
     )
 
 
 @function
-def _has_clearance(walls, place, x, y):
+def has_clearance(walls, place, x, y):
+    """Return whether (x, y) has clearance from all walls."""
     return is_clear(walls, wall_count(place), x, y, _ZERO, _ZERO, place[CLEARANCE] - _SLACK)
 
 
 @function
-def _can_move_between(walls, place, x, y, to_x, to_y):
+def can_move_between(walls, place, x, y, to_x, to_y):
     """Return what `_can_move` does if both places have clearance."""
     count, radius = wall_count(place), place[CLEARANCE] - _SLACK
     return is_clear_between(walls, count, x, y, to_x - x, to_y - y, radius)
@@ -159,7 +160,7 @@ def build_corners(walls, place, corners, distance, row):
             dx, dy = to_x - x, to_y - y
             length = _FAR
             if _turns_at(corners, i, dx, dy) and _turns_at(corners, j, dx, dy):
-                if _can_move_between(walls, place, x, y, to_x, to_y):
+                if can_move_between(walls, place, x, y, to_x, to_y):
                     length = _distance(dx, dy)
             distance[i, j] = distance[j, i] = length
     _shorten(distance, n, row)
@@ -258,12 +259,12 @@ def write_route_costs(walls, place, corners, distance, goal_x, goal_y, cost):
     n = int(place[CORNERS])
     for v in range(n):
         cost[v] = _FAR
-    if not _has_clearance(walls, place, goal_x, goal_y):
+    if not has_clearance(walls, place, goal_x, goal_y):
         return
     for u in range(n):
         x, y = corners[X, u], corners[Y, u]
         dx, dy = goal_x - x, goal_y - y
-        if _turns_at(corners, u, dx, dy) and _can_move_between(walls, place, x, y, goal_x, goal_y):
+        if _turns_at(corners, u, dx, dy) and can_move_between(walls, place, x, y, goal_x, goal_y):
             last = _distance(dx, dy)
             for v in range(n):
                 cost[v] = min(cost[v], distance[u, v] + last)
@@ -273,13 +274,13 @@ def write_route_costs(walls, place, corners, distance, goal_x, goal_y, cost):
 def _find_corner(walls, place, corners, cost, x, y):
     """Return the first corner of the shortest route from (x, y) to a goal out of reach."""
     best, least = NO_ROUTE, _FAR
-    if not _has_clearance(walls, place, x, y):
+    if not has_clearance(walls, place, x, y):
         return best
     for v in range(int(place[CORNERS])):
         dx, dy = corners[X, v] - x, corners[Y, v] - y
         length = _distance(dx, dy) + cost[v]
         if length < least and _turns_at(corners, v, dx, dy):
-            if _can_move_between(walls, place, x, y, corners[X, v], corners[Y, v]):
+            if can_move_between(walls, place, x, y, corners[X, v], corners[Y, v]):
                 best, least = v, length
     return best
 
@@ -307,7 +308,7 @@ def find_route(walls, place, corners, distance, x, y, goal_x, goal_y, cost):
     if _can_move(walls, place, x, y, goal_x, goal_y):
         return GOAL, GOAL
     corner = _find_corner(walls, place, corners, cost, x, y)
-    if corner == NO_ROUTE and not _has_clearance(walls, place, x, y):
+    if corner == NO_ROUTE and not has_clearance(walls, place, x, y):
         if sees(walls, wall_count(place), x, y, goal_x - x, goal_y - y):
             return GOAL, GOAL
         corner = _find_corner_in_sight(walls, place, corners, cost, x, y)

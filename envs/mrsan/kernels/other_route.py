@@ -1,0 +1,156 @@
+"""Another route to the goal: the shortest one that avoids where an agent's route leads next."""
+
+import math
+
+import numpy as np
+from numba import prange
+
+from mrsan.kernels import function, kernel, separate
+from mrsan.kernels.routes import (
+    NO_ROUTE,
+    X,
+    Y,
+    can_move_between,
+    has_clearance,
+    route_length,
+)
+from mrsan.kernels.walls import CORNERS
+from mrsan.se2 import unrotate
+
+AVOIDED = np.float32(1.5)  # m, distance that the other route keeps from the next corner
+
+_ZERO = np.float32(0.0)
+_ONE = np.float32(1.0)
+_FAR = np.float32(np.inf)
+_ROUNDING = np.float32(1e-4)
+
+
+@kernel
+def observe_other_route(chunks, worlds, state, other):
+    """Write where another route of each robot leads, and by how much it is longer.
+
+    Args:
+        chunks: number of pieces the loop over worlds is cut into.
+        worlds: [E] bool, the worlds to observe.
+        state: the worlds.
+        other: [E, N, 3], written: the first corner of the other route, or the goal, in the body
+            frame, and by how much the route is longer than the shortest one, m; zeros if there is
+            no other route.
+    """
+    total, n = other.shape[0], other.shape[1]
+    for chunk in prange(chunks):
+        cost = np.empty(max(state.corners.shape[2], 1), np.float32)
+        waiting = np.empty(max(state.corners.shape[2], 1), np.bool_)
+        for e in range(chunk * total // chunks, (chunk + 1) * total // chunks):
+            if worlds[e]:
+                for i in range(n):
+                    _write_other_route(state, e, i, cost, waiting, other[e, i])
+
+
+@function
+def _write_other_route(state, e, i, cost, waiting, other):
+    other[0], other[1], other[2] = _ZERO, _ZERO, _ZERO
+    if state.place.shape[1] == 0:
+        return
+    agent = state.human_radius.shape[1] + i
+    corner = state.route_corner[e, agent]
+    if corner < 0:
+        return
+    x, y = state.robot_position[e, i, 0], state.robot_position[e, i, 1]
+    goal_x, goal_y = state.robot_goal[e, i, 0], state.robot_goal[e, i, 1]
+    corners, shortest = state.corners[e], state.route_cost[e, agent]
+    first, length = find_other_route(
+        state.walls[e],
+        state.place[e],
+        corners,
+        state.corner_distance[e],
+        shortest,
+        corner,
+        x,
+        y,
+        goal_x,
+        goal_y,
+        cost,
+        waiting,
+    )
+    if first == NO_ROUTE:
+        return
+    cos, sin = math.cos(state.robot_heading[e, i]), math.sin(state.robot_heading[e, i])
+    other[0], other[1] = unrotate(cos, sin, corners[X, first] - x, corners[Y, first] - y)
+    least = route_length(corners, shortest, corner, x, y, goal_x, goal_y)
+    other[2] = max(length - least, _ZERO)
+
+
+@separate
+def find_other_route(
+    walls, place, corners, distance, shortest, avoided, x, y, goal_x, goal_y, cost, waiting
+):
+    """Return the first corner and the length of the shortest route that avoids a corner.
+
+    It keeps the distance `AVOIDED` from the corner `avoided`; if (x, y) is nearer, it starts by
+    moving away. Returns `NO_ROUTE` and infinity if there is none.
+
+    Args:
+        walls: [12, W].
+        place: [8].
+        corners: [6, V].
+        distance: [V, V] lengths of the shortest routes between corners.
+        shortest: [V] length of the shortest route from every corner to the goal, m.
+        avoided: the number of the corner.
+        x: where the route starts, m.
+        y: likewise.
+        goal_x: the goal, m.
+        goal_y: likewise.
+        cost: [V], room to work in.
+        waiting: [V] bool, room to work in.
+    """
+    n = int(place[CORNERS])
+    ax, ay = corners[X, avoided], corners[Y, avoided]
+    for v in range(n):
+        vx, vy = corners[X, v], corners[Y, v]
+        cost[v] = _FAR
+        waiting[v] = _squared(vx - ax, vy - ay) >= AVOIDED * AVOIDED
+        to_goal = math.sqrt(_squared(goal_x - vx, goal_y - vy))
+        if waiting[v] and shortest[v] <= to_goal + _ROUNDING:  # it leads straight to the goal
+            if _avoids(ax, ay, vx, vy, goal_x, goal_y):
+                cost[v] = to_goal
+    best, least = NO_ROUTE, _FAR
+    if not has_clearance(walls, place, x, y):
+        return best, least
+    while True:  # Dijkstra's algorithm, from the goal
+        u = -1
+        for v in range(n):
+            if waiting[v] and cost[v] < _FAR and (u < 0 or cost[v] < cost[u]):
+                u = v
+        if u < 0 or cost[u] >= least:
+            return best, least
+        waiting[u] = False
+        ux, uy = corners[X, u], corners[Y, u]
+        for v in range(n):
+            if not waiting[v]:
+                continue
+            vx, vy = corners[X, v], corners[Y, v]
+            way = math.sqrt(_squared(ux - vx, uy - vy))
+            is_linked = distance[v, u] <= way + _ROUNDING
+            if is_linked and cost[u] + way < cost[v] and _avoids(ax, ay, vx, vy, ux, uy):
+                cost[v] = cost[u] + way
+        dx, dy = ux - x, uy - y
+        length = math.sqrt(_squared(dx, dy)) + cost[u]
+        if length < least and _avoids(ax, ay, x, y, ux, uy):
+            if can_move_between(walls, place, x, y, ux, uy):
+                best, least = u, length
+
+
+@function
+def _avoids(ax, ay, x, y, to_x, to_y):
+    """Return whether the way from (x, y) to (to_x, to_y) avoids (ax, ay)."""
+    dx, dy = to_x - x, to_y - y
+    towards = (ax - x) * dx + (ay - y) * dy
+    share = min(max(towards / max(_squared(dx, dy), _ROUNDING), _ZERO), _ONE)
+    nearest = _squared(x + share * dx - ax, y + share * dy - ay)
+    return nearest >= AVOIDED * AVOIDED or towards <= _ZERO
+
+
+@function
+def _squared(dx, dy):
+    return dx * dx + dy * dy
