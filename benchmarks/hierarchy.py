@@ -42,7 +42,7 @@ MODES = [*TWO_LEVELS, "policy.modes=true", "algorithm.macro_entropy_coefficient=
 STANDSTILL = [
     f"curriculum.stages.{stage}.standstill_{name}"
     for stage in range(4)
-    for name in ("limit=5", "penalty=20")
+    for name in ("limit=10", "penalty=20")
 ]
 RECIPES = {  # settings, in addition to `COMMON`
     "two levels, modes": MODES,

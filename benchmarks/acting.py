@@ -1,0 +1,87 @@
+"""Measure whether acting in more worlds at once is faster: `python -m benchmarks.acting`.
+
+A training acts for each stage of its curriculum separately, for some 100 worlds at a time. Acting
+for all stages in one call would only be faster if the time per robot fell with the number of
+worlds. It is measured on one core, with exploration, for five robots among ten people.
+"""
+
+from __future__ import annotations
+
+import argparse
+import statistics
+import time
+from typing import Any
+
+import numpy as np
+
+from benchmarks.workload import add_output, interruptible, positive_number, provenance
+from mrsan import Scenario, World
+from mrsan.threads import use_threads
+from samarl.evaluation.table import markdown_table
+from samarl.files import machine, write_json
+from samarl.policies.checkpoint import load_policy
+from samarl.policies.policy import Policy
+from samarl.progress import progress_bar
+
+POLICIES = {
+    "set encoder, two levels": "samarl",
+    "transformer, two levels": "samarl_transformer",
+    "transformer, flat": "samarl_flat",
+}
+WORLDS = (12, 24, 48, 96, 192, 384)
+SCENARIO = Scenario(robots=5, humans=10)
+CORRELATION = 0.75  # of the exploration noise
+_WARM_UP = 3  # steps
+
+
+def main() -> None:
+    """Measure every policy, print the table and write the JSON file."""
+    arguments = _parse()
+    use_threads(1)
+    rows: list[dict[str, Any]] = []
+    with interruptible():
+        for name, checkpoint in progress_bar(POLICIES.items(), desc="acting", unit="policy"):
+            policy, _ = load_policy(checkpoint)
+            per_robot = {w: microseconds_per_robot(policy, w, arguments.seconds) for w in WORLDS}
+            rows.append({"policy": name, "microseconds_per_robot": per_robot})
+    header = ["policy", *(f"{worlds} worlds" for worlds in WORLDS)]
+    lines = [
+        [row["policy"], *(f"{value:.0f}" for value in row["microseconds_per_robot"].values())]
+        for row in rows
+    ]
+    print(markdown_table(header, lines))
+    write_json(arguments.output, {"policies": rows, **provenance("acting"), "threads": 1})
+    print(f"\nmicroseconds per robot, one thread, {machine()}\nwritten to {arguments.output}")
+
+
+def microseconds_per_robot(policy: Policy, worlds: int, seconds: float) -> float:
+    """Return the median time of one `act` with exploration, divided by the number of robots."""
+    world = World(SCENARIO, worlds, auto_reset=True)
+    observation, state = world.reset(np.arange(worlds)), policy.initial_state(worlds, SCENARIO)
+    begins, times = np.ones(worlds, np.bool_), []
+    end = float("inf")
+    while time.perf_counter() < end:
+        start = time.perf_counter()
+        decision = policy.act(observation, state, begins, SCENARIO, CORRELATION)
+        times.append(time.perf_counter() - start)
+        step = world.step(decision.action)
+        observation, begins = step.observation, step.terminated | step.truncated
+        if end == float("inf") and len(times) == _WARM_UP:
+            times.clear()
+            end = time.perf_counter() + seconds
+    return round(1e6 * statistics.median(times) / (worlds * SCENARIO.robots), 1)
+
+
+def _parse() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.acting", description=(__doc__ or "").partition("\n")[0]
+    )
+    parser.add_argument(
+        "--seconds", type=positive_number, default=3.0, help="of each measurement (3)"
+    )
+    add_output(parser, "acting")
+    return parser.parse_args()
+
+
+if __name__ == "__main__":
+    main()
