@@ -1,8 +1,8 @@
 """Measure whether acting in more worlds at once is faster: `python -m benchmarks.acting`.
 
-A training acts for each stage of its curriculum separately, for some 100 worlds at a time. Acting
-for all stages in one call would only be faster if the time per robot fell with the number of
-worlds. It is measured on one core, with exploration, for five robots among ten people.
+A training calls the policy for each stage of its curriculum separately, with about 100 worlds each.
+One call for all stages would only be faster if the time per robot fell with the number of worlds.
+It is measured on one core, with exploration, for five robots among ten people.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from samarl.policies.policy import Policy
 from samarl.progress import progress_bar
 
 POLICIES = {
-    "set encoder, two levels": "samarl",
+    "set_pool, two levels": "samarl",
     "transformer, two levels": "samarl_transformer",
     "transformer, flat": "samarl_flat",
 }

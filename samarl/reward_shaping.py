@@ -1,6 +1,7 @@
 """Reward shaping: the rewards of each level of a policy in training.
 
-Rewards are shaped only here, while experience is collected; algorithms read only the result.
+Rewards are shaped here, while experience is collected. Only the reward of the local level for the
+macro advantage is added later, by PPO, because it depends on the critic.
 """
 
 from __future__ import annotations
@@ -37,6 +38,7 @@ def level_rewards(
     step: Step,
     state: PolicyState,
     active: NDArray[np.bool_],
+    penalty: Floats | float = 0.0,
 ) -> dict[str, Floats]:
     """Return the reward of each level for one step, [E, N] each.
 
@@ -51,6 +53,7 @@ def level_rewards(
         step: the outcome, whose observation is from before any reset.
         state: the policy's memory after the decision.
         active: [E, N] the robots that had not arrived when the step began.
+        penalty: [E, N] of robots that have stood for too long, see `CurriculumStage`.
     """
     task = _task_reward(policy, shaping, scenario, before, step)
     rewards = {LOCAL: task}
@@ -63,9 +66,9 @@ def level_rewards(
         rewards = {MACRO: task, LOCAL: local}
     if shaping.path_penalty > 0.0:
         per_speed = np.float32(shaping.path_penalty * scenario.time_step)
-        penalty = per_speed * speed_of(step.observation.ego) * active
-        rewards = {level: reward - penalty for level, reward in rewards.items()}
-    return rewards
+        per_metre = per_speed * speed_of(step.observation.ego) * active
+        rewards = {level: reward - per_metre for level, reward in rewards.items()}
+    return {level: reward - penalty for level, reward in rewards.items()}
 
 
 def _task_reward(
@@ -89,8 +92,8 @@ def _waypoint_reward(
 ) -> Floats:
     """Return the reward [E, N] of a local level, with progress to waypoints [E, N, 2].
 
-    The arrival bonus exceeds the discounted value of endless waypoint following; otherwise the
-    robot would circle its waypoint.
+    Without an arrival bonus endless waypoint following would pay more than arriving, and a robot
+    that does not know its goal would circle its waypoint.
     """
     parts = step.reward_parts
     progress = np.float32(config.waypoint_progress) * progress_to(waypoint, before, step)

@@ -31,8 +31,8 @@ from samarl.policies.policy import WAYPOINT_FEATURES, PolicyConfig
 from samarl.registry import needed
 
 PLACES_TO_YIELD = [(back, aside) for aside in (1.2, 0.8) for back in (1.0, 0.0, 2.0, 3.0)]
-"""Where a robot yields, m: back along the route and aside from it; the first free place counts."""
-ROOM = 0.4  # m from walls, which a robot needs at such a place
+"""Where a robot may yield, best first: back along the route and aside from it, m."""
+ROOM = 0.4  # m from walls, which a robot needs where it yields
 
 STANDING = 0.1  # m/s; a robot that is slower stands
 IN_THE_WAY = 0.5  # m; somebody whose surface is nearer may block the way
@@ -58,7 +58,7 @@ class Mode(IntEnum):
 
 
 def makes_way(mode: Tensor) -> Tensor:
-    """Return where modes are to wait or to yield."""
+    """Return a mask of the modes [...] that make way: to wait, and to yield."""
     return (mode >= Mode.wait) & (mode <= Mode.yield_right)
 
 
@@ -73,7 +73,10 @@ class HierarchicalConfig(PolicyConfig):
         0.1, 100.0, unit="m", help="distance of the default waypoint along the route"
     )
     waypoint_range: float = required(
-        0.1, 100.0, unit="m", help="largest distance by which the macro level moves a waypoint"
+        0.1,
+        100.0,
+        unit="m",
+        help="largest offset of a waypoint along each axis",
     )
     waypoint_progress: float = required(
         0.0, 100.0, help="reward of the local level per metre towards its waypoint"
@@ -105,10 +108,11 @@ def waypoint_of(
 ) -> Tensor:
     """Return the waypoints [B, 2] in the body frame (m) of macro actions [B, A].
 
-    A robot that goes has its waypoint on the route, `waypoint_ahead` in front of it, moved by the
-    macro action in [-1, 1] times `waypoint_range`; zero means "along the route". Without
-    `local_goal` it is moved by proportionally less once less than `waypoint_ahead` of the route
-    remains: a local level that does not see the goal could not reach it otherwise. The waypoint of
+    A robot that goes has its waypoint `waypoint_ahead` in front of it towards the next point of its
+    route (a corner or the goal), or at that point if it is nearer. The macro action in [-1, 1]
+    times `waypoint_range` moves it. Without `local_goal` it is moved by proportionally less where
+    the next point is nearer than `waypoint_ahead`: a local level that does not see the goal could
+    not reach it otherwise. The waypoint of
     a robot that waits is its own position, and that of one that yields is beside its route, see
     `place_to_yield`. On another route the waypoint is not moved; without one the robot stays on its
     route.

@@ -80,7 +80,7 @@ class RolloutCollector:
         self.snapshots = SnapshotBuffer(RESTART_STEPS)
         self.age = np.zeros(worlds, np.int64)  # steps since the episode began or was restarted
         self.fresh = np.ones(worlds, np.bool_)  # the episode has not been restarted
-        self.standstill = np.zeros((worlds, scenario.robots), np.int64)  # steps without moving
+        self.standstill = np.zeros((worlds, scenario.robots), np.int64)  # steps in a row, standing
         # Columns of the frame buffer: history for the encoder and restarts, then steps 0 to T.
         self.past = policy.history + (RESTART_STEPS if self._restarts else 0)
         columns = self.past + steps + 1
@@ -89,7 +89,8 @@ class RolloutCollector:
         )
         self.begins = torch.ones(self.frames.ego.shape[:2], dtype=torch.bool, device=policy.device)
         self.decision: Decision  # for the next step
-        self.teacher_action: Tensor  # for the next step, if there is a teacher
+        # For the next step, if there is a teacher:
+        self.teacher_action = torch.zeros(worlds, scenario.robots, scenario.action_size)
         self.encoder_before: Any = None  # state of the encoders before it
         for _ in range(RESTART_STEPS if self._restarts else 0):
             self.snapshots.append(self.world, self._memory())
@@ -199,6 +200,7 @@ class RolloutCollector:
         """Execute the decision; return its outcome by the keys of `Rollout.steps`."""
         world = self.world
         result = world.step(self.decision.action)
+        stood_too_long = self._update_standstill()
         rewards = level_rewards(
             self.policy,
             self.shaping,
@@ -207,12 +209,11 @@ class RolloutCollector:
             result,
             self.state,
             self.active,
+            np.float32(self.stage.standstill_penalty) * stood_too_long,
         )
-        stuck = self._count_standstill()
-        ended = (result.terminated | result.truncated | stuck.any(1))[:, None]
-        failed = self._failed() | stuck
+        ended = (result.terminated | result.truncated | stood_too_long.any(1))[:, None]
+        failed = self._failed() | stood_too_long
         terminated = (failed | world.state.arrived.all(1, keepdims=True)) & ended
-        penalty = np.float32(self.stage.standstill_penalty) * stuck
         if ended.any():
             episodes.append(episodes_of(world.state, world.scenario, ended[:, 0] & self.fresh))
         self.age += 1
@@ -222,11 +223,11 @@ class RolloutCollector:
             ("next", "agents", "terminated"): torch.from_numpy(terminated),
         }
         for level, reward in rewards.items():
-            outcome[("next", *level_key(level), "reward")] = torch.from_numpy(reward - penalty)
+            outcome[("next", *level_key(level), "reward")] = torch.from_numpy(reward)
         return outcome
 
-    def _count_standstill(self) -> NDArray[np.bool_]:
-        """Count the steps for which each robot stands; return who has stood too long, [E, N]."""
+    def _update_standstill(self) -> NDArray[np.bool_]:
+        """Update for how long each robot has stood; return which reached the limit, [E, N]."""
         stage, state = self.stage, self.world.state
         stands = (np.hypot(*np.moveaxis(state.robot_velocity, -1, 0)) < STANDING) & ~state.arrived
         self.standstill = np.where(stands, self.standstill + 1, 0)
@@ -362,7 +363,10 @@ class RolloutCollector:
         return frames.map(lambda x: x.view(*shape, *x.shape[2:]).transpose(0, 1).contiguous())
 
     def state_dict(self) -> dict[str, Any]:
-        """Return all that the next `collect` depends on, except networks and torch's generator."""
+        """Return all that the next `collect` depends on, in this module.
+
+        Networks, torch's generator and the teacher's memory are not part of it.
+        """
         return {
             "world": self.world.state,
             "crowd": () if self.crowd is None else self.crowd.world.state,
@@ -377,6 +381,7 @@ class RolloutCollector:
             "begins": self.begins,
             "decision": self.decision,
             "active": self.active,
+            "teacher_action": self.teacher_action,
             "encoder_before": self.encoder_before,
         }
 
@@ -397,6 +402,7 @@ class RolloutCollector:
             "begins",
             "decision",
             "active",
+            "teacher_action",
             "encoder_before",
         ):
             setattr(self, name, saved[name])

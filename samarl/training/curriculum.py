@@ -18,16 +18,19 @@ class CurriculumStage:
     begin: float = number(0.0, 0.0, 1.0, help="share of the training after which the stage begins")
     end: float = number(1.0, 0.0, 1.0, help="share of the training after which the stage ends")
     midway_start_probability: float = number(
-        0.0, 0.0, 1.0, help="probability that an episode starts half-way round the crowd"
+        0.0,
+        0.0,
+        1.0,
+        help="probability that an episode starts on the route around the crowd",
     )
     failure_restart_probability: float = number(
-        0.0, 0.0, 1.0, help="probability that an episode with a collision is repeated"
+        0.0, 0.0, 1.0, help="probability that a world goes back up to 16 steps after a collision"
     )
     noise_correlation: float = number(
         0.0, 0.0, 0.99, help="correlation of the local level's noise between steps"
     )
     standstill_limit: float = number(
-        0.0, 0.0, 1e6, unit="s", help="an episode ends once a robot stands for so long; 0: never"
+        0.0, 0.0, 1e6, unit="s", help="an episode ends once a robot has stood for so long; 0: never"
     )
     standstill_penalty: float = number(
         0.0, 0.0, 1e6, help="penalty of the robot that ended an episode by standing"

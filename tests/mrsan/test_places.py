@@ -9,7 +9,7 @@ import pytest
 import shapely
 
 from mrsan import ConfigurationError, Layout, Outcome, Place, Scenario, World
-from mrsan.kernels.other_route import AVOIDED
+from mrsan.kernels.other_route import DETOUR
 from mrsan.kernels.tally import DEADLOCKS
 from mrsan.kernels.walls import CLEARANCE, CORNERS, REDRAWS, WALLS
 from mrsan.place import FAMILIES
@@ -107,7 +107,7 @@ def test_the_other_route_is_the_shortest_that_avoids_the_next_corner(layout: Lay
             for k in range(count):
                 link[0, 2 + k] = lines.distance(shapely.LineString(nodes[[0, 2 + k]])) >= clearance
             avoided = corners[state.route_corner[e, i]]
-            link[:, 2:] &= np.linalg.norm(corners - avoided, axis=-1) >= AVOIDED
+            link[:, 2:] &= np.linalg.norm(corners - avoided, axis=-1) >= DETOUR
             for a, b in zip(*np.nonzero(link), strict=True):
                 link[a, b] = avoids(avoided, nodes[a], nodes[b])
             expected = dijkstra(np.where(link, length, np.inf))
@@ -126,7 +126,7 @@ def avoids(avoided: np.ndarray, start: np.ndarray, end: np.ndarray) -> bool:
     """Whether a way stays away from `avoided`, or leads away from it where it begins nearer."""
     if (avoided - start) @ (end - start) <= 0.0:
         return True
-    return bool(shapely.LineString([start, end]).distance(shapely.Point(avoided)) >= AVOIDED)
+    return bool(shapely.LineString([start, end]).distance(shapely.Point(avoided)) >= DETOUR)
 
 
 def rotated(point: np.ndarray, angle: float) -> np.ndarray:

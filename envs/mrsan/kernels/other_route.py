@@ -1,4 +1,4 @@
-"""Another route to the goal: the shortest one that avoids where an agent's route leads next."""
+"""Another route to the goal: the shortest one that stays away from the next corner of the route."""
 
 import math
 
@@ -17,7 +17,7 @@ from mrsan.kernels.routes import (
 from mrsan.kernels.walls import CORNERS
 from mrsan.se2 import unrotate
 
-AVOIDED = np.float32(1.5)  # m, distance that the other route keeps from the next corner
+DETOUR = np.float32(1.5)  # m, distance that the other route keeps from the next corner
 
 _ZERO = np.float32(0.0)
 _ONE = np.float32(1.0)
@@ -33,22 +33,21 @@ def observe_other_route(chunks, worlds, state, other):
         chunks: number of pieces the loop over worlds is cut into.
         worlds: [E] bool, the worlds to observe.
         state: the worlds.
-        other: [E, N, 3], written: the first corner of the other route, or the goal, in the body
-            frame, and by how much the route is longer than the shortest one, m; zeros if there is
-            no other route.
+        other: [E, N, 3], written: the first corner of the other route in the body frame, and by how
+            much the route is longer than the shortest one, m; zeros if there is no other route.
     """
     total, n = other.shape[0], other.shape[1]
     for chunk in prange(chunks):
         cost = np.empty(max(state.corners.shape[2], 1), np.float32)
-        waiting = np.empty(max(state.corners.shape[2], 1), np.bool_)
+        unsettled = np.empty(max(state.corners.shape[2], 1), np.bool_)
         for e in range(chunk * total // chunks, (chunk + 1) * total // chunks):
             if worlds[e]:
                 for i in range(n):
-                    _write_other_route(state, e, i, cost, waiting, other[e, i])
+                    _write_other_route(state, e, i, cost, unsettled, other[e, i])
 
 
 @function
-def _write_other_route(state, e, i, cost, waiting, other):
+def _write_other_route(state, e, i, cost, unsettled, other):
     other[0], other[1], other[2] = _ZERO, _ZERO, _ZERO
     if state.place.shape[1] == 0:
         return
@@ -71,7 +70,7 @@ def _write_other_route(state, e, i, cost, waiting, other):
         goal_x,
         goal_y,
         cost,
-        waiting,
+        unsettled,
     )
     if first == NO_ROUTE:
         return
@@ -83,12 +82,12 @@ def _write_other_route(state, e, i, cost, waiting, other):
 
 @separate
 def find_other_route(
-    walls, place, corners, distance, shortest, avoided, x, y, goal_x, goal_y, cost, waiting
+    walls, place, corners, distance, shortest, corner, x, y, goal_x, goal_y, cost, unsettled
 ):
-    """Return the first corner and the length of the shortest route that avoids a corner.
+    """Return the first corner and the length of the shortest route that stays away from a corner.
 
-    It keeps the distance `AVOIDED` from the corner `avoided`; if (x, y) is nearer, it starts by
-    moving away. Returns `NO_ROUTE` and infinity if there is none.
+    It keeps the distance `DETOUR` from it; if (x, y) is nearer, it starts by moving away. Returns
+    `NO_ROUTE` and infinity if there is none, or if (x, y) has no clearance.
 
     Args:
         walls: [12, W].
@@ -96,23 +95,23 @@ def find_other_route(
         corners: [6, V].
         distance: [V, V] lengths of the shortest routes between corners.
         shortest: [V] length of the shortest route from every corner to the goal, m.
-        avoided: the number of the corner.
+        corner: the index of the corner to stay away from.
         x: where the route starts, m.
         y: likewise.
         goal_x: the goal, m.
         goal_y: likewise.
-        cost: [V], room to work in.
-        waiting: [V] bool, room to work in.
+        cost: [V], room to work in: lengths of the routes found so far.
+        unsettled: [V] bool, room to work in: the length may still become smaller.
     """
     n = int(place[CORNERS])
-    ax, ay = corners[X, avoided], corners[Y, avoided]
+    ax, ay = corners[X, corner], corners[Y, corner]
     for v in range(n):
         vx, vy = corners[X, v], corners[Y, v]
         cost[v] = _FAR
-        waiting[v] = _squared(vx - ax, vy - ay) >= AVOIDED * AVOIDED
+        unsettled[v] = _squared(vx - ax, vy - ay) >= DETOUR * DETOUR
         to_goal = math.sqrt(_squared(goal_x - vx, goal_y - vy))
-        if waiting[v] and shortest[v] <= to_goal + _ROUNDING:  # it leads straight to the goal
-            if _avoids(ax, ay, vx, vy, goal_x, goal_y):
+        if unsettled[v] and shortest[v] <= to_goal + _ROUNDING:  # it leads straight to the goal
+            if _stays_away(ax, ay, vx, vy, goal_x, goal_y):
                 cost[v] = to_goal
     best, least = NO_ROUTE, _FAR
     if not has_clearance(walls, place, x, y):
@@ -120,35 +119,35 @@ def find_other_route(
     while True:  # Dijkstra's algorithm, from the goal
         u = -1
         for v in range(n):
-            if waiting[v] and cost[v] < _FAR and (u < 0 or cost[v] < cost[u]):
+            if unsettled[v] and cost[v] < _FAR and (u < 0 or cost[v] < cost[u]):
                 u = v
         if u < 0 or cost[u] >= least:
             return best, least
-        waiting[u] = False
+        unsettled[u] = False
         ux, uy = corners[X, u], corners[Y, u]
         for v in range(n):
-            if not waiting[v]:
+            if not unsettled[v]:
                 continue
             vx, vy = corners[X, v], corners[Y, v]
             way = math.sqrt(_squared(ux - vx, uy - vy))
             is_linked = distance[v, u] <= way + _ROUNDING
-            if is_linked and cost[u] + way < cost[v] and _avoids(ax, ay, vx, vy, ux, uy):
+            if is_linked and cost[u] + way < cost[v] and _stays_away(ax, ay, vx, vy, ux, uy):
                 cost[v] = cost[u] + way
         dx, dy = ux - x, uy - y
         length = math.sqrt(_squared(dx, dy)) + cost[u]
-        if length < least and _avoids(ax, ay, x, y, ux, uy):
+        if length < least and _stays_away(ax, ay, x, y, ux, uy):
             if can_move_between(walls, place, x, y, ux, uy):
                 best, least = u, length
 
 
 @function
-def _avoids(ax, ay, x, y, to_x, to_y):
-    """Return whether the way from (x, y) to (to_x, to_y) avoids (ax, ay)."""
+def _stays_away(ax, ay, x, y, to_x, to_y):
+    """Return whether a straight way keeps the distance `DETOUR` from (ax, ay), or leads away."""
     dx, dy = to_x - x, to_y - y
     towards = (ax - x) * dx + (ay - y) * dy
     share = min(max(towards / max(_squared(dx, dy), _ROUNDING), _ZERO), _ONE)
     nearest = _squared(x + share * dx - ax, y + share * dy - ay)
-    return nearest >= AVOIDED * AVOIDED or towards <= _ZERO
+    return nearest >= DETOUR * DETOUR or towards <= _ZERO
 
 
 @function

@@ -51,9 +51,11 @@ class Route(ValueSensor):
 class OtherRoute(ValueSensor):
     """Where another route to the goal leads, and by how much it is longer than the shortest, m.
 
-    It avoids the next corner of the shortest route, and thereby a doorway or gap between pillars.
-    The three values are the first corner of the other route in the body frame and the additional
-    length; they are zero if there is no other route, or if the goal can be reached straight on.
+    It stays away from the next corner of the shortest route, and so usually takes another door or
+    another gap between pillars. The values are the first corner of the other route in the body
+    frame, and the additional length. They are zero if there is no other route, if the goal can be
+    reached straight on, if the robot is nearer to a wall than routes are, or if it does not know
+    the map.
     """
 
     shape = (3,)
