@@ -67,6 +67,7 @@ HIERARCHY_ORDER = (
     "two levels, modes, events",
     "random macro actions",
     "macro actions of team-mates",
+    "flat, long horizon, standstill",
 )
 
 
@@ -286,8 +287,19 @@ def learning_leads() -> str:
 @table
 def hierarchy() -> str:
     """Return success and deadlocks in a narrow doorway and corridor, means over training seeds."""
+    return _narrow_passages("hierarchy", "hierarchy_events")
+
+
+@table
+def hierarchy_standstill() -> str:
+    """Return the same of policies that were trained with a limit for standing."""
+    return _narrow_passages("hierarchy_standstill")
+
+
+def _narrow_passages(*results: str) -> str:
+    """Return the table of the methods in some files of `benchmarks.hierarchy`."""
     cells: dict[str, dict[str, list[float]]] = {method: {} for method in HIERARCHY_ORDER}
-    for row in [*find_value("hierarchy", "rows"), *find_value("hierarchy_events", "rows")]:
+    for row in [row for name in results for row in find_value(name, "rows")]:
         if row["width_min"] < row["width_max"]:  # doorways of a fixed width are in the figure
             of_method = cells.setdefault(row["method"], {})
             of_method.setdefault(f"{row['layout']} success", []).append(row["success"])
