@@ -40,7 +40,7 @@ def main() -> None:
     use_threads(1)
     rows: list[dict[str, Any]] = []
     with interruptible():
-        for name, checkpoint in progress_bar(POLICIES.items(), desc="acting", unit="policy"):
+        for name, checkpoint in progress_bar(POLICIES.items(), desc="acting", unit="measurement"):
             policy, _ = load_policy(checkpoint)
             per_robot = {w: microseconds_per_robot(policy, w, arguments.seconds) for w in WORLDS}
             rows.append({"policy": name, "microseconds_per_robot": per_robot})
