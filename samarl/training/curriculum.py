@@ -29,13 +29,13 @@ class CurriculumStage:
     noise_correlation: float = number(
         0.0, 0.0, 0.99, help="correlation of the local level's noise between steps"
     )
+    scenario: Scenario = field(default_factory=Scenario)
     standstill_limit: float = number(
         0.0, 0.0, 1e6, unit="s", help="an episode ends once a robot has stood for so long; 0: never"
     )
     standstill_penalty: float = number(
         0.0, 0.0, 1e6, help="penalty of the robot that ended an episode by standing"
     )
-    scenario: Scenario = field(default_factory=Scenario)
 
     def is_active(self, share: float) -> bool:
         """Return whether the stage is used when `share` of the training is completed."""
