@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import argparse
 import statistics
-import time
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from benchmarks.latency import decision_times
 from benchmarks.workload import add_output, interruptible, positive_number, provenance
-from mrsan import Scenario, World
+from mrsan import Observation, Scenario
 from mrsan.threads import use_threads
 from samarl.evaluation.table import markdown_table
 from samarl.files import machine, write_json
@@ -31,7 +32,6 @@ POLICIES = {
 WORLDS = (12, 24, 48, 96, 192, 384)
 SCENARIO = Scenario(robots=5, humans=10)
 CORRELATION = 0.75  # of the exploration noise
-_WARM_UP = 3  # steps
 
 
 def main() -> None:
@@ -54,22 +54,28 @@ def main() -> None:
     print(f"\nmicroseconds per robot, one thread, {machine()}\nwritten to {arguments.output}")
 
 
+class Exploring:
+    """A policy that explores, as in a training."""
+
+    def __init__(self, policy: Policy, worlds: int) -> None:
+        """Drive the robots of E worlds."""
+        self.policy, self.state = policy, policy.initial_state(worlds, SCENARIO)
+        self.begins = np.ones(worlds, np.bool_)
+
+    def reset(self, worlds: NDArray[np.bool_]) -> None:
+        """Begin episodes in some worlds [E]."""
+        self.begins = worlds
+
+    def act(self, observation: Observation) -> NDArray[np.float32]:
+        """Return actions with exploration noise, [E, N, A]."""
+        decision = self.policy.act(observation, self.state, self.begins, SCENARIO, CORRELATION)
+        return decision.action
+
+
 def microseconds_per_robot(policy: Policy, worlds: int, seconds: float) -> float:
-    """Return the median time of one `act` with exploration, divided by the number of robots."""
-    world = World(SCENARIO, worlds, auto_reset=True)
-    observation, state = world.reset(np.arange(worlds)), policy.initial_state(worlds, SCENARIO)
-    begins, times = np.ones(worlds, np.bool_), []
-    end = float("inf")
-    while time.perf_counter() < end:
-        start = time.perf_counter()
-        decision = policy.act(observation, state, begins, SCENARIO, CORRELATION)
-        times.append(time.perf_counter() - start)
-        step = world.step(decision.action)
-        observation, begins = step.observation, step.terminated | step.truncated
-        if end == float("inf") and len(times) == _WARM_UP:
-            times.clear()
-            end = time.perf_counter() + seconds
-    return round(1e6 * statistics.median(times) / (worlds * SCENARIO.robots), 1)
+    """Return the median time of a decision with exploration, divided by the number of robots."""
+    times = decision_times(Exploring(policy, worlds), SCENARIO, worlds, seconds)
+    return round(1e3 * statistics.median(times) / (worlds * SCENARIO.robots), 1)
 
 
 def _parse() -> argparse.Namespace:

@@ -39,6 +39,7 @@ TWO_LEVELS = [
     "algorithm.discount=0.998",  # waiting for 6 s would cost a fifth of the return with 0.99
 ]
 MODES = [*TWO_LEVELS, "policy.modes=true", "algorithm.macro_entropy_coefficient=0.05"]
+LONG_HORIZON = ["policy=flat", "algorithm.local_discount=0.998"]
 STANDSTILL = [
     f"curriculum.stages.{stage}.standstill_{name}"
     for stage in range(4)
@@ -49,7 +50,7 @@ RECIPES = {  # settings, in addition to `COMMON`
     "two levels, modes, events": [*MODES, "policy.macro_steps=24", "policy.ends_when_blocked=true"],
     "two levels": TWO_LEVELS,
     "flat": ["policy=flat"],
-    "flat, long horizon": ["policy=flat", "algorithm.local_discount=0.998"],
+    "flat, long horizon": LONG_HORIZON,
     "two levels, modes, intent": [*MODES, "policy.observes_intent=true", *TEAM],
     "flat, team tracks": ["policy=flat", *TEAM],
     "two levels, modes, standstill": [*MODES, *STANDSTILL],
@@ -58,11 +59,7 @@ RECIPES = {  # settings, in addition to `COMMON`
         *STANDSTILL,
         "algorithm.macro_advantage_reward=0.1",
     ],
-    "flat, long horizon, standstill": [
-        "policy=flat",
-        "algorithm.local_discount=0.998",
-        *STANDSTILL,
-    ],
+    "flat, long horizon, standstill": [*LONG_HORIZON, *STANDSTILL],
 }
 ABLATIONS = {
     "random macro actions": Waypoints.random,

@@ -22,6 +22,7 @@ from mrsan import ConfigurationError, Scenario, World
 from mrsan.threads import use_threads
 from samarl.agents import Agent, build_agent
 from samarl.configuration import available_agents, load_agent_config, load_scenario
+from samarl.evaluation.runner import Controller
 from samarl.evaluation.table import markdown_table
 from samarl.export import export_agent
 from samarl.files import machine, write_json
@@ -49,9 +50,9 @@ def main() -> None:
     rows: list[dict[str, Any]] = []
     with interruptible():
         for name, config in progress_bar(agents.items(), desc="latency", unit="agent"):
-            one = decision_times(config, 1, arguments.seconds)
+            one = _summary(decision_times(*build(config), 1, arguments.seconds))
             exported = exported_times(config, name, arguments.seconds)
-            batch = decision_times(config, BATCH, arguments.seconds)
+            batch = _summary(decision_times(*build(config), BATCH, arguments.seconds))
             rows.append(dict(zip(("agent", *_MEASURED), (name, one, exported, batch), strict=True)))
     header = (
         "agent",
@@ -78,9 +79,10 @@ def build(config: dict[str, Any]) -> tuple[Agent, Scenario]:
         return build_agent(config, SCENARIOS[1]), SCENARIOS[1]
 
 
-def decision_times(config: dict[str, Any], worlds: int, seconds: float) -> dict[str, float]:
-    """Return the median, smallest and largest time of one `act` for `worlds` robots, in ms."""
-    agent, scenario = build(config)
+def decision_times(
+    agent: Controller, scenario: Scenario, worlds: int, seconds: float
+) -> list[float]:
+    """Return the times of single calls of `act` for all robots of some worlds, in ms."""
     world = World(scenario, worlds, auto_reset=True)
     observation = world.reset(np.arange(worlds))
     begins = np.ones(worlds, np.bool_)
@@ -96,7 +98,7 @@ def decision_times(config: dict[str, Any], worlds: int, seconds: float) -> dict[
         if end == float("inf") and len(times) == _WARM_UP:  # kernels are compiled
             times.clear()
             end = time.perf_counter() + seconds
-    return _summary(times)
+    return times
 
 
 def exported_times(config: dict[str, Any], name: str, seconds: float) -> dict[str, float] | None:

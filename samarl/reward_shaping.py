@@ -66,8 +66,7 @@ def level_rewards(
         rewards = {MACRO: task, LOCAL: local}
     if shaping.path_penalty > 0.0:
         per_speed = np.float32(shaping.path_penalty * scenario.time_step)
-        per_metre = per_speed * speed_of(step.observation.ego) * active
-        rewards = {level: reward - per_metre for level, reward in rewards.items()}
+        penalty = penalty + per_speed * speed_of(step.observation.ego) * active
     return {level: reward - penalty for level, reward in rewards.items()}
 
 

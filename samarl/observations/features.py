@@ -337,11 +337,20 @@ def _wall_features(segments: Tensor, scenario: Scenario) -> Tensor:
     These are both ends and the nearest point, in units of `LENGTH_SCALE`, and exp(-2 gap).
     """
     start, along = segments[..., :2], segments[..., 2:] - segments[..., :2]
-    length = along.square().sum(-1, keepdim=True).clamp_min(1e-6)
-    share = (-(start * along).sum(-1, keepdim=True) / length).clamp(0.0, 1.0)
-    nearest = start + share * along
+    nearest = start + nearest_on_segments(-start, along)
     gap = (nearest.norm(dim=-1, keepdim=True) - scenario.robot_radius).clamp_min(0.0)
     return torch.cat([segments / LENGTH_SCALE, nearest / LENGTH_SCALE, torch.exp(-2.0 * gap)], -1)
+
+
+def nearest_on_segments(to_point: Tensor, along: Tensor) -> Tensor:
+    """Return the nearest points on segments to points [..., 2], all relative to their starts.
+
+    Args:
+        to_point: [..., 2] from the starts to the points.
+        along: [..., 2] from the starts to the ends.
+    """
+    length = along.square().sum(-1, keepdim=True).clamp_min(1e-6)
+    return ((to_point * along).sum(-1, keepdim=True) / length).clamp(0.0, 1.0) * along
 
 
 @register_features("lidar")

@@ -24,6 +24,7 @@ from samarl.observations.features import (
     LENGTH_SCALE,
     NEAR_NOW,
     POSITION,
+    nearest_on_segments,
 )
 from samarl.observations.frames import Frames
 from samarl.observations.tracker import Tracks
@@ -73,10 +74,7 @@ class HierarchicalConfig(PolicyConfig):
         0.1, 100.0, unit="m", help="distance of the default waypoint along the route"
     )
     waypoint_range: float = required(
-        0.1,
-        100.0,
-        unit="m",
-        help="largest offset of a waypoint along each axis",
+        0.1, 100.0, unit="m", help="largest offset of a waypoint along each axis"
     )
     waypoint_progress: float = required(
         0.0, 100.0, help="reward of the local level per metre towards its waypoint"
@@ -112,10 +110,9 @@ def waypoint_of(
     route (a corner or the goal), or at that point if it is nearer. The macro action in [-1, 1]
     times `waypoint_range` moves it. Without `local_goal` it is moved by proportionally less where
     the next point is nearer than `waypoint_ahead`: a local level that does not see the goal could
-    not reach it otherwise. The waypoint of
-    a robot that waits is its own position, and that of one that yields is beside its route, see
-    `place_to_yield`. On another route the waypoint is not moved; without one the robot stays on its
-    route.
+    not reach it otherwise. The waypoint of a robot that waits is its own position, and that of one
+    that yields is beside its route, see `place_to_yield`. On another route the waypoint is not
+    moved; without one the robot stays on its route.
 
     Args:
         config: of the policy.
@@ -181,9 +178,7 @@ def place_to_yield(ahead: Tensor, side: float, frames: Frames) -> Tensor:
     start, end = (LENGTH_SCALE * features[:, None, :, s] for s in (slice(0, 2), slice(2, 4)))
     along = end - start  # [B, 1, K, 2], from here on with C places
     to_place = places[:, :, None] - start
-    share = (to_place * along).sum(-1) / along.square().sum(-1).clamp_min(1e-6)
-    nearest = share.clamp(0.0, 1.0).unsqueeze(-1) * along
-    near = (to_place - nearest).square().sum(-1) < ROOM**2
+    near = (to_place - nearest_on_segments(to_place, along)).norm(dim=-1) < ROOM
     # A wall is in between if place and robot are on different sides of it, and its ends on
     # different sides of the way.
     across = _cross(along, to_place) * _cross(along, -start) < 0.0

@@ -305,9 +305,7 @@ class Policy(nn.Module, ABC):
             return tracks._replace(ego=heading_for_route(tracks))
         if "route" not in sensors and self.observes_route:
             sensors["route"] = next_point(tracks)
-        if not self.observes_other_route:
-            sensors.pop("other_route", None)
-        elif "other_route" not in sensors:
+        if "other_route" not in sensors and self.observes_other_route:
             sensors["other_route"] = np.zeros((*tracks.ego.shape[:2], 3), np.float32)
         if "walls" in self.sizes.entities and "walls" not in entities:
             shape = (*tracks.ego.shape[:2], 1)

@@ -11,7 +11,7 @@ from tensordict import TensorDict
 from torch import Tensor
 from torch.utils._pytree import tree_leaves, tree_map
 
-from mrsan import Episodes, Split, World
+from mrsan import Episodes, Observation, Split, World
 from mrsan.metrics import episodes_of
 from samarl.agents.agent import Agent
 from samarl.observations.features import speed_of, state_features, true_state
@@ -200,7 +200,7 @@ class RolloutCollector:
         """Execute the decision; return its outcome by the keys of `Rollout.steps`."""
         world = self.world
         result = world.step(self.decision.action)
-        stood_too_long = self._update_standstill()
+        stood_too_long = self._update_standstill(result.observation)
         rewards = level_rewards(
             self.policy,
             self.shaping,
@@ -226,13 +226,13 @@ class RolloutCollector:
             outcome[("next", *level_key(level), "reward")] = torch.from_numpy(reward)
         return outcome
 
-    def _update_standstill(self) -> NDArray[np.bool_]:
+    def _update_standstill(self, observation: Observation) -> NDArray[np.bool_]:
         """Update for how long each robot has stood; return which reached the limit, [E, N]."""
-        stage, state = self.stage, self.world.state
-        stands = (np.hypot(*np.moveaxis(state.robot_velocity, -1, 0)) < STANDING) & ~state.arrived
-        self.standstill = np.where(stands, self.standstill + 1, 0)
+        stage = self.stage
         if stage.standstill_limit == 0.0:
-            return np.zeros_like(stands)
+            return np.zeros_like(self.active)
+        stands = (speed_of(observation.ego) < STANDING) & ~self.world.state.arrived
+        self.standstill = np.where(stands, self.standstill + 1, 0)
         return self.standstill >= max(stage.scenario.steps(stage.standstill_limit), 1)
 
     def _failed(self) -> NDArray[np.bool_]:

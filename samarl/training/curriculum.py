@@ -18,10 +18,7 @@ class CurriculumStage:
     begin: float = number(0.0, 0.0, 1.0, help="share of the training after which the stage begins")
     end: float = number(1.0, 0.0, 1.0, help="share of the training after which the stage ends")
     midway_start_probability: float = number(
-        0.0,
-        0.0,
-        1.0,
-        help="probability that an episode starts on the route around the crowd",
+        0.0, 0.0, 1.0, help="probability that an episode starts on the route around the crowd"
     )
     failure_restart_probability: float = number(
         0.0, 0.0, 1.0, help="probability that a world goes back up to 16 steps after a collision"

@@ -14,6 +14,7 @@ from mrsan.kernels.tally import DEADLOCKS
 from mrsan.kernels.walls import CLEARANCE, CORNERS, REDRAWS, WALLS
 from mrsan.place import FAMILIES
 from mrsan.place_shapes import polygons_of, route_of
+from mrsan.se2 import rotate_vectors, unit_vectors
 from mrsan.state import State
 
 SLACK = 2e-3  # m, by which routes may undercut the clearance
@@ -88,16 +89,16 @@ def test_routes_are_the_shortest_in_the_graph(layout: Layout) -> None:
 def test_the_other_route_is_the_shortest_that_avoids_the_next_corner(layout: Layout) -> None:
     number = 20
     world = worlds_of(layout, number, humans=0, sensors={"other_route": {}})
-    state, observed, found = world.state, world.observe().sensors["other_route"], 0
+    state, routes, number_of_routes = world.state, world.observe().sensors["other_route"], 0
     for e in range(number):
         lines, clearance = lines_of(state, e), float(state.place[e, CLEARANCE]) - 1e-3
         count = int(state.place[e, CORNERS])
         corners = state.corners[e, :2, :count].T.astype(float)
         for i in range(3):
             start, goal = (x[e, i].astype(float) for x in (state.robot_position, state.robot_goal))
-            longer = observed[e, i, 2]
+            longer = routes[e, i, 2]
             if state.route_corner[e, i] < 0:  # the goal can be reached straight on
-                assert not observed[e, i].any()
+                assert not routes[e, i].any()
                 continue
             nodes = np.array([start, goal, *corners])
             length = np.linalg.norm(nodes[:, None] - nodes[None], axis=-1)
@@ -112,14 +113,16 @@ def test_the_other_route_is_the_shortest_that_avoids_the_next_corner(layout: Lay
                 link[a, b] = avoids(avoided, nodes[a], nodes[b])
             expected = dijkstra(np.where(link, length, np.inf))
             if np.isinf(expected):
-                assert not observed[e, i].any()
+                assert not routes[e, i].any()
                 continue
-            found += 1
+            number_of_routes += 1
             expected = max(expected - state.route_left[e, i], 0.0)
             assert longer == pytest.approx(expected, abs=2e-3)
-            first = start + rotated(observed[e, i, :2], state.robot_heading[e, i])
+            first = start + rotate_vectors(
+                routes[e, i, :2], unit_vectors(state.robot_heading[e, i : i + 1])[0]
+            )
             assert np.linalg.norm(corners - first, axis=-1).min() < 1e-3
-    assert found >= 10
+    assert number_of_routes >= 10
 
 
 def avoids(avoided: np.ndarray, start: np.ndarray, end: np.ndarray) -> bool:
@@ -127,11 +130,6 @@ def avoids(avoided: np.ndarray, start: np.ndarray, end: np.ndarray) -> bool:
     if (avoided - start) @ (end - start) <= 0.0:
         return True
     return bool(shapely.LineString([start, end]).distance(shapely.Point(avoided)) >= DETOUR)
-
-
-def rotated(point: np.ndarray, angle: float) -> np.ndarray:
-    cos, sin = np.cos(angle), np.sin(angle)
-    return np.array([cos * point[0] - sin * point[1], sin * point[0] + cos * point[1]])
 
 
 @pytest.mark.parametrize("layout", [Layout.circle, Layout.doorway])

@@ -6,12 +6,14 @@ import numpy as np
 from numba import prange
 
 from mrsan.kernels import function, kernel, separate
+from mrsan.kernels.contact import closest_approach
 from mrsan.kernels.routes import (
     NO_ROUTE,
     X,
     Y,
     can_move_between,
     has_clearance,
+    length_of,
     route_length,
 )
 from mrsan.kernels.walls import CORNERS
@@ -20,7 +22,6 @@ from mrsan.se2 import unrotate
 DETOUR = np.float32(1.5)  # m, distance that the other route keeps from the next corner
 
 _ZERO = np.float32(0.0)
-_ONE = np.float32(1.0)
 _FAR = np.float32(np.inf)
 _ROUNDING = np.float32(1e-4)
 
@@ -108,8 +109,8 @@ def find_other_route(
     for v in range(n):
         vx, vy = corners[X, v], corners[Y, v]
         cost[v] = _FAR
-        unsettled[v] = _squared(vx - ax, vy - ay) >= DETOUR * DETOUR
-        to_goal = math.sqrt(_squared(goal_x - vx, goal_y - vy))
+        unsettled[v] = length_of(vx - ax, vy - ay) >= DETOUR
+        to_goal = length_of(goal_x - vx, goal_y - vy)
         if unsettled[v] and shortest[v] <= to_goal + _ROUNDING:  # it leads straight to the goal
             if _stays_away(ax, ay, vx, vy, goal_x, goal_y):
                 cost[v] = to_goal
@@ -129,12 +130,11 @@ def find_other_route(
             if not unsettled[v]:
                 continue
             vx, vy = corners[X, v], corners[Y, v]
-            way = math.sqrt(_squared(ux - vx, uy - vy))
+            way = length_of(ux - vx, uy - vy)
             is_linked = distance[v, u] <= way + _ROUNDING
             if is_linked and cost[u] + way < cost[v] and _stays_away(ax, ay, vx, vy, ux, uy):
                 cost[v] = cost[u] + way
-        dx, dy = ux - x, uy - y
-        length = math.sqrt(_squared(dx, dy)) + cost[u]
+        length = length_of(ux - x, uy - y) + cost[u]
         if length < least and _stays_away(ax, ay, x, y, ux, uy):
             if can_move_between(walls, place, x, y, ux, uy):
                 best, least = u, length
@@ -143,13 +143,5 @@ def find_other_route(
 @function
 def _stays_away(ax, ay, x, y, to_x, to_y):
     """Return whether a straight way keeps the distance `DETOUR` from (ax, ay), or leads away."""
-    dx, dy = to_x - x, to_y - y
-    towards = (ax - x) * dx + (ay - y) * dy
-    share = min(max(towards / max(_squared(dx, dy), _ROUNDING), _ZERO), _ONE)
-    nearest = _squared(x + share * dx - ax, y + share * dy - ay)
-    return nearest >= DETOUR * DETOUR or towards <= _ZERO
-
-
-@function
-def _squared(dx, dy):
-    return dx * dx + dy * dy
+    leads_away = (ax - x) * (to_x - x) + (ay - y) * (to_y - y) <= _ZERO
+    return leads_away or closest_approach(x - ax, y - ay, to_x - ax, to_y - ay) >= DETOUR

@@ -161,7 +161,7 @@ def build_corners(walls, place, corners, distance, row):
             length = _FAR
             if _turns_at(corners, i, dx, dy) and _turns_at(corners, j, dx, dy):
                 if can_move_between(walls, place, x, y, to_x, to_y):
-                    length = _distance(dx, dy)
+                    length = length_of(dx, dy)
             distance[i, j] = distance[j, i] = length
     _shorten(distance, n, row)
 
@@ -195,7 +195,7 @@ def _beyond_round_wall(walls, k, cosine, away):
     """
     dx, dy = walls[END_X, k] - walls[START_X, k], walls[END_Y, k] - walls[START_Y, k]
     half_sine = math.sqrt(_HALF * (_ONE - cosine))  # of half the turn
-    radius = _HALF * _distance(dx, dy) / half_sine
+    radius = _HALF * length_of(dx, dy) / half_sine
     return (radius + away) / cosine - radius
 
 
@@ -227,14 +227,14 @@ def _turns_round(walls, place, corner_x, corner_y, x, y):
         if abs(across) > _SLACK:
             continue
         near_x, near_y = nearest_point(walls, k, corner_x, corner_y)
-        if _distance(near_x - corner_x, near_y - corner_y) > _SLACK:
+        if length_of(near_x - corner_x, near_y - corner_y) > _SLACK:
             continue
         for end_x, end_y in (
             (walls[START_X, k], walls[START_Y, k]),
             (walls[END_X, k], walls[END_Y, k]),
         ):
             dx, dy = end_x - corner_x, end_y - corner_y
-            if _distance(dx, dy) <= _SLACK:
+            if length_of(dx, dy) <= _SLACK:
                 continue
             out_x, out_y = x - corner_x, y - corner_y
             angle = math.atan2(out_x * dy - out_y * dx, out_x * dx + out_y * dy)
@@ -265,7 +265,7 @@ def write_route_costs(walls, place, corners, distance, goal_x, goal_y, cost):
         x, y = corners[X, u], corners[Y, u]
         dx, dy = goal_x - x, goal_y - y
         if _turns_at(corners, u, dx, dy) and can_move_between(walls, place, x, y, goal_x, goal_y):
-            last = _distance(dx, dy)
+            last = length_of(dx, dy)
             for v in range(n):
                 cost[v] = min(cost[v], distance[u, v] + last)
 
@@ -278,7 +278,7 @@ def _find_corner(walls, place, corners, cost, x, y):
         return best
     for v in range(int(place[CORNERS])):
         dx, dy = corners[X, v] - x, corners[Y, v] - y
-        length = _distance(dx, dy) + cost[v]
+        length = length_of(dx, dy) + cost[v]
         if length < least and _turns_at(corners, v, dx, dy):
             if can_move_between(walls, place, x, y, corners[X, v], corners[Y, v]):
                 best, least = v, length
@@ -292,7 +292,7 @@ def _find_corner_in_sight(walls, place, corners, cost, x, y):
     best, least = NO_ROUTE, _FAR
     for v in range(int(place[CORNERS])):
         dx, dy = corners[X, v] - x, corners[Y, v] - y
-        length = _distance(dx, dy) + cost[v]
+        length = length_of(dx, dy) + cost[v]
         if length < least and sees(walls, count, x, y, dx, dy):
             best, least = v, length
     return best
@@ -350,7 +350,7 @@ def _following(place, corners, distance, cost, corner):
         return GOAL
     best, nearest = GOAL, _FAR
     for v in range(int(place[CORNERS])):
-        way = _distance(corners[X, v] - corners[X, corner], corners[Y, v] - corners[Y, corner])
+        way = length_of(corners[X, v] - corners[X, corner], corners[Y, v] - corners[Y, corner])
         is_linked = distance[corner, v] <= way + _ROUNDING
         is_on_route = cost[v] < cost[corner] and way + cost[v] <= cost[corner] + _ROUNDING
         if v != corner and is_linked and is_on_route and way < nearest:
@@ -364,10 +364,11 @@ def route_length(corners, cost, corner, x, y, goal_x, goal_y):
     if corner == NO_ROUTE:
         return _FAR
     if corner == GOAL:
-        return _distance(goal_x - x, goal_y - y)
-    return _distance(corners[X, corner] - x, corners[Y, corner] - y) + cost[corner]
+        return length_of(goal_x - x, goal_y - y)
+    return length_of(corners[X, corner] - x, corners[Y, corner] - y) + cost[corner]
 
 
 @function
-def _distance(dx, dy):
+def length_of(dx, dy):
+    """Return the length of a vector."""
     return math.sqrt(dx * dx + dy * dy)
