@@ -148,11 +148,6 @@ def _check_exportable(agent: Learned, shield: Shield | None, name: str) -> None:
             f"scenario.kinematics is {agent.scenario.kinematics.name}; it must be that of the "
             f"robots {name} was trained on to be exported"
         )
-    if getattr(agent.policy.config, "observes_intent", False):
-        raise ConfigurationError(
-            "policy.observes_intent is true; it must be false to be exported: the runtime has no "
-            "input for what team-mates intend"
-        )
     if agent.policy.config.num_parameter_sets != 1:
         raise ConfigurationError(
             f"policy.num_parameter_sets is {agent.policy.config.num_parameter_sets}; it must be 1 "

@@ -1,7 +1,6 @@
 """Reward shaping: the rewards of each level of a policy in training.
 
-Rewards are shaped here, while experience is collected. Only the reward of the local level for the
-macro advantage is added later, by PPO, because it depends on the critic.
+Rewards are shaped here, while experience is collected.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ from mrsan import Observation, Scenario, Step
 from mrsan.features import GOAL
 from samarl.observations.features import speed_of, to_world
 from samarl.policies.hierarchical import HierarchicalPolicy
-from samarl.policies.macro_actions import HierarchicalConfig, makes_way
+from samarl.policies.macro_actions import HierarchicalConfig
 from samarl.policies.policy import LOCAL, MACRO, Policy, PolicyState
 
 Floats = NDArray[np.float32]
@@ -59,11 +58,7 @@ def level_rewards(
     rewards = {LOCAL: task}
     if isinstance(policy, HierarchicalPolicy):
         waypoint = state["waypoint"].view(*task.shape, 2).cpu().numpy()
-        local = _waypoint_reward(policy.config, waypoint, before, step)
-        if policy.has_modes(MACRO):
-            stays = makes_way(state["mode"]).view(task.shape).cpu().numpy() & active
-            local -= _making_way_penalty(policy.config, waypoint, step) * stays
-        rewards = {MACRO: task, LOCAL: local}
+        rewards = {MACRO: task, LOCAL: _waypoint_reward(policy.config, waypoint, before, step)}
     if shaping.path_penalty > 0.0:
         per_speed = np.float32(shaping.path_penalty * scenario.time_step)
         penalty = penalty + per_speed * speed_of(step.observation.ego) * active
@@ -100,15 +95,6 @@ def _waypoint_reward(
     reward += np.where(parts.progress != 0.0, progress, np.float32(0.0))
     reward += parts.arrival + np.float32(config.arrival_bonus) * (parts.arrival > 0.0)
     return reward
-
-
-def _making_way_penalty(config: HierarchicalConfig, waypoint: Floats, step: Step) -> Floats:
-    """Return the penalty [E, N] of robots that should wait or yield at waypoints [E, N, 2].
-
-    Progress alone pays only for changes in distance: staying away would cost nothing, and the next
-    macro action would start from wherever the robot happens to be.
-    """
-    return np.float32(config.making_way_penalty) * distance_to(waypoint, step.observation)
 
 
 def progress_to(target: Floats, before: Observation, step: Step) -> Floats:

@@ -15,7 +15,6 @@ from samarl.algorithms.advantages import streams
 from samarl.algorithms.ppo import PPO
 from samarl.observations.features import empty_frames
 from samarl.policies.checkpoint import make_policy
-from samarl.policies.heads import ModeGaussian
 from samarl.policies.policy import LOCAL, Policy
 from samarl.policies.stochastic import ActionEvaluation, StochasticPolicy
 from samarl.reward_shaping import RewardShaping
@@ -72,7 +71,6 @@ PPO_NUMBERS: dict[str, Any] = {
     "clip_epsilon": 0.2,
     "entropy_coefficient": 0.01,
     "macro_entropy_coefficient": 0.01,
-    "macro_advantage_reward": 0.0,
     "critic_coefficient": 0.5,
     "max_gradient_norm": 1.0,
     "advantage_filter_fraction": 1.0,
@@ -87,7 +85,6 @@ PPO_NUMBERS: dict[str, Any] = {
     "teacher_coefficient": 0.0,
     "teacher_end": 1.0,
     "path_penalty": 0.0,
-    "mode_exploration": 0.0,
     "local_std": 0.0,
     "macro_std": 0.0,
 }
@@ -95,7 +92,6 @@ _ONLY_PPO = {
     "clip_epsilon",
     "entropy_coefficient",
     "macro_entropy_coefficient",
-    "macro_advantage_reward",
     "critic_coefficient",
     "advantage_filter_fraction",
 }
@@ -172,8 +168,6 @@ def policy(
         for networks in model.networks:
             for head in networks.heads.values():
                 head.body[-1].weight.mul_(gain)
-                if isinstance(head, ModeGaussian):
-                    head.logits.weight.mul_(gain)
     return model
 
 

@@ -56,19 +56,6 @@ CHANGES = {
     "human speed min 0.5 human speed max 1.5": "people with speeds of 0.5 to 1.5 m/s",
     "arena radius 7.0": "a round wall, 7 m from the centre",
 }
-# Methods of table `hierarchy`, in the order of its rows; others follow.
-HIERARCHY_ORDER = (
-    "flat",
-    "flat, long horizon",
-    "flat, team tracks",
-    "two levels",
-    "two levels, modes",
-    "two levels, modes, intent",
-    "two levels, modes, events",
-    "random macro actions",
-    "macro actions of team-mates",
-    "flat, long horizon, standstill",
-)
 
 
 def table(build: Callable[[], str]) -> Callable[[], str]:
@@ -282,37 +269,6 @@ def learning_leads() -> str:
         lines.append([idea, *steps, *success])
     header = ["idea", "80 %, 1000 steps", "90 %, 1000 steps", "end, 3 robots, %", "5 robots, %"]
     return markdown_table(header, lines)
-
-
-@table
-def hierarchy() -> str:
-    """Return success and deadlocks in a narrow doorway and corridor, means over training seeds."""
-    return _narrow_passages("hierarchy", "hierarchy_events")
-
-
-@table
-def hierarchy_standstill() -> str:
-    """Return the same of policies that were trained with a limit for standing."""
-    return _narrow_passages("hierarchy_standstill")
-
-
-def _narrow_passages(*results: str) -> str:
-    """Return the table of the methods in some files of `benchmarks.hierarchy`."""
-    cells: dict[str, dict[str, list[float]]] = {method: {} for method in HIERARCHY_ORDER}
-    for row in [row for name in results for row in find_value(name, "rows")]:
-        if row["width_min"] < row["width_max"]:  # doorways of a fixed width are in the figure
-            of_method = cells.setdefault(row["method"], {})
-            of_method.setdefault(f"{row['layout']} success", []).append(row["success"])
-            of_method.setdefault(f"{row['layout']} deadlock", []).append(row["deadlock"])
-    columns = [
-        f"{place} {value}" for place in ("doorway", "corridor") for value in ("success", "deadlock")
-    ]
-    lines = [
-        [method, *(_mean_and_range(of_method[column], 1, ".1f") for column in columns)]
-        for method, of_method in cells.items()
-        if of_method
-    ]
-    return markdown_table(["method", *(f"{column}, %" for column in columns)], lines)
 
 
 def _mean_and_range(values: Sequence[float | None], unit: float, form: str) -> str:

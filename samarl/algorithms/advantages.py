@@ -208,15 +208,3 @@ def macro_advantages(
     )
     mask = torch.zeros(s, t + 1, n, dtype=torch.bool, device=value.device)
     return advantage, target, mask.scatter(1, step, True)[:, :t]
-
-
-def held_since(decided: Tensor, value: Tensor) -> Tensor:
-    """Return in each step the value of the last decision, [B, T]; 0 before the first one.
-
-    Args:
-        decided: [B, T] bool, a decision was made.
-        value: [B, T] of the decisions.
-    """
-    step = torch.arange(decided.shape[1], device=decided.device)
-    last = torch.where(decided, step, -1).cummax(1).values
-    return value.gather(1, last.clamp_min(0)) * (last >= 0)

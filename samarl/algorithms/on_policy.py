@@ -86,9 +86,6 @@ class OnPolicyConfig:
     macro_std: float = required(
         0.0, 10.0, help="lower bound of the macro level's noise, below its upper bound"
     )
-    mode_exploration: float = required(
-        0.0, 1.0, help="initial share of the modes that are drawn at random; falls linearly to 0"
-    )
     critic_width: int = required(8, 1024, help="width of the critics' encoder")
     critic_features: int = required(8, 4096, help="output size of the critics' encoder")
 
@@ -180,8 +177,6 @@ class OnPolicy(Algorithm):
             rising = min(share / MACRO_RISE, 1.0)
             least = c.macro_std * rising if level == MACRO else c.local_std
             self.policy.bound_std(level, least, largest)
-            if self.policy.has_modes(level):
-                self.policy.set_uniform_share(level, c.mode_exploration * (1.0 - share))
 
     def optimisers(self) -> dict[str, Any]:
         """See `Algorithm.optimisers`."""

@@ -16,12 +16,7 @@ from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.multiagent import MAPPOLoss
 
 from mrsan.fields import number, required
-from samarl.algorithms.advantages import (
-    held_since,
-    macro_advantages,
-    step_advantages,
-    streams,
-)
+from samarl.algorithms.advantages import macro_advantages, step_advantages, streams
 from samarl.algorithms.critics import PopArtHead
 from samarl.algorithms.on_policy import (
     OnPolicy,
@@ -53,9 +48,6 @@ class PPOConfig(OnPolicyConfig):
     entropy_coefficient: float = required(0.0, 10.0, help="weight of the entropy bonus")
     macro_entropy_coefficient: float = required(
         0.0, 10.0, help="weight of the entropy bonus of the macro level"
-    )
-    macro_advantage_reward: float = required(
-        0.0, 100.0, help="reward of the local level for the macro action's advantage, normalised"
     )
     critic_coefficient: float = required(0.0, 100.0, help="weight of the value loss")
     advantage_filter_fraction: float = required(
@@ -114,7 +106,7 @@ class PPO(OnPolicy):
         features = [self._critic_features(rollout) for rollout in rollouts]
         batches: list[dict[str, TensorDict]] = [{} for _ in rollouts]
         for level, head in self.heads.items():
-            parts = zip(rollouts, features, batches, strict=True)
+            parts = zip(rollouts, features, strict=True)
             levels = [self._level_batch(level, *part) for part in parts]
             advantage = all_gather_cat(
                 torch.cat([data["advantage"][data["decides"]] for data in levels])
@@ -139,16 +131,13 @@ class PPO(OnPolicy):
                 batch[level] = data
         return batches
 
-    def _level_batch(
-        self, level: str, rollout: Rollout, features: Tensor, upper: Mapping[str, TensorDict]
-    ) -> TensorDict:
+    def _level_batch(self, level: str, rollout: Rollout, features: Tensor) -> TensorDict:
         """Return the data of one level, not yet normalised.
 
         Args:
             level: the level.
             rollout: S sequences of T + 1 steps.
             features: [S, T + 1, N, F] the critics' view.
-            upper: the data of the level above, normalised.
         """
         c, head = self.config, self.heads[level]
         of_level, stream = rollout.steps[level_key(level)], streams(rollout.steps)
@@ -164,11 +153,6 @@ class PPO(OnPolicy):
         else:
             waypoint = [of_level["waypoint_features"]] if "waypoint_features" in data else []
             value = head.denormalise(head(features, *waypoint)).squeeze(-1)
-            if c.macro_advantage_reward > 0.0 and MACRO in upper:
-                decided, of_macro = (upper[MACRO][key] for key in ("decides", "advantage"))
-                held = held_since(decided, of_macro.squeeze(-1))
-                held = held.view(len(reward), -1, held.shape[1]).transpose(1, 2) * stream.acts
-                reward = reward + c.macro_advantage_reward * held
             advantage, target = step_advantages(
                 stream, reward, value, c.local_discount, c.gae_lambda
             )

@@ -135,7 +135,7 @@ class REPPO(OnPolicy):
         """See `OnPolicy`.
 
         Raises:
-            ConfigurationError: the critic's categories span no interval, or the policy has modes.
+            ConfigurationError: the critic's categories span no interval.
         """
         if config.value_min >= config.value_max:
             raise ConfigurationError(
@@ -143,11 +143,6 @@ class REPPO(OnPolicy):
                 f"algorithm.value_max ({config.value_max})"
             )
         super().__init__(policy, config)
-        if any(self.policy.has_modes(level) for level in self.policy.levels):
-            raise ConfigurationError(
-                "policy.modes is true; it must be false with algorithm=reppo, whose gradient goes "
-                "through continuous actions"
-            )
         self.register_buffer("kl_weight_log", torch.zeros((), device=policy.device))
 
     def _make_head(self, level: str, inputs: int) -> DuelingCritic:

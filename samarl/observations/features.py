@@ -54,9 +54,6 @@ EGO_VELOCITY = slice(5, 7)
 EGO_PLACE = slice(7, 9)  # the map's origin
 EGO_TIME = slice(9, 10)
 
-EGO_ROUTE = slice(11, 16)  # of the next corner, see `features_of_target`; only with a route
-EGO_OTHER_ROUTE = slice(16, 22)  # see `_other_route_features`; only with the sensor `other_route`
-
 # Slices of the features of a person or robot, see `_agent_features`:
 POSITION = slice(0, 2)  # in the body frame, in units of LENGTH_SCALE
 RADIUS = slice(4, 5)  # m
@@ -246,9 +243,6 @@ def _ego_features(tracks: Tracks, scenario: Scenario) -> Tensor:
     ]
     if "route" in tracks.sensors:
         parts.append(features_of_target(torch.as_tensor(tracks.sensors["route"]).flatten(0, 1)))
-        if "other_route" in tracks.sensors:
-            other = torch.as_tensor(tracks.sensors["other_route"]).flatten(0, 1)
-            parts.append(_other_route_features(other))
     return torch.cat(parts, -1).unsqueeze(1)
 
 
@@ -257,17 +251,6 @@ def features_of_target(target: Tensor) -> Tensor:
     distance = target.norm(dim=-1, keepdim=True)
     direction = target / distance.clamp_min(1e-3)
     return torch.cat([target / LENGTH_SCALE, direction, torch.exp(-distance)], -1)
-
-
-def _other_route_features(other: Tensor) -> Tensor:
-    """Return the features [B, 6] of other routes [B, 3] (see `mrsan.sensors.walls.OtherRoute`).
-
-    These are `features_of_target`, and exp(-d / 5), where d is the additional length in m; zeros if
-    there is no other route.
-    """
-    exists = (other[:, :2] != 0.0).any(-1, keepdim=True)
-    features = [features_of_target(other[:, :2]), torch.exp(-other[:, 2:] / LENGTH_SCALE)]
-    return torch.cat(features, -1) * exists
 
 
 def _agent_features(
@@ -321,7 +304,7 @@ def _additional_sensors(
     """Return the features [B, 1, ...] of further sensors."""
     sensors = {}
     for name, values in observed.items():
-        if name in ("route", "other_route"):  # part of the robots' own features
+        if name == "route":  # part of the robots' own features
             continue
         features = torch.as_tensor(values).flatten(0, 1)
         if name in ADDITIONAL_FEATURES:
@@ -337,20 +320,10 @@ def _wall_features(segments: Tensor, scenario: Scenario) -> Tensor:
     These are both ends and the nearest point, in units of `LENGTH_SCALE`, and exp(-2 gap).
     """
     start, along = segments[..., :2], segments[..., 2:] - segments[..., :2]
-    nearest = start + nearest_on_segments(-start, along)
+    squared_length = along.square().sum(-1, keepdim=True).clamp_min(1e-6)
+    nearest = start + ((-start * along).sum(-1, keepdim=True) / squared_length).clamp(0, 1) * along
     gap = (nearest.norm(dim=-1, keepdim=True) - scenario.robot_radius).clamp_min(0.0)
     return torch.cat([segments / LENGTH_SCALE, nearest / LENGTH_SCALE, torch.exp(-2.0 * gap)], -1)
-
-
-def nearest_on_segments(to_point: Tensor, along: Tensor) -> Tensor:
-    """Return the nearest points on segments to points [..., 2], all relative to their starts.
-
-    Args:
-        to_point: [..., 2] from the starts to the points.
-        along: [..., 2] from the starts to the ends.
-    """
-    length = along.square().sum(-1, keepdim=True).clamp_min(1e-6)
-    return ((to_point * along).sum(-1, keepdim=True) / length).clamp(0.0, 1.0) * along
 
 
 @register_features("lidar")

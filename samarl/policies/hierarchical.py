@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,35 +11,26 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.jit import is_tracing  # type: ignore[attr-defined]
 
-from mrsan import ConfigurationError, Observation, Scenario
+from mrsan import Scenario
 from samarl.encoders import Encoder
 from samarl.encoders.encoder import samples_of
 from samarl.observations.features import (
-    AGENT_SIZES,
-    EGO_ROUTE,
     EGO_TARGET,
-    NETWORK_OTHER_FEATURES,
     features_of_target,
     team_mates,
     to_body,
     to_world,
 )
 from samarl.observations.frames import FeatureSizes, Frames
-from samarl.observations.tracker import TRACK_FEATURES, Tracks
 from samarl.policies.explanation import Explanation
 from samarl.policies.flat import MEAN, STD
-from samarl.policies.heads import Gaussian, ModeAndOffset, ModeGaussian, log_prob
+from samarl.policies.heads import Gaussian, log_prob
 from samarl.policies.macro_actions import (
     HierarchicalConfig,
-    Mode,
     Waypoints,
     decode_waypoint,
-    encode_macro_action,
-    is_blocked,
-    makes_way,
+    encode_waypoint,
     waypoint_of,
-    waypoint_size,
-    with_waypoints,
     without_goal,
 )
 from samarl.policies.policy import (
@@ -56,7 +46,6 @@ from samarl.policies.policy import (
 from samarl.policies.stochastic import ExplorationNoise, StochasticPolicy
 
 REACHED = 0.3  # m; a waypoint that is nearer is replaced
-PATIENCE = 4  # steps after a decision before a robot that is blocked decides again
 NEVER = 2**31 - 1  # steps until the next waypoint is due
 
 
@@ -66,8 +55,7 @@ class HierarchicalPolicy(StochasticPolicy):
 
     Both read the same scene: the macro level with the goal in the query, the local level with the
     waypoint. Without `local_goal` the local level does not know the goal, so the macro level
-    decides where the robot goes; in places with walls it still sees the next corner of the route,
-    unless the policy has modes.
+    decides where the robot goes; in places with walls it still sees the next corner of the route.
     """
 
     config: HierarchicalConfig
@@ -79,113 +67,40 @@ class HierarchicalPolicy(StochasticPolicy):
         self, config: HierarchicalConfig, action_size: int, sizes: FeatureSizes | None = None
     ) -> None:
         """See `Policy`."""
-        sizes = AGENT_SIZES if sizes is None else sizes
-        if config.observes_intent and sizes.entities["robots"] == NETWORK_OTHER_FEATURES:
-            robots = NETWORK_OTHER_FEATURES + waypoint_size(config)
-            sizes = replace(sizes, entities=sizes.entities | {"robots": robots})
         super().__init__(config, action_size, sizes)
         self._random = np.random.default_rng(0)  # of random waypoints
 
     def _make_networks(self, encoder: Encoder) -> Networks:
         n, y, hidden = self.action_size, encoder.features, self.config.hidden
-        offset = y, hidden, (0.0, 0.0), (0.1, 0.1)
         heads = {
-            MACRO: ModeGaussian(*offset, len(Mode)) if self.config.modes else Gaussian(*offset),
+            MACRO: Gaussian(y, hidden, (0.0, 0.0), (0.1, 0.1)),
             LOCAL: Gaussian(y + self.waypoint_size, hidden, MEAN[n], STD[n]),
         }
         return Networks(encoder, heads)
 
-    @property
-    def _replaces_route(self) -> bool:
-        """Return whether the local level has its waypoint in place of the route round walls.
-
-        It has with modes; policies without modes were trained with the route.
-        """
-        return bool(self.config.modes) and self.observes_route
-
-    @property
-    def waypoint_size(self) -> int:
-        """See `Policy.waypoint_size`."""
-        return waypoint_size(self.config)
-
-    def has_modes(self, level: str) -> bool:
-        """See `Policy.has_modes`."""
-        return level == MACRO and bool(self.config.modes)
-
     def action_sizes(self) -> dict[str, int]:
-        """See `StochasticPolicy.action_sizes`.
-
-        A macro action is the mode, if the policy has modes, and by how much the waypoint is moved.
-        """
-        return {MACRO: 2 + self.config.modes, LOCAL: self.action_size}
+        """See `StochasticPolicy.action_sizes`; a macro action moves the waypoint."""
+        return {MACRO: 2, LOCAL: self.action_size}
 
     @property
     def _decides_independently(self) -> bool:
-        """See there; robots may observe or be given the waypoints of team-mates that arrived."""
+        """See there; robots may be given the waypoints of team-mates that arrived."""
         own = self.waypoint_source in (Waypoints.learned, Waypoints.first)
-        return super()._decides_independently and own and not self.config.observes_intent
-
-    def check(self, scenario: Scenario) -> None:
-        """See `Policy.check`; intent is not delayed, limited or lost as other reports are.
-
-        Raises:
-            ConfigurationError: as there, or robots observe intent and reports are limited.
-        """
-        super().check(scenario)
-        if not (self.config.observes_intent and scenario.team_tracks):
-            return
-        for name in ("team_range", "team_delay", "team_loss"):
-            value, default = getattr(scenario, name), getattr(Scenario, name)
-            if value != default:
-                raise ConfigurationError(
-                    f"scenario.{name} is {value}; it must be {default} with "
-                    "policy.observes_intent=true: intent reaches every team-mate, at once"
-                )
+        return super()._decides_independently and own
 
     def initial_policy_state(self, rows: int, scenario: Scenario) -> PolicyState:
         """See `StochasticPolicy.initial_policy_state`; with the waypoints and their clocks."""
-        state = {
+        return {
             **super().initial_policy_state(rows, scenario),
             "waypoint": torch.zeros(rows, 2, device=self.device),  # in the world frame, m
             "steps_left": torch.zeros(rows, dtype=torch.long, device=self.device),
         }
-        if self.config.modes:
-            state["mode"] = torch.zeros_like(state["steps_left"])
-        return state
-
-    def _as_trained(self, tracks: Tracks) -> Tracks:
-        """See `Policy._as_trained`; the waypoints of team-mates are zero unless they are known."""
-        tracks = super()._as_trained(tracks)
-        features, known = tracks.entities["robots"]
-        if not self.config.observes_intent or features.shape[-1] > len(TRACK_FEATURES):
-            return tracks
-        return with_waypoints(tracks, np.zeros((*known.shape, self.waypoint_size), np.float32))
-
-    def _track(
-        self,
-        observation: Observation,
-        state: PolicyState,
-        is_init: NDArray[np.bool_],
-        scenario: Scenario,
-    ) -> Tracks:
-        """See `Policy._track`; team-mates report the waypoints they had in the step before."""
-        tracks = super()._track(observation, state, is_init, scenario)
-        if not (self.config.observes_intent and scenario.team_tracks):
-            return tracks
-        waypoints = self.team_waypoints(state, tracks.ego)
-        waypoints[is_init] = 0.0
-        return with_waypoints(tracks, waypoints)
 
     def team_waypoints(self, state: PolicyState, ego: NDArray[np.float32]) -> NDArray[np.float32]:
         """See `Policy.team_waypoints`."""
-        worlds, n = ego.shape[:2]
-        others = team_mates(n)
-        waypoint = state["waypoint"].view(worlds, n, 2).cpu().numpy()
-        in_body = to_body(waypoint[:, others], ego[:, :, None])
-        mode = None
-        if self.config.modes:
-            mode = state["mode"].view(worlds, n)[:, others].cpu()
-        return encode_macro_action(torch.from_numpy(in_body), mode).numpy()
+        waypoint = state["waypoint"].view(*ego.shape[:2], 2).cpu().numpy()
+        in_body = to_body(waypoint[:, team_mates(ego.shape[1])], ego[:, :, None])
+        return encode_waypoint(torch.from_numpy(in_body)).numpy()
 
     def step(
         self,
@@ -196,32 +111,20 @@ class HierarchicalPolicy(StochasticPolicy):
         state: PolicyState,
         noise: ExplorationNoise | None = None,
     ) -> tuple[PolicyStep, PolicyState]:
-        """See `StochasticPolicy.step`. A new waypoint is due after K steps, or when it is reached.
-
-        With `ends_when_blocked` it is also due when somebody stands in the way. A robot that waits
-        or yields does so for all steps of its macro action.
-        """
+        """See `StochasticPolicy.step`; waypoints are replaced after K steps, or when reached."""
         scene = self._encode(features, is_init, state)
         ego, rows = features.ego[:, 0], torch.arange(len(is_init), device=is_init.device)
         steps_left = torch.where(is_init, 0, state["steps_left"])
         due = steps_left <= 0
         if self.waypoint_source is not Waypoints.first:
-            reached = to_body(state["waypoint"], pose).norm(dim=-1) < REACHED
-            if self.config.modes:
-                reached = reached & ~makes_way(state["mode"])
-            due = due | reached
-        if self.config.ends_when_blocked:
-            due = due | self._blocked(features, pose, state)
+            due = due | (to_body(state["waypoint"], pose).norm(dim=-1) < REACHED)
         macro = self._macro_step(scene, ego, rows, due, noise)
-        macro_action = self._ablated(macro)
-        chosen = to_world(waypoint_of(self.config, route, macro_action, features), pose)
+        chosen = to_world(waypoint_of(self.config, route, self._ablated(macro)), pose)
         waypoint = torch.where(due.unsqueeze(-1), chosen, state["waypoint"])
-        steps_left = torch.where(due, self._duration(macro_action), steps_left) - 1
+        duration = NEVER if self.waypoint_source is Waypoints.first else self.config.macro_steps
+        steps_left = torch.where(due, duration, steps_left) - 1
 
-        following = {"waypoint": waypoint, "steps_left": steps_left}
-        if self.config.modes:
-            following["mode"] = torch.where(due, macro_action[:, 0].long(), state["mode"])
-        waypoint_features = encode_macro_action(to_body(waypoint, pose), following.get("mode"))
+        waypoint_features = encode_waypoint(to_body(waypoint, pose))
         query = self._local_query(ego, waypoint_features)
         embedding = self._embedding(scene, query, rows, waypoint_features)
         distribution = self.distribution(LOCAL, embedding, rows)
@@ -234,24 +137,7 @@ class HierarchicalPolicy(StochasticPolicy):
             waypoint_features=waypoint_features,
             scene=scene,
         )
-        return step, {**state, **following, "noise": current}
-
-    def _blocked(self, features: Frames, pose: Tensor, state: PolicyState) -> Tensor:
-        """Return which robots [B] go, but have been stopped `PATIENCE` steps after they decided."""
-        c = self.config
-        blocked = is_blocked(features, to_body(state["waypoint"], pose))
-        blocked = blocked & (state["steps_left"] <= c.macro_steps - PATIENCE)
-        return blocked & ~makes_way(state["mode"]) if c.modes else blocked
-
-    def _duration(self, macro: Tensor) -> Tensor:
-        """Return the largest number of steps [B] of macro actions [B, A]."""
-        c = self.config
-        duration = torch.full_like(macro[:, 0], c.macro_steps).long()
-        if self.waypoint_source is Waypoints.first:
-            return torch.full_like(duration, NEVER)
-        if c.modes:
-            duration = torch.where(makes_way(macro[:, 0]), c.making_way_steps, duration)
-        return duration
+        return step, {**state, "waypoint": waypoint, "steps_left": steps_left, "noise": current}
 
     def _macro_step(
         self, scene: Any, ego: Tensor, rows: Tensor, due: Tensor, noise: ExplorationNoise | None
@@ -284,17 +170,10 @@ class HierarchicalPolicy(StochasticPolicy):
             The actions [P, A], and their log-probabilities [P]; 0 without noise.
         """
         mean, std = self.distribution(MACRO, embedding, rows)
-        zero = torch.zeros_like(mean[:, 0])
-        if not self.config.modes:
-            if noise is None:
-                return mean, zero
-            action = mean + std * noise
-            return action, log_prob(action, mean, std)
-        distribution = ModeAndOffset(self.mode_logits(MACRO, embedding, rows), mean, std)
         if noise is None:
-            return distribution.deterministic_sample, zero
-        action = distribution.from_noise(noise)
-        return action, distribution.log_prob(action)
+            return mean, torch.zeros_like(mean[:, 0])
+        action = mean + std * noise
+        return action, log_prob(action, mean, std)
 
     def _embeddings(
         self,
@@ -326,31 +205,22 @@ class HierarchicalPolicy(StochasticPolicy):
         if self.waypoint_source is Waypoints.shuffled:
             return action.view(-1, self.team_size, action.shape[1]).roll(-1, 1).view_as(action)
         if self.waypoint_source is Waypoints.random and macro.decided.any():
-            drawn = torch.from_numpy(self._random.uniform(-1, 1, action.shape)).to(action)
-            if self.config.modes:
-                modes = self._random.integers(len(Mode), size=len(action))
-                drawn[:, 0] = torch.from_numpy(modes).to(drawn)
-            return drawn
+            return torch.from_numpy(self._random.uniform(-1, 1, action.shape)).to(action)
         return action
 
     def _encoder_input(self, features: Frames) -> Frames:
         """Without `local_goal` the scene, which both levels share, must not reveal the goal."""
         if self.config.local_goal:
             return features
-        return features._replace(ego=without_goal(features.ego, self._replaces_route))
+        return features._replace(ego=without_goal(features.ego))
 
     def _local_query(self, ego: Tensor, waypoint_features: Tensor) -> Tensor:
         """Return the own states [P, F_e] with which the local level queries the scene.
 
-        The waypoint takes the place of the goal and, with modes, of the route; with `local_goal`
-        and without modes they are unchanged.
+        Without `local_goal` the waypoint takes the place of the goal.
         """
-        c = self.config
-        if c.local_goal and not c.modes:
+        if self.config.local_goal:
             return ego
-        query = ego.clone() if c.local_goal else without_goal(ego, self._replaces_route)
-        target = features_of_target(decode_waypoint(waypoint_features))
-        query[..., EGO_TARGET] = target
-        if self._replaces_route:
-            query[..., EGO_ROUTE] = target
+        query = without_goal(ego)
+        query[..., EGO_TARGET] = features_of_target(decode_waypoint(waypoint_features))
         return query

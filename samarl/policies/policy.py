@@ -29,7 +29,6 @@ from samarl.encoders import ENCODERS, Encoder
 from samarl.encoders.encoder import samples_of
 from samarl.observations.features import (
     AGENT_SIZES,
-    EGO_OTHER_ROUTE,
     NETWORK_EGO_FEATURES,
     empty_tracks,
     frames_of,
@@ -189,11 +188,7 @@ class Policy(nn.Module, ABC):
     @property
     def waypoint_size(self) -> int:
         """Return the number of features of a waypoint that the local level observes, W."""
-        return 0
-
-    def has_modes(self, level: str) -> bool:
-        """Return whether the actions of a level begin with a mode; see `ModeAndOffset`."""
-        return False
+        return WAYPOINT_FEATURES if MACRO in self.levels else 0
 
     def team_waypoints(
         self, state: PolicyState, ego: NDArray[np.float32]
@@ -283,11 +278,6 @@ class Policy(nn.Module, ABC):
         """Return whether the policy was trained with routes round walls."""
         return self.sizes.ego > NETWORK_EGO_FEATURES
 
-    @property
-    def observes_other_route(self) -> bool:
-        """Return whether the policy was trained with the sensor `other_route`."""
-        return self.sizes.ego > EGO_OTHER_ROUTE.start
-
     def extract_features(self, tracks: Tracks, scenario: Scenario) -> Frames:
         """Return the features [B, 1, ...] of the groups and sensors that this policy observes."""
         tracks = self._as_trained(tracks)
@@ -297,16 +287,13 @@ class Policy(nn.Module, ABC):
         """Return the tracks with the parts that this policy was trained with.
 
         A policy that was trained without walls takes the next corner of its route for its goal. One
-        that was trained with them sees none where there are none, and its route is its goal. One
-        that was trained with the sensor `other_route` knows no other route without it.
+        that was trained with them sees none where there are none, and its route is its goal.
         """
         entities, sensors = dict(tracks.entities), dict(tracks.sensors)
         if "route" in sensors and not self.observes_route:
             return tracks._replace(ego=heading_for_route(tracks))
         if "route" not in sensors and self.observes_route:
             sensors["route"] = next_point(tracks)
-        if "other_route" not in sensors and self.observes_other_route:
-            sensors["other_route"] = np.zeros((*tracks.ego.shape[:2], 3), np.float32)
         if "walls" in self.sizes.entities and "walls" not in entities:
             shape = (*tracks.ego.shape[:2], 1)
             features = np.zeros((*shape, len(WALL_FEATURES)), np.float32)

@@ -341,11 +341,6 @@ class StochasticPolicy(Policy):
         for net in self.networks:
             net.heads[level].bound_std(least, largest)
 
-    def set_uniform_share(self, level: str, share: float) -> None:
-        """Set how much of the probability all modes of a level share equally."""
-        for net in self.networks:
-            net.heads[level].uniform_share.fill_(share)
-
     # Parts of `step`
 
     def _encode(self, features: Frames, is_init: Tensor, state: PolicyState) -> Any:
@@ -386,17 +381,6 @@ class StochasticPolicy(Policy):
         with self._precision():
             mean, std = self._per_parameter_set(rows, head)
         return Distribution(mean.float(), std.float())
-
-    def mode_logits(self, level: str, embedding: Tensor, rows: Tensor) -> Tensor:
-        """Return the logits [P, M] of the modes for embeddings [P, Y] of a level that has modes."""
-
-        def head(net: Any, index: int, samples: Any) -> Tensor:
-            logits: Tensor = net.heads[level].mode_logits(embedding[samples])
-            return logits
-
-        with self._precision():
-            logits: Tensor = self._per_parameter_set(rows, head)
-        return logits.float()
 
     def _sample_local(
         self,

@@ -8,21 +8,15 @@ from tensordict.nn import TensorDictModule
 from torch import Tensor, nn
 from torchrl.modules import IndependentNormal, ProbabilisticActor
 
-from samarl.policies.heads import ModeAndOffset, given_previous_noise
+from samarl.policies.heads import given_previous_noise
 from samarl.policies.policy import LOCAL
 
 
 class Levels(Protocol):
     """What the actors need of a policy, see `StochasticPolicy`."""
 
-    def has_modes(self, level: str) -> bool:
-        """Return whether the actions of a level begin with a mode."""
-
     def distribution(self, level: str, embedding: Tensor, rows: Tensor) -> tuple[Tensor, Tensor]:
         """Return mean and standard deviation of a level's actions, [P, A] each."""
-
-    def mode_logits(self, level: str, embedding: Tensor, rows: Tensor) -> Tensor:
-        """Return the logits of the modes of a level that has modes, [P, M]."""
 
 
 def make_actor(policy: Levels, level: str) -> ProbabilisticActor:
@@ -31,23 +25,20 @@ def make_actor(policy: Levels, level: str) -> ProbabilisticActor:
     It reads `embedding` [Q, Y] (see `StochasticPolicy.embed`) and `row` [Q] (see
     `Policy._per_parameter_set`), for the local level also `previous_noise` [Q, A] and
     `noise_correlation` [Q, 1]. It writes `loc` and `scale` [Q, A] of the distribution of `action`
-    given the previous noise, and `mean` and `std` [Q, A] without that condition; for a level with
-    modes also their `logits` [Q, M]; its `action` is [Q, 1 + A], the mode first.
+    given the previous noise, and `mean` and `std` [Q, A] without that condition.
     """
     noise = ["previous_noise", "noise_correlation"] if level == LOCAL else []
-    has_modes = policy.has_modes(level)
-    parameters = ["logits", "loc", "scale"] if has_modes else ["loc", "scale"]
     head = TensorDictModule(
         LevelHead(policy, level),
         in_keys=["embedding", "row", *noise],
-        out_keys=[*parameters, "mean", "std"],
+        out_keys=["loc", "scale", "mean", "std"],
     )
     return ProbabilisticActor(
         head,
-        in_keys=parameters,
+        in_keys=["loc", "scale"],
         out_keys=["action"],
-        distribution_class=ModeAndOffset if has_modes else IndependentNormal,
-        distribution_kwargs={} if has_modes else {"validate_args": False},
+        distribution_class=IndependentNormal,
+        distribution_kwargs={"validate_args": False},
         return_log_prob=True,
         log_prob_key="sample_log_prob",
     )
@@ -66,11 +57,9 @@ class LevelHead(nn.Module):
         row: Tensor,
         previous_noise: Tensor | None = None,
         noise_correlation: Tensor | float = 0.0,
-    ) -> tuple[Tensor, ...]:
-        """Return the logits [Q, M] of a level with modes; loc, scale, mean and std, [Q, A] each."""
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Return loc, scale, mean and std, [Q, A] each."""
         mean, std = self.policy.distribution(self.level, embedding, row)
-        if self.policy.has_modes(self.level):
-            return self.policy.mode_logits(self.level, embedding, row), mean, std, mean, std
         if previous_noise is None:
             return mean, std, mean, std
         return *given_previous_noise(mean, std, previous_noise, noise_correlation), mean, std

@@ -18,7 +18,6 @@ from samarl.observations.features import speed_of, state_features, true_state
 from samarl.observations.frames import Frames
 from samarl.observations.tracker import Tracks
 from samarl.planning.shield import Shield, apply_shield
-from samarl.policies.macro_actions import STANDING
 from samarl.policies.policy import LOCAL, Decision, Policy, PolicyState
 from samarl.policies.stochastic import StochasticPolicy
 from samarl.reward_shaping import RewardShaping, level_rewards
@@ -27,6 +26,7 @@ from samarl.training.curriculum import CurriculumStage
 from samarl.training.restarts import SnapshotBuffer, WarmStartCrowd
 
 RESTART_STEPS = 16  # a world restarts at most so many steps before a collision
+STANDING = 0.1  # m/s; a robot that is slower stands
 UNSAFE = 1e-4  # smallest change by the shield that counts as a correction
 
 

@@ -44,9 +44,8 @@ def build_policy(settings: Mapping[str, Any], scenario: Scenario) -> Policy:
 def load_initial_weights(policy: Policy, path: Path) -> dict[str, Any]:
     """Load the weights of another policy, except its exploration noise.
 
-    A policy of one level may initialise one of two levels, one without modes may initialise one
-    with modes, and so on: what only the new policy has keeps its initial weights, and what only the
-    new policy observes has no effect at first.
+    A policy of one level may initialise one of two levels, for example: what only the new policy
+    has keeps its initial weights, and what only the new policy observes has no effect at first.
 
     Args:
         policy: its weights are overwritten.

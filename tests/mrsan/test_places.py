@@ -9,12 +9,10 @@ import pytest
 import shapely
 
 from mrsan import ConfigurationError, Layout, Outcome, Place, Scenario, World
-from mrsan.kernels.other_route import DETOUR
 from mrsan.kernels.tally import DEADLOCKS
 from mrsan.kernels.walls import CLEARANCE, CORNERS, REDRAWS, WALLS
 from mrsan.place import FAMILIES
 from mrsan.place_shapes import polygons_of, route_of
-from mrsan.se2 import rotate_vectors, unit_vectors
 from mrsan.state import State
 
 SLACK = 2e-3  # m, by which routes may undercut the clearance
@@ -83,59 +81,6 @@ def test_routes_are_the_shortest_in_the_graph(layout: Layout) -> None:
             route = route_of(state, e, agent, start, goal)
             route_length = sum(np.linalg.norm(b - a) for a, b in pairwise(route))
             assert route_length == pytest.approx(expected, abs=0.01)
-
-
-@pytest.mark.parametrize("layout", [Layout.rooms, Layout.pillars])
-def test_the_other_route_is_the_shortest_that_avoids_the_next_corner(layout: Layout) -> None:
-    number = 20
-    world = worlds_of(layout, number, humans=0, sensors={"other_route": {}})
-    state, routes, number_of_routes = world.state, world.observe().sensors["other_route"], 0
-    for e in range(number):
-        lines, clearance = lines_of(state, e), float(state.place[e, CLEARANCE]) - 1e-3
-        count = int(state.place[e, CORNERS])
-        corners = state.corners[e, :2, :count].T.astype(float)
-        for i in range(3):
-            start, goal = (x[e, i].astype(float) for x in (state.robot_position, state.robot_goal))
-            longer = routes[e, i, 2]
-            if state.route_corner[e, i] < 0:  # the goal can be reached straight on
-                assert not routes[e, i].any()
-                continue
-            nodes = np.array([start, goal, *corners])
-            length = np.linalg.norm(nodes[:, None] - nodes[None], axis=-1)
-            link = np.zeros(length.shape, bool)
-            link[2:, 2:] = state.corner_distance[e, :count, :count] < length[2:, 2:] + 1e-4
-            link[2:, 1] = state.route_cost[e, i, :count] < length[2:, 1] + 1e-4
-            for k in range(count):
-                link[0, 2 + k] = lines.distance(shapely.LineString(nodes[[0, 2 + k]])) >= clearance
-            avoided = corners[state.route_corner[e, i]]
-            link[:, 2:] &= np.linalg.norm(corners - avoided, axis=-1) >= DETOUR
-            for a, b in zip(*np.nonzero(link), strict=True):
-                link[a, b] = avoids(avoided, nodes[a], nodes[b])
-            expected = dijkstra(np.where(link, length, np.inf))
-            if np.isinf(expected):
-                assert not routes[e, i].any()
-                continue
-            number_of_routes += 1
-            expected = max(expected - state.route_left[e, i], 0.0)
-            assert longer == pytest.approx(expected, abs=2e-3)
-            first = start + rotate_vectors(
-                routes[e, i, :2], unit_vectors(state.robot_heading[e, i : i + 1])[0]
-            )
-            assert np.linalg.norm(corners - first, axis=-1).min() < 1e-3
-    assert number_of_routes >= 10
-
-
-def avoids(avoided: np.ndarray, start: np.ndarray, end: np.ndarray) -> bool:
-    """Whether a way stays away from `avoided`, or leads away from it where it begins nearer."""
-    if (avoided - start) @ (end - start) <= 0.0:
-        return True
-    return bool(shapely.LineString([start, end]).distance(shapely.Point(avoided)) >= DETOUR)
-
-
-@pytest.mark.parametrize("layout", [Layout.circle, Layout.doorway])
-def test_there_is_no_other_route_where_there_is_one_way_only(layout: Layout) -> None:
-    world = worlds_of(layout, 20, sensors={"other_route": {}})
-    assert not world.observe().sensors["other_route"].any()
 
 
 def dijkstra(length: np.ndarray) -> float:

@@ -14,14 +14,13 @@ from torch import Tensor
 
 from mrsan import Scenario
 from samarl.algorithms.advantages import (
-    held_since,
     macro_advantages,
     macro_records,
     step_advantages,
     streams,
 )
-from samarl.policies.policy import LOCAL, MACRO
-from tests.learning import algorithm, collector, crowded, policy
+from samarl.policies.policy import LOCAL
+from tests.learning import algorithm, collector, policy
 
 
 class Made(NamedTuple):
@@ -234,38 +233,6 @@ def test_macro_rewards_are_discounted_sums_over_their_durations() -> None:
     assert records.valid.all()
 
 
-def test_a_value_is_held_from_one_decision_to_the_next() -> None:
-    decided = torch.tensor([[0, 1, 0, 0, 1, 0], [0, 0, 0, 0, 0, 0]], dtype=torch.bool)
-    value = torch.tensor([[9.0, 2.0, 9.0, 9.0, -3.0, 9.0], [9.0] * 6])
-    expected = [[0.0, 2.0, 2.0, 2.0, -3.0, -3.0], [0.0] * 6]
-    assert held_since(decided, value).tolist() == expected
-
-
-def test_the_local_level_is_paid_the_macro_advantage_while_the_macro_action_lasts() -> None:
-    model = policy(macro_steps=3)
-    rollout = collector(model, 8, 12, crowded()).collect()
-    targets = []
-    for weight in (0.0, 0.5):
-        torch.manual_seed(1)  # both critics have the same weights
-        learner = algorithm(model, macro_advantage_reward=weight, gae_lambda=0.0)
-        features = learner._critic_features(rollout)
-        upper = learner._level_batch(MACRO, rollout, features, {})
-        data = learner._level_batch(LOCAL, rollout, features, {MACRO: upper})
-        targets.append(data["value_target"][..., 0])
-    # With a lambda of 0 the target is the reward and the next value: only the reward differs.
-    difference = targets[1] - targets[0]
-    seen = 0
-    for row in range(len(upper)):
-        advantage = 0.0
-        for t in range(12):
-            if upper["decides"][row, t]:
-                advantage = float(upper["advantage"][row, t, 0])
-                seen += 1
-            if data["decides"][row, t]:
-                assert float(difference[row, t]) == pytest.approx(0.5 * advantage, abs=1e-4)
-    assert seen > 40
-
-
 def test_a_robot_that_has_arrived_waits_in_one_record_and_is_paid_with_the_team() -> None:
     # Robot 0 arrives with step 1 and waits for robot 1, which arrives with step 4: 15 for both.
     data = made(
@@ -342,6 +309,6 @@ def test_who_arrives_early_is_paid_for_the_team_unless_everyone_is_for_himself(
         for parameter in learner.heads[LOCAL].last.parameters():
             parameter.zero_()
     features = torch.zeros(1, 25, 2, learner.config.critic_features)
-    target = learner._level_batch(LOCAL, rollout, features, {})["value_target"]
+    target = learner._level_batch(LOCAL, rollout, features)["value_target"]
     expected = sum(0.9**k * r for k, r in enumerate(rewards))
     assert target[0, 0, 0].item() == pytest.approx(expected, rel=1e-4)

@@ -166,21 +166,20 @@ PLACE = Scenario(layout="doorway", humans=4, robots=2, lidar_rays=24, time_limit
 
 
 @pytest.mark.parametrize(
-    ("policy", "encoder", "observes_walls", "changes"),
+    ("policy", "encoder", "observes_walls"),
     [
-        ("flat", "set_pool", True, {}),
-        ("hierarchical", "set_pool", True, {}),
-        ("hierarchical", "set_pool", True, {"modes": True}),
-        ("hierarchical", "spatio_temporal", True, {}),
-        ("flat", "set_pool", False, {}),  # heads for the next corner instead of the goal
+        ("flat", "set_pool", True),
+        ("hierarchical", "set_pool", True),
+        ("hierarchical", "spatio_temporal", True),
+        ("flat", "set_pool", False),  # heads for the next corner instead of the goal
     ],
 )
 def test_walls_are_observed_on_a_robot_as_in_the_simulator(
-    policy: str, encoder: str, observes_walls: bool, changes: dict[str, bool], tmp_path: Path
+    policy: str, encoder: str, observes_walls: bool, tmp_path: Path
 ) -> None:
     """With the shield, which keeps clear of walls. One robot has a map, the other sees walls."""
     place = PLACE if observes_walls else None
-    trained = learning.policy(policy, encoder, 100.0, place, **changes)
+    trained = learning.policy(policy, encoder, 100.0, place)
     agent = Shielded(PLACE, agent_of(trained, policy, tmp_path, PLACE), Shield(track_time=2.0))
     export_agent(tmp_path / "policy.onnx", agent, "mine")
     team = team_of(Network(tmp_path / "policy.onnx"), 2)
@@ -258,13 +257,6 @@ def test_what_cannot_be_exported_is_said(agent: dict, message: str, tmp_path: Pa
 def test_robots_with_weights_of_their_own_are_not_exported(tmp_path: Path) -> None:
     agent = agent_of(learning.policy("flat", num_parameter_sets=3), "flat", tmp_path, Scenario())
     with pytest.raises(ConfigurationError, match=r"policy\.num_parameter_sets .*3.* 1\b"):
-        export_agent(tmp_path / "p.onnx", agent, "mine")
-
-
-def test_a_policy_that_needs_the_intent_of_team_mates_is_not_exported(tmp_path: Path) -> None:
-    policy = learning.policy(modes=True, observes_intent=True)
-    agent = agent_of(policy, "hierarchical", tmp_path, Scenario())
-    with pytest.raises(ConfigurationError, match=r"policy\.observes_intent is true.*false"):
         export_agent(tmp_path / "p.onnx", agent, "mine")
 
 

@@ -15,15 +15,11 @@ from tests.learning import SCENARIO, choices, collector, crowded, policy
 
 @pytest.mark.parametrize("actors", [1, 2])
 @pytest.mark.parametrize("encoder", list(ENCODERS))
-@pytest.mark.parametrize(
-    ("name", "changes"),
-    [("flat", {}), ("hierarchical", {}), ("hierarchical", {"modes": True}), ("squashed", {})],
-    ids=["flat", "hierarchical", "modes", "squashed"],
-)
+@pytest.mark.parametrize("name", ["flat", "hierarchical", "squashed"])
 def test_training_computes_the_log_probabilities_of_acting(
-    name: str, changes: dict[str, bool], encoder: str, actors: int
+    name: str, encoder: str, actors: int
 ) -> None:
-    model = policy(name, encoder, gain=30.0, num_parameter_sets=actors, **changes)
+    model = policy(name, encoder, gain=30.0, num_parameter_sets=actors)
     going = collector(
         model, 12, 12, crowded(), failure_restart_probability=1.0, noise_correlation=0.75
     )

@@ -86,7 +86,6 @@ def test_every_decision_counts_the_same_whatever_its_level() -> None:
         action_limit_penalty=0.0,
         entropy_coefficient=0.0,
         macro_entropy_coefficient=0.0,
-        macro_advantage_reward=0.0,
         clip_epsilon=0.5,
     )
     rollout = learning.collector(policy, 6, 12).collect()

@@ -277,12 +277,12 @@ def test_a_run_begins_with_the_weights_of_a_policy_but_explores_anew(
         assert errors.count("\n") == 1
 
 
-def test_a_policy_of_one_level_initialises_one_with_modes_and_what_is_new_has_no_effect(
+def test_a_policy_of_one_level_initialises_one_of_two_and_what_is_new_has_no_effect(
     tmp_path: Path,
 ) -> None:
     flat = policy("flat")
     save_policy(tmp_path / "flat.safetensors", flat, "flat", {})
-    begins = policy("hierarchical", modes=True, observes_intent=True)
+    begins = policy("hierarchical")
     new = {name: value.clone() for name, value in begins.state_dict().items()}
     load_initial_weights(begins, tmp_path / "flat.safetensors")
     loaded, weights = begins.state_dict(), flat.state_dict()
@@ -291,7 +291,7 @@ def test_a_policy_of_one_level_initialises_one_with_modes_and_what_is_new_has_no
             assert torch.equal(value, new[name])
         elif value.shape == weights[name].shape:
             assert torch.equal(value, weights[name])
-        else:  # inputs of the waypoint, the mode and the intent of team-mates
+        else:  # inputs of the waypoint
             known = weights[name].shape[-1]
             assert torch.equal(value[..., :known], weights[name])
             assert not value[..., known:].any()

@@ -15,7 +15,7 @@ from samarl.algorithms.action_limits import action_limits, excess
 from samarl.encoders import ENCODERS
 from samarl.observations.features import to_body
 from samarl.policies.macro_actions import decode_waypoint
-from samarl.policies.policy import LOCAL, MACRO, PolicyState
+from samarl.policies.policy import LOCAL, MACRO, WAYPOINT_FEATURES, PolicyState
 from tests.learning import SCENARIO, algorithm, choices, collector, policy
 
 
@@ -179,6 +179,19 @@ def test_an_update_learns_and_reports_what_it_did(name: str) -> None:
     key = "losses/local_explained_variance"
     later = [learner.update([going.collect()])[key] for _ in range(6)]
     assert max(later) > first[key] + 0.2
+
+
+def test_critics_observe_the_waypoints_of_team_mates() -> None:
+    scenario = replace(SCENARIO, robots=3, humans=0)
+    going = collector(policy(), 2, 5, scenario)
+    rollout = going.collect()
+    assert rollout.state is not None
+    others = rollout.state.robots.view(2, 3, 6, 2, -1)[:, :, -1]  # [S, N, N - 1, F]
+    ego, waypoint = going.observation.ego, going.state["waypoint"].view(2, 3, 2).numpy()
+    for robot, mates in ((0, [1, 2]), (1, [0, 2]), (2, [0, 1])):
+        expected = to_body(waypoint[:, mates], ego[:, robot : robot + 1])  # as this robot sees them
+        seen = decode_waypoint(others[:, robot, :, -WAYPOINT_FEATURES:])
+        np.testing.assert_allclose(seen, expected, atol=1e-5)
 
 
 def test_a_flat_agent_learns_the_tasks_own_reward() -> None:

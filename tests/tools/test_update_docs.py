@@ -58,7 +58,7 @@ def test_a_condition_with_spaces() -> None:
     [
         ("table1 nobody 360/10/3 both", "0 rows of nobody"),
         ("transfer samarl 360/10/3 both", "rows of samarl in 360/10/3; need 1"),
-        ("hierarchy flat 360/4/4 success .1f", "is not a table of results"),
+        ("learning_speed flat 360/10/3 success .1f", "is not a table of results"),
         ("throughput full_step.speed .1f", "has no full_step.speed"),
         ("throughput full_step.min half .1f", "operation is 'half'"),
     ],

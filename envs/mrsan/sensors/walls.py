@@ -1,4 +1,4 @@
-"""Sensors of places with walls: nearest walls, the route, another route, and a lidar."""
+"""Sensors of places with walls: nearest walls, the route, and a lidar."""
 
 from __future__ import annotations
 
@@ -8,9 +8,8 @@ import numpy as np
 
 from mrsan.choices import LidarSees
 from mrsan.kernels.lidar import observe_route, observe_walls, scan
-from mrsan.kernels.other_route import observe_other_route
 from mrsan.se2 import unit_vectors
-from mrsan.sensors.sensor import EntitySensor, ValueSensor, register_sensor
+from mrsan.sensors.sensor import EntitySensor, ValueSensor
 from mrsan.state import Bools, Floats, State
 
 if TYPE_CHECKING:
@@ -45,31 +44,6 @@ class Route(ValueSensor):
     def observe(self, state: State, worlds: Bools, values: Floats) -> None:
         """Write the next points of all robots; see `ValueSensor.observe`."""
         observe_route(len(worlds), worlds, state, self.scenario.map_known, values)
-
-
-@register_sensor("other_route")
-class OtherRoute(ValueSensor):
-    """Where another route to the goal leads, and by how much it is longer than the shortest, m.
-
-    It stays away from the next corner of the shortest route, and so usually takes another door or
-    another gap between pillars. The values are the first corner of the other route in the body
-    frame, and the additional length. They are zero if there is no other route, if the goal can be
-    reached straight on, if the robot is nearer to a wall than routes are, or if it does not know
-    the map.
-    """
-
-    shape = (3,)
-
-    def __init__(self, scenario: Scenario, settings: None) -> None:
-        """Create the sensor of a scenario."""
-        super().__init__(scenario, settings)
-
-    def observe(self, state: State, worlds: Bools, values: Floats) -> None:
-        """Write the other routes of all robots; see `ValueSensor.observe`."""
-        if not self.scenario.map_known:
-            values[worlds] = 0.0
-            return
-        observe_other_route(len(worlds), worlds, state, values)
 
 
 class LidarParameters(NamedTuple):
