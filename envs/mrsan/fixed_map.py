@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 class FixedMap(NamedTuple):
     """The same place for all cases; the arrays are those of `State`, of one world."""
 
-    place: Floats  # [8]; empty without a map file
+    place: Floats  # [9]; empty without a map file
     walls: Floats  # [12, W]
     zone: Floats  # [4] left, bottom, right, top
     corners: Floats  # [6, V]

@@ -32,6 +32,8 @@ class State(NamedTuple):
     human_past_valid: Bools  # [E, M, H] the person was present then, in this episode
     human_radius: Floats  # [E, M]
     human_speed: Floats  # [E, M] preferred speed
+    human_space: Floats  # [E, M] margin added to every radius that the person avoids, m
+    human_held_up: NDArray[np.int32]  # [E, M] steps for which it could not walk on; among walls
     human_social: NDArray[
         np.int32
     ]  # [E, M, 3] SOCIAL in `kernels.social_state`; [E, M, 0] if unused
@@ -48,7 +50,7 @@ class State(NamedTuple):
     robot_acceleration: Floats  # [E, N, 2] in the last step
     tally: Floats  # [E, N, 16] statistics of the episode, `mrsan.kernels.tally.TALLY`
     # Places with walls; W and V are zero without.
-    place: Floats  # [E, 8] description of the place, columns in `mrsan.kernels.walls`
+    place: Floats  # [E, 9] description of the place, columns in `mrsan.kernels.walls`
     walls: Floats  # [E, 12, W] segments, rows in `mrsan.kernels.walls`
     zones: Floats  # [E, 9, 4] left, bottom, right and top of where starts and goals are drawn
     corners: Floats  # [E, 6, V] nodes of the route graph, rows in `mrsan.kernels.routes`

@@ -355,6 +355,8 @@ def _empty_state(e: int, scenario: Scenario, history: int) -> State:
         human_past_valid=np.zeros((e, m, history), np.bool_),
         human_radius=np.zeros((e, m), f),
         human_speed=np.zeros((e, m), f),
+        human_space=np.zeros((e, m), f),
+        human_held_up=np.zeros((e, m), np.int32),
         human_social=np.zeros((e, m, len(SOCIAL) * scenario.is_social), np.int32),
         robot_position=np.zeros((e, n, 2), f),
         robot_velocity=np.zeros((e, n, 2), f),

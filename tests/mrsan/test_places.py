@@ -63,6 +63,41 @@ def test_every_case_is_feasible(layout: Layout) -> None:
             assert route.distance(lines) >= clearance
 
 
+def test_parked_robots_leave_the_others_a_way() -> None:
+    """Also if all others have parked, the free space for a robot joins its start to its goal."""
+    radius = 0.3
+    for layout in (Layout.corner, Layout.rooms):
+        state = worlds_of(layout, 100, robots=4).state
+        for e in range(100):
+            floor = floor_of(state, e).difference(lines_of(state, e).buffer(radius))
+            starts, goals = (
+                [shapely.Point(point) for point in points[e]]
+                for points in (state.robot_position, state.robot_goal)
+            )
+            for i, (start, goal) in enumerate(zip(starts, goals, strict=True)):
+                parked = [g.buffer(2 * radius) for k, g in enumerate(goals) if k != i]
+                free = floor.difference(shapely.union_all(parked))
+                parts = shapely.get_parts(free)
+                assert any(part.contains(start) and part.contains(goal) for part in parts)
+
+
+def test_people_do_not_jam() -> None:
+    """Nobody stands for 10 s in doorways and corridors, where people meet head-on."""
+    for layout in (Layout.doorway, Layout.corridor):
+        world = worlds_of(layout, 100, humans=8, collisions_end=False)
+        actions = np.zeros((100, 3, 3), np.float32)
+        standing = np.zeros((100, 8), int)
+        crossed = np.zeros((100, 8), bool)
+        side = np.sign(world.state.human_position[..., 0])
+        for _ in range(200):
+            world.step(actions)
+            slow = np.linalg.norm(world.state.human_velocity, axis=-1) < 0.05
+            standing = np.where(slow, standing + 1, 0)
+            assert (standing < 40).all()
+            crossed |= np.sign(world.state.human_position[..., 0]) != side
+        assert crossed.mean() > 0.5  # they do pass through
+
+
 @pytest.mark.parametrize("layout", [Layout.doorway, Layout.rooms, Layout.pillars])
 def test_routes_are_the_shortest_in_the_graph(layout: Layout) -> None:
     """Dijkstra's algorithm in plain Python, with shapely to decide where a disc can move."""
@@ -117,7 +152,7 @@ def test_nobody_walks_through_a_wall(layout: Layout, crowd: str) -> None:
 
 
 def test_people_pass_the_door() -> None:
-    """All people have their goals in the other room: most of them get there."""
+    """All people have their goals in the other room: all but the few who turn back get there."""
     world = worlds_of(
         Layout.doorway,
         64,
@@ -133,7 +168,7 @@ def test_people_pass_the_door() -> None:
     for _ in range(200):
         world.step(np.zeros((64, 1, 3), np.float32))
         crossed |= np.sign(world.state.human_position[..., 0]) == -side
-    assert crossed.mean() > 0.95
+    assert crossed.mean() > 0.9
 
 
 def one_robot_before_a_wall(**fields) -> World:

@@ -18,7 +18,7 @@ _BESIDE = np.float32(0.2)  # surface distance of a pair, m
 _ENTRY = np.float32(1.0)  # least surface distance of an entering person to robots, m
 
 # Draws of the stream rng.HABITS.
-_HURRY, _HURRY_SPEED, _LATE, _LATE_STEP, _SIDE, _PAIR = range(6)
+_HURRY, _HURRY_SPEED, _LATE, _LATE_STEP, _SIDE, _PAIR, PATIENCE = range(7)
 
 
 @function

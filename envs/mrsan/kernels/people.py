@@ -15,6 +15,10 @@ from mrsan.kernels.orca import orca_velocity
 from mrsan.kernels.recorded import follow, recorded_velocity
 from mrsan.kernels.social_force import social_force_velocity
 
+# Distance over which the social force of walls falls to 1/e, m. With the range of the force between
+# people nobody would pass through a door.
+WALL_FORCE_RANGE = np.float32(0.1)
+
 _ZERO = np.float32(0.0)
 _TINY = np.float32(1e-6)
 
@@ -51,7 +55,7 @@ def social_force_crowd(agents, count, i, preferred_x, preferred_y, max_speed, p,
         settings.force_strength,
         settings.force_range,
         settings.force_strength,
-        settings.force_range,
+        WALL_FORCE_RANGE,
         p.time_step,
         scratch,
     )
@@ -141,7 +145,7 @@ def list_agents(state, e, p, present, agents):
         j = present[row]
         agents[row, 0], agents[row, 1] = position[e, j, 0], position[e, j, 1]
         agents[row, 2], agents[row, 3] = velocity[e, j, 0], velocity[e, j, 1]
-        agents[row, 4] = state.human_radius[e, j] + p.human_safety_space
+        agents[row, 4] = state.human_radius[e, j] + state.human_space[e, j]
     if p.robots_visible:
         for i in range(robot_position.shape[1]):
             agents[count, 0], agents[count, 1] = robot_position[e, i, 0], robot_position[e, i, 1]

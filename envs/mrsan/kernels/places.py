@@ -44,7 +44,7 @@ def draw_place(walls, place, zones, key, family, attempt, q):
 
     Args:
         walls: [12, W], written.
-        place: [8], written except for the corners and the clearance.
+        place: [9], written except for the corners and the clearance.
         zones: [9, 4], written: left, bottom, right and top, m.
         key: of the episode.
         family: the layout.

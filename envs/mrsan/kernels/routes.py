@@ -110,7 +110,7 @@ def build_corners(walls, place, corners, distance, row):
 
     Args:
         walls: [12, W].
-        place: [8], the description of the place.
+        place: [9], the description of the place.
         corners: [6, V], written: positions, and the directions of the outline before and after.
         distance: [V, V], written: lengths of the shortest routes; inf where there is none, m.
         row: [V], room to work in.
@@ -249,7 +249,7 @@ def write_route_costs(walls, place, corners, distance, goal_x, goal_y, cost):
 
     Args:
         walls: [12, W].
-        place: [8].
+        place: [9].
         corners: [6, V].
         distance: [V, V].
         goal_x: the goal, m.
@@ -312,7 +312,7 @@ def find_route(walls, place, corners, distance, x, y, goal_x, goal_y, cost):
         if sees(walls, wall_count(place), x, y, goal_x - x, goal_y - y):
             return GOAL, GOAL
         corner = _find_corner_in_sight(walls, place, corners, cost, x, y)
-    return corner, _following(place, corners, distance, cost, corner)
+    return corner, following_corner(place, corners, distance, cost, corner)
 
 
 @separate
@@ -333,18 +333,18 @@ def follow_route(walls, place, corners, distance, cost, corner, following, x, y,
         ):
             if following < 0:
                 return GOAL, GOAL
-            return following, _following(place, corners, distance, cost, following)
+            return following, following_corner(place, corners, distance, cost, following)
         if sees(walls, count, x, y, near_x, near_y):
             return corner, following
     # It has been pushed off its route.
     corner = _find_corner(walls, place, corners, cost, x, y)
     if corner == NO_ROUTE:
         corner = _find_corner_in_sight(walls, place, corners, cost, x, y)
-    return corner, _following(place, corners, distance, cost, corner)
+    return corner, following_corner(place, corners, distance, cost, corner)
 
 
 @function
-def _following(place, corners, distance, cost, corner):
+def following_corner(place, corners, distance, cost, corner):
     """Return the corner after `corner` on its shortest route, or `GOAL`."""
     if corner < 0:
         return GOAL

@@ -89,7 +89,7 @@ def social_velocity(agents, count, i, preferred_x, preferred_y, max_speed, p, wo
     preferred_x, preferred_y, max_speed, avoids_robots = react(
         state, e, j, preferred_x, preferred_y, max_speed, p, settings, world.in_sight
     )
-    _set_margins(state, e, j, present, agents, -p.human_safety_space)
+    _set_margins(state, e, j, present, agents, True)
     if state.human_social[e, j, REACTION] == IMPASSIVE:
         for row in range(people, count):
             agents[row, 2] = agents[row, 3] = _ZERO
@@ -107,15 +107,15 @@ def social_velocity(agents, count, i, preferred_x, preferred_y, max_speed, p, wo
     for row in range(people, count):
         agents[row, 2] = state.robot_velocity[e, row - people, 0]
         agents[row, 3] = state.robot_velocity[e, row - people, 1]
-    _set_margins(state, e, j, present, agents, p.human_safety_space)
+    _set_margins(state, e, j, present, agents, False)
     return vx, vy
 
 
 @function
-def _set_margins(state, e, j, present, agents, margin):
-    """Set the margin round the other members of the group of human `j`, m.
+def _set_margins(state, e, j, present, agents, decides):
+    """Set the margin round the other members of the group of human `j`.
 
-    A negative one cancels the margin of `j` itself, as members come closer than others.
+    While `j` decides it cancels the margin of `j` itself, as members come closer than others.
     """
     social = state.human_social[e]
     if social[j, GROUP] == NO_GROUP:
@@ -123,6 +123,7 @@ def _set_margins(state, e, j, present, agents, margin):
     for row in range(present.shape[0]):
         k = present[row]
         if k != j and social[k, GROUP] == social[j, GROUP]:
+            margin = -state.human_space[e, j] if decides else state.human_space[e, k]
             agents[row, 4] = state.human_radius[e, k] + margin
 
 

@@ -94,6 +94,7 @@ def _begin(
     marked = 0
     for j in range(high):
         state.human_present[e, j] = j < count
+        state.human_space[e, j], state.human_held_up[e, j] = p.human_safety_space, 0
         state.human_entry[e, j] = 0 if j < count else NEVER
         if j < count:
             marked = place_human(state, e, j, key, layout, p, social, occupied, candidates, marked)

@@ -9,8 +9,8 @@ from functools import cache
 
 import numpy as np
 
-from mrsan.kernels import function, kernel
-from mrsan.kernels.habits import stands, walks_along
+from mrsan.kernels import function, kernel, rng
+from mrsan.kernels.habits import PATIENCE, stands, walks_along
 from mrsan.kernels.obstacle_orca import near_walls, wall_lines
 from mrsan.kernels.orca import orca_velocity
 from mrsan.kernels.people import changes_goal, list_agents
@@ -19,13 +19,20 @@ from mrsan.kernels.sensing import observe
 from mrsan.kernels.walls import is_clear, sees, wall_count
 from mrsan.kernels.zones import (
     draw_goal_in_zones,
+    is_in_zone,
     join_goal,
     next_point,
     remaining_route,
     update_route,
 )
 
+SPACIOUS = np.float32(1.0)  # m, surface distance to a wall from which people keep all their space
+SLOW = np.float32(0.2)  # m/s, below which a person who wants to walk is held up
+LONGEST_PATIENCE = np.float32(4.0)  # s, after which a person who is held up turns back
+
 _ZERO = np.float32(0.0)
+_HALF = np.float32(0.5)
+_ONE = np.float32(1.0)
 _TINY = np.float32(1e-6)
 _SLACK = np.float32(1e-3)  # m, by which people may come closer to a wall than their radius
 _ROUNDING = np.float32(1e-5)  # m
@@ -84,7 +91,11 @@ def orca_crowd_past_walls(
 def walk_along_routes(
     state, e, p, settings, recording, present, agents, velocities, scratch, crowd_velocity
 ):
-    """Choose the velocities of people among walls; arguments as in `people.walk_to_goals`."""
+    """Choose the velocities of people among walls; arguments as in `people.walk_to_goals`.
+
+    So that people do not jam in doors and corridors, they keep their goals while they pass through,
+    come closer to each other near walls, and turn back when they have been held up for too long.
+    """
     count = list_agents(state, e, p, present, agents)
     position, goal = state.human_position, state.human_goal
     key, step = state.key[e], state.clock[e]
@@ -96,11 +107,14 @@ def walk_along_routes(
         old_x, old_y = goal[e, j, 0], goal[e, j, 1]
         dx, dy = old_x - x, old_y - y
         renew = dx * dx + dy * dy < state.human_radius[e, j] * state.human_radius[e, j]
+        if is_interval and is_in_zone(state, e, x, y):
+            renew = renew or changes_goal(key, j, step, p)
+        turns_back = _loses_patience(state, e, j, key, step, p)
         if walks_along(key, j, p) and state.human_present[e, j - 1]:
             if goal_changed:
                 join_goal(state, e, j)
-        elif renew or (is_interval and changes_goal(key, j, step, p)):
-            if not draw_goal_in_zones(state, e, j, key, step, p):
+        elif renew or turns_back:
+            if not draw_goal_in_zones(state, e, j, key, step, turns_back, p):
                 goal[e, j, 0], goal[e, j, 1] = old_x, old_y
         goal_changed = goal[e, j, 0] != old_x or goal[e, j, 1] != old_y
         if (step + j) % UPDATE_EVERY == 0:
@@ -111,6 +125,7 @@ def walk_along_routes(
         if stands(key, j, step, p):
             scale = _ZERO
         _list_near_walls(state, e, j, p, scratch)
+        _update_space(state, e, j, p, scratch)
         velocities[row, 0], velocities[row, 1] = crowd_velocity(
             agents, count, row, dx * scale, dy * scale, speed, p, settings, scratch
         )
@@ -127,6 +142,32 @@ def _list_near_walls(state, e, j, p, scratch):
     reach = horizon * state.human_speed[e, j] + radius
     near_walls(state.walls[e], wall_count(state.place[e]), x, y, reach, scratch)
     wall_lines(state.walls[e], x, y, vx, vy, radius, horizon, scratch)
+
+
+@function
+def _update_space(state, e, j, p, scratch):
+    """Set the space that human `j` keeps from the next step on: none at a wall."""
+    share = _ONE
+    if scratch.wall_counts[0] > 0:
+        gap = math.sqrt(scratch.wall_distances[0]) - state.human_radius[e, j]
+        share = min(max(gap / SPACIOUS, _ZERO), _ONE)
+    state.human_space[e, j] = share * p.human_safety_space
+
+
+@function
+def _loses_patience(state, e, j, key, step, p):
+    """Count the steps for which human `j` has been held up; return whether it turns back."""
+    vx, vy = state.human_velocity[e, j, 0], state.human_velocity[e, j, 1]
+    if vx * vx + vy * vy >= SLOW * SLOW or stands(key, j, step, p):
+        state.human_held_up[e, j] = 0
+        return False
+    state.human_held_up[e, j] += 1
+    share = rng.uniform(key, rng.HABITS, j, step, PATIENCE)
+    patience = LONGEST_PATIENCE * (_HALF + _HALF * share)
+    if np.float32(state.human_held_up[e, j]) * p.time_step < patience:
+        return False
+    state.human_held_up[e, j] = 0
+    return True
 
 
 @function

@@ -7,10 +7,18 @@ import numpy as np
 from mrsan.kernels import function, kernel, rng
 from mrsan.kernels.habits import place_beside
 from mrsan.kernels.layout import layout_of
+from mrsan.kernels.parking import goals_leave_room
 from mrsan.kernels.places import draw_place
 from mrsan.kernels.routes import CORNER_ROWS, build_corners, is_free
 from mrsan.kernels.spawn import NOT_PLACED, begin_episodes, draw_traits, has_room
-from mrsan.kernels.walls import CLEARANCE, PLACE_COLUMNS, REDRAWS, WALL_ROWS, fill_up
+from mrsan.kernels.walls import (
+    CLEARANCE,
+    DISCARDED,
+    PLACE_COLUMNS,
+    REDRAWS,
+    WALL_ROWS,
+    fill_up,
+)
 from mrsan.kernels.zones import (
     draw_goal_in_zones,
     draw_human_start_in_zones,
@@ -19,8 +27,8 @@ from mrsan.kernels.zones import (
     remaining_route,
 )
 
-MOST_PLACES = 20  # places drawn for one case
-_MOST_ATTEMPTS = 1000  # to place an agent in one of them
+MOST_PLACES = 50  # places drawn for one case
+_MOST_ATTEMPTS = 500  # to place an agent in one of them
 
 _ZERO = np.float32(0.0)
 
@@ -50,13 +58,18 @@ def draw_place_of_case(state, e, attempt, p, place_parameters, fixed_map):
         room = state.route_cost[e, 0]  # written later
         fill_up(walls, place)
         build_corners(walls, place, state.corners[e], state.corner_distance[e], room)
-    place[REDRAWS] = redraws
+    place[REDRAWS], place[DISCARDED] = redraws, np.float32(attempt)
 
 
 @function
 def draw_walled_route(state, e, i, key, attempt, layout, recording, p):
     """Draw start and goal of robot `i`; return whether this attempt is permitted."""
-    return attempt < _MOST_ATTEMPTS and draw_robot_route_in_zones(state, e, i, key, attempt, p)
+    number = attempt + _MOST_ATTEMPTS * int(state.place[e, DISCARDED])
+    return (
+        attempt < _MOST_ATTEMPTS
+        and draw_robot_route_in_zones(state, e, i, key, number, p)
+        and goals_leave_room(state, e, i + 1, p)
+    )
 
 
 @function
@@ -83,7 +96,7 @@ def place_human_in_zone(state, e, j, key, layout, p, social, occupied, candidate
             continue
         if paired and join_goal(state, e, j):
             return marked
-        if draw_goal_in_zones(state, e, j, key, attempt, p):
+        if draw_goal_in_zones(state, e, j, key, attempt, False, p):
             return marked
     return NOT_PLACED
 

@@ -25,7 +25,7 @@ BEFORE_X, BEFORE_Y, AFTER_X, AFTER_Y = range(6, 10)  # directions of its neighbo
 START_CONVEX, END_CONVEX = 10, 11  # 1 or 0
 
 # Columns of `State.place`, which describes the place of an episode.
-PLACE_COLUMNS = 8
+PLACE_COLUMNS = 9
 WALLS = 0  # number of wall segments
 CORNERS = 1  # number of corners of the route graph
 ZONES = 2  # number of zones in which starts and goals are drawn
@@ -34,6 +34,7 @@ FAMILY = 4  # the layout that was drawn
 CROSSING_SHARE = 5  # probability that a person's goal lies in another zone
 REDRAWS = 6  # starts and goals that were drawn again because they had no route
 CLEARANCE = 7  # distance that routes keep from walls, m
+DISCARDED = 8  # places drawn before this one in which the agents had no room
 
 _ZERO = np.float32(0.0)
 _ONE = np.float32(1.0)

@@ -78,11 +78,11 @@ def draw_human_start_in_zones(state, e, j, agent, key, attempt):
 
 
 @function
-def draw_goal_in_zones(state, e, j, key, step, p):
+def draw_goal_in_zones(state, e, j, key, step, turns_back, p):
     """Draw a goal for human `j`, which a route joins to its position; return success.
 
-    It lies in another zone with the place's `crossing_share`, else in that where the person is, if
-    possible at least `goal_distance` away.
+    It lies in another zone with the place's `crossing_share`, unless the person turns back, else in
+    that where the person is or the nearest one, if possible at least `goal_distance` away.
     """
     walls, place, zones, goal = (
         state.walls[e],
@@ -95,7 +95,8 @@ def draw_goal_in_zones(state, e, j, key, step, p):
     here = _nearest_zone(zones, count, x, y)
     for attempt in range(_GOAL_TRIES):
         draw, zone = 4 * attempt, here
-        if rng.uniform(key, rng.HUMAN_GOAL, j, step, draw + 2) < place[CROSSING_SHARE]:
+        share = rng.uniform(key, rng.HUMAN_GOAL, j, step, draw + 2)
+        if share < place[CROSSING_SHARE] and not turns_back:
             zone = _other_zone(here, count, rng.uniform(key, rng.HUMAN_GOAL, j, step, draw + 3))
         goal[0], goal[1] = _draw_point(zones, zone, key, rng.HUMAN_GOAL, j, step, draw)
         if not is_free(walls, place, goal[0], goal[1]):
@@ -120,6 +121,16 @@ def _nearest_zone(zones, count, x, y):
         if dx * dx + dy * dy < least:
             best, least = z, dx * dx + dy * dy
     return best
+
+
+@function
+def is_in_zone(state, e, x, y):
+    """Return whether (x, y) lies in a zone."""
+    zones = state.zones[e]
+    for z in range(int(state.place[e, ZONES])):
+        if zones[z, 0] <= x <= zones[z, 2] and zones[z, 1] <= y <= zones[z, 3]:
+            return True
+    return False
 
 
 @function
