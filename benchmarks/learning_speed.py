@@ -15,7 +15,7 @@ import statistics
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from benchmarks.workload import add_output, interruptible, positive_whole_number, provenance
 from samarl.evaluation.table import markdown_table
@@ -29,6 +29,7 @@ RECIPES = {  # settings and world-steps
     "flat, transformer": (["experiment=transformer", "policy=flat"], 1_000_000),
     "two levels, transformer": (["experiment=transformer"], 1_000_000),
 }
+DEFAULT = ["flat", "two levels"]  # recipes to train unless others are named
 COMMON = [
     "trainer.processes=2",
     "trainer.threads=1",
@@ -42,53 +43,32 @@ SUCCESS_OF_FIVE = "validation/success_360_10h_5r"
 Curve = list[dict[str, float]]
 
 
-class Suite(NamedTuple):
-    """Recipes that are compared."""
-
-    name: str  # of the benchmark and its files
-    about: str  # documentation of its module
-    recipes: dict[str, tuple[list[str], int]]  # settings and world-steps
-    default: list[str]  # recipes to train unless others are named
-    common: list[str]  # settings of all of them
-    over_steps: bool = False  # draw success over steps instead of time
-
-
 def main() -> None:
-    """Measure the recipes of this module."""
-    measure(Suite("learning_speed", __doc__ or "", RECIPES, ["flat", "two levels"], COMMON))
-
-
-def measure(suite: Suite) -> None:
     """Train what is missing, print the table, and write the JSON file, the table and the figure."""
-    arguments = _parse(suite)
+    arguments = _parse()
     curves: dict[str, list[Curve]] = {}
     with interruptible():
         for recipe in arguments.recipes:
             curves[recipe] = [
-                train(suite, recipe, seed, arguments.steps, arguments.folder)
+                train(recipe, seed, arguments.steps, arguments.folder)
                 for seed in range(arguments.seeds)
             ]
     recipes = {recipe: summary(of_recipe) for recipe, of_recipe in curves.items()}
-    result = {"recipes": recipes, **provenance(suite.name)}
+    result = {"recipes": recipes, **provenance("learning_speed")}
     write_json(arguments.output, result)
     table = table_of(recipes)
     write_text(arguments.output.with_suffix(".md"), f"{table}\n\n{caption(result)}\n")
-    draw(curves, arguments.output.with_suffix(".png"), suite.over_steps)
+    draw(curves, arguments.output.with_suffix(".png"))
     print(table)
     print(f"\n{caption(result)}\nwritten to {arguments.output}")
 
 
-def train(suite: Suite, recipe: str, seed: int, steps: int | None, folder: Path) -> Curve:
+def train(recipe: str, seed: int, steps: int | None, folder: Path) -> Curve:
     """Train a recipe, or resume it; return the validations of its learning curve."""
     run = folder / f"{recipe.replace(', ', '_').replace(' ', '_')}_{seed}"
-    of_recipe, usual_steps = suite.recipes[recipe]
-    settings = [
-        *of_recipe,
-        *suite.common,
-        f"trainer.seed={seed}",
-        f"trainer.steps={steps or usual_steps}",
-    ]
-    command = [sys.executable, "-m", "samarl.commands.train", *settings, f"run_dir={run}"]
+    settings, usual_steps = RECIPES[recipe]
+    command = [sys.executable, "-m", "samarl.commands.train", *settings, *COMMON]
+    command += [f"trainer.seed={seed}", f"trainer.steps={steps or usual_steps}", f"run_dir={run}"]
     print(f"{recipe}, seed {seed}", flush=True)
     subprocess.run(command, check=True)
     with (run / "progress.csv").open() as file:
@@ -140,25 +120,24 @@ def caption(result: dict[str, Any]) -> str:
     )
 
 
-def draw(curves: dict[str, list[Curve]], path: Path, over_steps: bool = False) -> None:
-    """Draw the success of every run over the time or the steps of training."""
+def draw(curves: dict[str, list[Curve]], path: Path) -> None:
+    """Draw the success of every run over the time of training."""
     import matplotlib.pyplot as plt
 
-    key, unit, label = "seconds", 60.0, "minutes of training"
-    if over_steps:
-        key, unit, label = "steps", 1e6, "million steps of training"
     figure, axes = plt.subplots(figsize=(7.6, 3.6), layout="constrained")
     for index, (recipe, of_recipe) in enumerate(curves.items()):
         for number, curve in enumerate(of_recipe):
             axes.plot(
-                [row[key] / unit for row in curve],
+                [row["seconds"] / 60.0 for row in curve],
                 [100 * row[SUCCESS] for row in curve],
                 color=f"C{index}",
                 linewidth=1.2,
                 label=recipe if number == 0 else None,
             )
     axes.axhline(90, color="0.6", linewidth=0.8, linestyle=":")
-    axes.set(xlabel=label, ylabel="success, 3 robots (%)", ylim=(0, 100), xlim=(0, None))
+    axes.set(
+        xlabel="minutes of training", ylabel="success, 3 robots (%)", ylim=(0, 100), xlim=(0, None)
+    )
     figure.legend(loc="outside right upper", frameon=False, fontsize=8)
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)
@@ -175,28 +154,27 @@ def _cell(values: list[float | None]) -> str:
     return f"{mean:,.0f} [{low:,.0f}, {high:,.0f}]"
 
 
-def _parse(suite: Suite) -> argparse.Namespace:
+def _parse() -> argparse.Namespace:
     parser = argparse.ArgumentParser(
-        prog=f"python -m benchmarks.{suite.name}", description=suite.about.partition("\n")[0]
+        prog="python -m benchmarks.learning_speed", description=(__doc__ or "").partition("\n")[0]
     )
     parser.add_argument(
         "recipes",
         nargs="*",
-        default=suite.default,
-        help=f"which of {'; '.join(suite.recipes)} (default: {'; '.join(suite.default)})",
+        default=DEFAULT,
+        help=f"which of {'; '.join(RECIPES)} (default: {'; '.join(DEFAULT)})",
     )
     parser.add_argument("--seeds", type=positive_whole_number, default=3, help="per recipe (3)")
     parser.add_argument(
         "--steps", type=positive_whole_number, help="world-steps (each recipe's own)"
     )
-    parser.add_argument(
-        "--folder", type=Path, default=Path(f"outputs/{suite.name}"), help="of the runs"
-    )
-    add_output(parser, suite.name)
+    folder = Path("outputs/learning_speed")
+    parser.add_argument("--folder", type=Path, default=folder, help=f"of the runs ({folder})")
+    add_output(parser, "learning_speed")
     arguments = parser.parse_intermixed_args()
     for recipe in arguments.recipes:
-        if recipe not in suite.recipes:
-            parser.error(f"recipe is {recipe!r}; it must be one of {'; '.join(suite.recipes)}")
+        if recipe not in RECIPES:
+            parser.error(f"recipe is {recipe!r}; it must be one of {'; '.join(RECIPES)}")
     return arguments
 
 

@@ -259,18 +259,6 @@ def learning_speed() -> str:
     )
 
 
-@table
-def learning_leads() -> str:
-    """Return steps to success rates of every idea for learning faster, means [range] of seeds."""
-    lines = []
-    for idea, runs in find_value("learning_leads", "recipes").items():
-        steps = [_mean_and_range(runs[f"steps_to_{rate}"], 1000, ",.0f") for rate in (80, 90)]
-        success = [_mean_and_range(runs[f"final_success_{n}_robots"], 0.01, ".1f") for n in (3, 5)]
-        lines.append([idea, *steps, *success])
-    header = ["idea", "80 %, 1000 steps", "90 %, 1000 steps", "end, 3 robots, %", "5 robots, %"]
-    return markdown_table(header, lines)
-
-
 def _mean_and_range(values: Sequence[float | None], unit: float, form: str) -> str:
     """Return `mean [smallest, largest]` in a unit, or `not reached` if a value is missing."""
     numbers = [value / unit for value in values if value is not None]

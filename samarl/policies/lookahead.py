@@ -92,9 +92,8 @@ class LookaheadPolicy(Policy):
             result: Tensor = net.heads[LOCAL](y).squeeze(-1)
             return result
 
-        with self._precision():
-            value: Tensor = self._per_parameter_set(rows, of_set)
-        return VALUE_SCALE * value.float()
+        value: Tensor = self._per_parameter_set(rows, of_set)
+        return VALUE_SCALE * value
 
     @torch.no_grad()
     def act(
@@ -156,5 +155,4 @@ class LookaheadPolicy(Policy):
         def of_set(net: Networks, i: int, samples: Any) -> Any:
             return net.encoder.observe(frames.of(samples), is_init[samples], {})
 
-        with self._precision():
-            return self._per_parameter_set(rows, of_set)
+        return self._per_parameter_set(rows, of_set)

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -147,7 +146,6 @@ class Policy(nn.Module, ABC):
             self._make_networks(entry.cls(encoder_config, self.sizes))
             for _ in range(config.num_parameter_sets)
         )
-        self.low_precision = False  # encode with bfloat16
 
     @abstractmethod
     def _make_networks(self, encoder: Encoder) -> Networks:
@@ -325,8 +323,3 @@ class Policy(nn.Module, ABC):
         """Return where the route of each robot leads next, [E, N, 2]; see `next_on_route`."""
         c = self.config
         return next_on_route(tracks, scenario.fov_degrees, c.round_below, c.round_radius)
-
-    def _precision(self) -> AbstractContextManager[Any]:
-        if not self.low_precision:
-            return nullcontext()
-        return torch.autocast(self.device.type, torch.bfloat16)

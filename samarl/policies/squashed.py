@@ -93,16 +93,13 @@ class SquashedPolicy(FlatPolicy):
         """Return the features Y of B robots in T steps, [B, T, F]."""
         features, is_init, encoder_states = sequences
         sets, features_per_set = len(self.networks), []
-        with self._precision():
-            for i, net in enumerate(self.networks):
-                visible = features.of(slice(i, None, sets))
-                scene = net.encoder.observe(visible, is_init[i::sets], encoder_states[i])
-                query = visible.ego[:, self.history :]
-                y = net.encoder.read(scene, query.flatten(0, 1))
-                features_per_set.append(y.view(*query.shape[:2], -1))
-        return (
-            torch.stack(features_per_set, 1).flatten(0, 1).float()
-        )  # row b belongs to the set b % sets
+        for i, net in enumerate(self.networks):
+            visible = features.of(slice(i, None, sets))
+            scene = net.encoder.observe(visible, is_init[i::sets], encoder_states[i])
+            query = visible.ego[:, self.history :]
+            y = net.encoder.read(scene, query.flatten(0, 1))
+            features_per_set.append(y.view(*query.shape[:2], -1))
+        return torch.stack(features_per_set, 1).flatten(0, 1)  # row b belongs to the set b % sets
 
     def draw(self, y: Tensor) -> tuple[Tensor, Tensor]:
         """Draw actions [..., N, A] with log-probabilities [..., N] from features Y [..., N, F].

@@ -170,11 +170,10 @@ class StochasticPolicy(Policy):
             active = None
         seen = tracks if active is None else tracks.of(active)
         features = self.extract_features(seen, scenario).to(device)
-        with self._precision():
-            if active is None:
-                step, policy_state = self.step(features, *inputs, noise)
-            else:
-                step, policy_state = self._step_of(per_row(active), features, *inputs)
+        if active is None:
+            step, policy_state = self.step(features, *inputs, noise)
+        else:
+            step, policy_state = self._step_of(per_row(active), features, *inputs)
         state.update(policy_state)
         scene = step.scene if noise is None else None
 
@@ -268,10 +267,9 @@ class StochasticPolicy(Policy):
                 rows[samples_of_set] // sets * steps + step[samples_of_set],
             )
 
-        with self._precision():
-            scene = self._per_parameter_set(rows, observe)
-            ego = features.ego[rows, self.history + step]
-            return self._embeddings(scene, ego, rows, waypoint_features, decision_indices)
+        scene = self._per_parameter_set(rows, observe)
+        ego = features.ego[rows, self.history + step]
+        return self._embeddings(scene, ego, rows, waypoint_features, decision_indices)
 
     def actor(self, level: str) -> ProbabilisticActor:
         """Return a level as TorchRL's actor, which its losses accept; see `make_actor`."""
@@ -312,21 +310,21 @@ class StochasticPolicy(Policy):
             )
         return evaluations
 
+    @torch.no_grad()
     def resume(self, features: Frames, is_init: Tensor, state: PolicyState, rows: Tensor) -> None:
         """Recompute the encoder memory of some robots from their last frames.
 
         See `Encoder.resume`; `rows` [R] are whole worlds, in order.
         """
         sets = len(self.networks)
-        with torch.no_grad(), self._precision():
-            for i, net in enumerate(self.networks):
-                of_set = slice(i, None, sets)
-                net.encoder.resume(
-                    self._encoder_input(features).of(of_set),
-                    is_init[of_set],
-                    state["encoder"][i],
-                    rows[of_set] // sets,
-                )
+        for i, net in enumerate(self.networks):
+            of_set = slice(i, None, sets)
+            net.encoder.resume(
+                self._encoder_input(features).of(of_set),
+                is_init[of_set],
+                state["encoder"][i],
+                rows[of_set] // sets,
+            )
 
     def memory(self, state: PolicyState) -> PolicyState:
         """Return the part of a state that `resume` cannot recompute; not copied."""
@@ -378,9 +376,7 @@ class StochasticPolicy(Policy):
         def head(net: Any, index: int, samples: Any) -> Distribution:
             return Distribution(*net.heads[level](embedding[samples]))
 
-        with self._precision():
-            mean, std = self._per_parameter_set(rows, head)
-        return Distribution(mean.float(), std.float())
+        return Distribution(*self._per_parameter_set(rows, head))
 
     def _sample_local(
         self,

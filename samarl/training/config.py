@@ -30,8 +30,6 @@ class TrainerConfig:
     )
     processes: int = number(1, 1, 256, help="processes that train together on this machine")
     device: str = setting("cpu", help="device of the networks; the simulation runs on the CPU")
-    bfloat16: bool = setting(False, help="encode with bfloat16")
-    compile: bool = setting(False, help="compile the encoders (needs a C++ compiler)")
     wandb: str | None = setting(None, help="project that also receives the TensorBoard curves")
 
 

@@ -1,16 +1,14 @@
-"""Device, memory allocator and compilation of the networks that are trained."""
+"""Device of the networks that are trained, and the memory allocator."""
 
 from __future__ import annotations
 
 import contextlib
 import ctypes
 import warnings
-from typing import Any
 
 import torch
 
 from mrsan import ConfigurationError
-from samarl.policies.policy import Policy
 
 # Parameters of glibc's mallopt, from malloc.h.
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
@@ -36,14 +34,6 @@ def usable_device(name: str) -> torch.device:
             f"trainer.device is {name!r}; it must be a torch device of this machine ({reason})"
         ) from error
     return device
-
-
-def compile_encoders(policy: Policy) -> None:
-    """Compile the forward passes of the encoders; the weights are not affected."""
-    for networks in policy.networks:
-        encoder: Any = networks.encoder
-        for method in ("observe", "read"):
-            setattr(encoder, method, torch.compile(getattr(encoder, method), dynamic=True))
 
 
 def keep_freed_memory() -> None:

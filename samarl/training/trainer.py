@@ -23,7 +23,7 @@ from samarl.policies.policy import Policy
 from samarl.rollout import Rollout
 from samarl.training.config import MAX_SEEDS, TrainerConfig, run_configuration
 from samarl.training.curriculum import CurriculumStage
-from samarl.training.device import compile_encoders, keep_freed_memory, usable_device
+from samarl.training.device import keep_freed_memory, usable_device
 from samarl.training.logging import Logger
 from samarl.training.progress import Progress
 from samarl.training.resume import check_same_run
@@ -81,13 +81,9 @@ class Trainer:
             self.provenance["init_from"] = load_initial_weights(self.policy, init_from)
         distributed.init_process_group(config.device)
         self.policy.to(usable_device(local_device(config.device)))
-        self.policy.low_precision = config.bfloat16
         self.averaged = AveragedModel(
             self.policy, multi_avg_fn=get_ema_multi_avg_fn(config.ema_decay)
         )
-        self.averaged_policy.low_precision = False  # as when it is deployed
-        if config.compile:
-            compile_encoders(self.policy)
         self.algorithm = build_algorithm(algorithm, self.policy)
         if world_size() > 1:  # equal initial weights, but different noise
             torch.manual_seed(config.seed + MAX_SEEDS * rank())

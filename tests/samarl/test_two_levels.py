@@ -16,7 +16,7 @@ from samarl.encoders import ENCODERS
 from samarl.observations.features import to_body
 from samarl.policies.macro_actions import decode_waypoint
 from samarl.policies.policy import LOCAL, MACRO, WAYPOINT_FEATURES, PolicyState
-from tests.learning import SCENARIO, algorithm, choices, collector, policy
+from tests.learning import SCENARIO, algorithm, collector, policy
 
 
 def waypoints_of(state: PolicyState, ego: np.ndarray) -> np.ndarray:
@@ -225,19 +225,6 @@ def test_robots_with_parameters_of_their_own_act_alone() -> None:
 def test_robots_with_parameters_of_their_own_must_be_so_many() -> None:
     with pytest.raises(ConfigurationError, match=r"scenario\.robots .*3.* 2\b"):
         DeployedPolicy(policy(num_parameter_sets=2), replace(SCENARIO, robots=3))
-
-
-def test_low_precision_is_close_and_learns() -> None:
-    model = policy(gain=10.0)
-    rollout = collector(model).collect()
-    exact = choices(model, rollout)[LOCAL][0].mean
-    model.low_precision = True
-    rough = choices(model, rollout)[LOCAL][0].mean
-    assert rough.dtype == torch.float32
-    assert not torch.equal(rough, exact)
-    torch.testing.assert_close(rough, exact, atol=0.1, rtol=0.1)
-    statistics = algorithm(model).update([rollout])
-    assert all(np.isfinite(value) for value in statistics.values())
 
 
 def test_commands_beyond_the_limits_cost_and_only_those() -> None:
