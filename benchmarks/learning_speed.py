@@ -25,7 +25,6 @@ RECIPES = {  # settings and world-steps
     "flat": (["policy=flat"], 1_000_000),
     "two levels": ([], 1_000_000),
     "two levels, goal hidden": (["policy=goal_hidden", "algorithm.macro_std=0.4"], 1_000_000),
-    "flat, REPPO": (["policy=flat", "algorithm=reppo"], 500_000),
     "flat, transformer": (["experiment=transformer", "policy=flat"], 1_000_000),
     "two levels, transformer": (["experiment=transformer"], 1_000_000),
 }

@@ -37,8 +37,8 @@ _PARTS = {
     "shield": [("shield.py", "apply_shield")],
     "networks, acting": [("stochastic.py", "act"), ("stochastic.py", "resume")],
     "rollouts": [("collector.py", "collect")],
-    "advantages": [("on_policy.py", "prepare")],
-    "networks, forward": [("ppo.py", "_loss"), ("reppo.py", "_loss")],
+    "advantages": [("ppo.py", "prepare")],
+    "networks, forward": [("ppo.py", "_policy_loss"), ("ppo.py", "_value_loss")],
     "networks, backward": [("_tensor.py", "backward")],
     "optimiser": [("adam.py", "step"), ("clip_grad.py", "clip_grad_norm_")],
     "mean of gradients": [("distributed.py", "average_gradients")],  # waits for the slowest one

@@ -88,20 +88,6 @@ PPO_NUMBERS: dict[str, Any] = {
     "local_std": 0.0,
     "macro_std": 0.0,
 }
-_ONLY_PPO = {
-    "clip_epsilon",
-    "entropy_coefficient",
-    "macro_entropy_coefficient",
-    "critic_coefficient",
-    "advantage_filter_fraction",
-}
-REPPO_NUMBERS: dict[str, Any] = {
-    **{name: value for name, value in PPO_NUMBERS.items() if name not in _ONLY_PPO},
-    "bins": 21,
-    "value_min": -5.0,
-    "value_max": 5.0,
-    "kl_bound": 0.05,
-}
 VALUE_NUMBERS: dict[str, Any] = {
     "learning_rate": 1e-3,
     "imitation": 0.5,

@@ -44,8 +44,8 @@ class Algorithm(nn.Module, ABC):
         self.__dict__["policy"] = policy  # not a submodule: the trainer saves it separately
 
     @abstractmethod
-    def set_progress(self, share: float) -> None:
-        """Set the learning rate and exploration; `share` of the training is completed."""
+    def set_progress(self, progress: float) -> None:
+        """Set the learning rate and exploration for a training progress from 0 to 1."""
 
     @abstractmethod
     def update(self, rollouts: list[Rollout]) -> dict[str, float]:
@@ -55,8 +55,8 @@ class Algorithm(nn.Module, ABC):
     def optimisers(self) -> dict[str, Any]:
         """Return all optimisers by name; the trainer saves their states."""
 
-    def _set_learning_rate(self, share: float) -> None:
+    def _set_learning_rate(self, progress: float) -> None:
         """Decay the learning rate linearly over the training, to 2 % of its initial value."""
         for optimiser in self.optimisers().values():
             for group in optimiser.param_groups:
-                group["lr"] = self.config.learning_rate * max(1.0 - share, 0.02)
+                group["lr"] = self.config.learning_rate * max(1.0 - progress, 0.02)

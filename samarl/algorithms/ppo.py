@@ -1,34 +1,62 @@
-"""Proximal policy optimisation of every level of a policy (SAMARL, Eq. 9 and Algorithm 1).
+"""MAPPO and IPPO: clipped PPO of every level of a policy (SAMARL, Eq. 9 and Algorithm 1).
 
-MAPPO and independent PPO differ in their critics, which are in `mappo.py` and `ippo.py`.
+`PPO.update` learns from the newest rollouts in two steps:
+
+1. `prepare` computes the advantages and value targets of every level (`advantages.py`) and selects
+   the steps from which the policy learns.
+2. `_run_epochs` shuffles whole sequences into minibatches, and descends on the sum of
+   `_policy_loss` (of all levels, with `_auxiliary_loss`) and `_value_loss`.
+
+`MAPPO` and `IPPO`, at the end of the file, differ in what their critics see. Shapes: S sequences,
+T steps, N robots, B = S N rows, P selected steps, Q decisions of a level in them.
 """
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from tensordict import TensorDict
 from tensordict.nn import TensorDictModule
-from torch import Tensor
+from torch import Tensor, nn
 from torchrl.objectives import ClipPPOLoss
-from torchrl.objectives.multiagent import MAPPOLoss
+from torchrl.objectives.multiagent import IPPOLoss, MAPPOLoss
 
-from mrsan.fields import number, required
+from mrsan import ConfigurationError
+from mrsan.fields import number, required, setting
+from samarl.algorithms.action_limits import action_limits, excess
 from samarl.algorithms.advantages import macro_advantages, step_advantages, streams
-from samarl.algorithms.critics import PopArtHead
-from samarl.algorithms.on_policy import (
-    OnPolicy,
-    OnPolicyConfig,
-    Statistics,
-    by_row,
-    selected_decisions,
-)
-from samarl.algorithms.training_data import TrainingData
-from samarl.distributed import all_gather_cat
+from samarl.algorithms.algorithm import ALGORITHMS, Algorithm
+from samarl.algorithms.critics import CriticEncoder, PopArtHead
+from samarl.algorithms.training_data import TrainingData, merge
+from samarl.distributed import all_gather_cat, all_gather_object, average_gradients
+from samarl.observations.features import state_sizes
+from samarl.observations.frames import FeatureSizes, Frames
 from samarl.policies.policy import LOCAL, MACRO, Policy
+from samarl.policies.stochastic import Sequences, StochasticPolicy
 from samarl.rollout import Rollout, level_key
+
+MACRO_RISE = 0.3
+"""Share of the training in which the macro level's minimal noise rises from 0.
+
+Waypoints hardly move at first, so that the local level learns to drive to them.
+"""
+
+CHUNK_SIZE = 16384
+"""Frames per forward pass when no gradient is needed, to bound the memory."""
+
+LOCAL_KEYS = (
+    "previous_noise",
+    "waypoint_features",
+    "speed",
+    "unsafe",
+    "safe_action",
+    "teacher_action",
+)
+"""What the local level's losses read of a rollout, as far as it is there."""
 
 STATISTICS = {
     "loss_objective": "objective",
@@ -39,39 +67,113 @@ STATISTICS = {
 }
 """Names of TorchRL's statistics in the logs."""
 
+Statistics = dict[str, list[float]]
+
 
 @dataclass
-class PPOConfig(OnPolicyConfig):
+class PPOConfig:
     """Hyperparameters of the update."""
 
+    teacher: str | None  # agent of `conf/agent/` that the local level imitates at first
+    learning_rate: float = required(0.0, 1.0, help="initial learning rate; falls linearly to 0")
+    epochs: int = required(1, 100, help="passes over each rollout")
+    minibatches: int = required(1, 1000, help="minibatches per epoch")
+    discount: float = required(0.0, 1.0, help="discount of the macro level, per step")
+    local_discount: float = required(0.0, 0.9999, help="discount of the local level, per step")
+    gae_lambda: float = required(0.0, 1.0, help="lambda of generalised advantage estimation")
     clip_epsilon: float = required(0.0, 0.99, help="clipping range of the probability ratio")
     entropy_coefficient: float = required(0.0, 10.0, help="weight of the entropy bonus")
     macro_entropy_coefficient: float = required(
         0.0, 10.0, help="weight of the entropy bonus of the macro level"
     )
     critic_coefficient: float = required(0.0, 100.0, help="weight of the value loss")
+    max_gradient_norm: float = required(
+        0.0, 1e6, help="largest gradient norm, of the policy and of the critics separately"
+    )
     advantage_filter_fraction: float = required(
         0.01, 1.0, help="share of the samples to learn from, those with the largest advantages"
     )
+    action_limit_penalty: float = required(
+        0.0, 10.0, help="penalty on means of actions beyond the robots' limits"
+    )
+    action_limit_slack: float = required(
+        0.0, 10.0, help="standard deviations beyond the limits that cost nothing"
+    )
+    path_penalty: float = required(0.0, 100.0, help="penalty per metre driven; falls linearly to 0")
+    shield_coefficient: float = required(
+        0.0, 100.0, help="weight of imitating the safety shield where it intervenes"
+    )
+    teacher_coefficient: float = required(
+        0.0, 100.0, help="initial weight of imitating the teacher; falls linearly to 0"
+    )
+    teacher_end: float = required(
+        0.001, 1.0, help="share of the training after which the teacher is not imitated any more"
+    )
+    std_start: float = required(0.01, 10.0, help="initial upper bound of the exploration noise")
+    std_end: float = required(
+        0.01, 10.0, help="final upper bound of the exploration noise, approached linearly"
+    )
+    local_std: float = required(
+        0.0, 10.0, help="lower bound of the local level's noise, below its upper bound"
+    )
+    macro_std: float = required(
+        0.0, 10.0, help="lower bound of the macro level's noise, below its upper bound"
+    )
+    critic_width: int = required(8, 1024, help="width of the critics' encoder")
+    critic_features: int = required(8, 4096, help="output size of the critics' encoder")
     target_kl: float | None = number(
         None, 0.0, 1e6, help="KL divergence beyond which epochs stop; null: never"
     )
 
 
-class PPO(OnPolicy):
+class PPO(Algorithm):
     """Clipped PPO of all levels at once: an encoder, and TorchRL's loss for each level."""
 
+    policy: StochasticPolicy
     config: PPOConfig
-    heads: Mapping[str, PopArtHead]  # type: ignore[assignment]
+    critics: Mapping[str, PopArtHead]  # of each level; their input is that of `critic_encoder`
     loss_class: type[ClipPPOLoss] = MAPPOLoss
+    supports_data_parallel = True
 
     def __init__(self, policy: Policy, config: PPOConfig) -> None:
-        """See `OnPolicy`."""
-        super().__init__(policy, config)
-        self.losses = {level: self._make_loss(level) for level in policy.levels}
+        """See `Algorithm`.
 
-    def _make_head(self, level: str, inputs: int) -> PopArtHead:
-        return PopArtHead(inputs, self.config.critic_features)
+        Raises:
+            ConfigurationError: the policy has no distribution of actions.
+        """
+        super().__init__(policy, config)
+        if not isinstance(policy, StochasticPolicy):
+            raise ConfigurationError(
+                f"policy is a {type(policy).__name__}, which has no distribution of actions; "
+                "algorithm.name must be value_learning, or policy.name flat or hierarchical"
+            )
+        features = config.critic_features
+        self.critic_encoder = CriticEncoder(self._critic_sizes(), config.critic_width, features)
+        # The local critic observes the waypoint, as its actor does.
+        waypoint = {LOCAL: policy.waypoint_size, MACRO: 0}
+        self.critics = nn.ModuleDict(  # type: ignore[assignment]
+            {level: PopArtHead(features + waypoint[level], features) for level in policy.levels}
+        )
+        self.losses = {level: self._make_loss(level) for level in policy.levels}
+        self.uses_shield_targets = config.shield_coefficient > 0.0
+        self.teacher = config.teacher
+        self.teacher_weight = config.teacher_coefficient
+        self.to(policy.device)
+        self.optimiser = torch.optim.Adam(
+            [*policy.parameters(), *self.parameters()],
+            lr=config.learning_rate,
+            eps=1e-5,
+            fused=policy.device.type in ("cpu", "cuda"),
+        )
+
+    def _critic_sizes(self) -> FeatureSizes:
+        """Return the sizes of what the critics see, by default of the true state."""
+        return state_sizes(self.policy.sizes, self.policy.waypoint_size)
+
+    def _critic_frames(self, rollout: Rollout) -> Frames:
+        """Return what the critics see, [B, T + 1, ...]; by default the true state."""
+        assert rollout.state is not None
+        return rollout.state
 
     def _make_loss(self, level: str) -> ClipPPOLoss:
         """Return TorchRL's loss of a level.
@@ -84,99 +186,163 @@ class PPO(OnPolicy):
         in_keys = ["critic_features", "waypoint_features"] if waypoint else ["critic_features"]
         return self.loss_class(
             self.policy.actor(level),
-            TensorDictModule(self.heads[level], in_keys=in_keys, out_keys=["state_value"]),
+            TensorDictModule(self.critics[level], in_keys=in_keys, out_keys=["state_value"]),
             clip_epsilon=c.clip_epsilon,
             entropy_coeff=c.macro_entropy_coefficient if level == MACRO else c.entropy_coefficient,
             critic_coeff=0.0,
             clip_value=c.clip_epsilon,
             loss_critic_type="l2",
-            normalize_advantage=False,  # `prepare` does, over the whole rollout
+            normalize_advantage=False,  # `_level_data` does, over all rollouts
             log_explained_variance=False,
             functional=False,
         )
 
-    def _level_batches(
-        self, rollouts: list[Rollout], statistics: Statistics
-    ) -> list[dict[str, TensorDict]]:
-        """See `OnPolicy.prepare`; updates the value scales once.
+    def optimisers(self) -> dict[str, Any]:
+        """See `Algorithm.optimisers`."""
+        return {"adam": self.optimiser}
 
-        Each level has what TorchRL's loss reads: `sample_log_prob`, `advantage`, `value_target` and
-        `state_value` (before the update), the last three normalised.
+    def set_progress(self, progress: float) -> None:
+        """Decay learning rate, exploration, path penalty and imitation of the teacher linearly.
+
+        The minimal noise of the macro level rises during the first part, see `MACRO_RISE`.
+        """
+        c = self.config
+        self._set_learning_rate(progress)
+        self.reward_shaping.path_penalty = c.path_penalty * (1.0 - progress)
+        self.teacher_weight = c.teacher_coefficient * max(1.0 - progress / c.teacher_end, 0.0)
+        self.teacher = c.teacher if self.teacher_weight > 0.0 else None
+        largest = c.std_start + (c.std_end - c.std_start) * progress
+        least = {LOCAL: c.local_std, MACRO: c.macro_std * min(progress / MACRO_RISE, 1.0)}
+        for level in self.policy.levels:
+            self.policy.bound_std(level, least[level], largest)
+
+    def update(self, rollouts: list[Rollout]) -> dict[str, float]:
+        """Run all epochs over the rollouts of one or several stages."""
+        rollouts = [rollout.to(self.policy.device) for rollout in rollouts]
+        statistics: Statistics = defaultdict(list)
+        self._run_epochs(self.prepare(rollouts, statistics), statistics)
+        return {key: sum(values) / len(values) for key, values in statistics.items()}
+
+    # Advantages, and the steps to learn from
+
+    @torch.no_grad()
+    def prepare(self, rollouts: list[Rollout], statistics: Statistics) -> list[TrainingData]:
+        """Return what the losses read: all rollouts, in as few parts as `merge` allows.
+
+        Each level has a TensorDict [B, T] with its `action` and `sample_log_prob`, its `advantage`,
+        `value_target` and `state_value` (before the update), all three normalised, and the masks
+        `decides` (the level made a decision that counts) and `valued` (the critic learns from it).
+        The local level also has what `_auxiliary_loss` reads.
         """
         features = [self._critic_features(rollout) for rollout in rollouts]
-        batches: list[dict[str, TensorDict]] = [{} for _ in rollouts]
-        for level, head in self.heads.items():
+        levels: list[dict[str, TensorDict]] = [{} for _ in rollouts]
+        for level in self.policy.levels:
             parts = zip(rollouts, features, strict=True)
-            levels = [self._level_batch(level, *part) for part in parts]
-            advantage = all_gather_cat(
-                torch.cat([data["advantage"][data["decides"]] for data in levels])
+            data = [self._level_data(level, rollout, seen) for rollout, seen in parts]
+            self._normalise(level, data, statistics)
+            for of_rollout, level_data in zip(levels, data, strict=True):
+                of_rollout[level] = level_data
+        training_data = []
+        for rollout, data_of, selected in zip(rollouts, levels, self._select(levels), strict=True):
+            row = torch.arange(len(selected), device=selected.device)
+            training_data.append(
+                TrainingData(
+                    Sequences(rollout.frames, rollout.is_init, rollout.encoder),
+                    self._critic_frames(rollout),
+                    data_of,
+                    selected,
+                    row % rollout.robots,
+                    row // rollout.robots,
+                )
             )
-            target = all_gather_cat(
-                torch.cat([data["value_target"][data["valued"]] for data in levels])
-            )
-            value = all_gather_cat(
-                torch.cat([data["state_value"][data["valued"]] for data in levels])
-            )
-            mean, std = advantage.new_zeros(()), advantage.new_ones(())
-            if len(advantage) > 1:  # in a short rollout the macro level may not decide at all
-                mean, std = advantage.mean(), advantage.std().clamp_min(1e-4)
-            if len(target) > 1:
-                unexplained = (target - value).var() / target.var().clamp_min(1e-8)
-                statistics[f"losses/{level}_explained_variance"].append(1.0 - float(unexplained))
-                head.update(target)
-            for batch, data in zip(batches, levels, strict=True):
-                data["advantage"] = (data["advantage"] - mean) / std
-                data["value_target"] = head.normalise(data["value_target"])
-                data["state_value"] = head.normalise(data["state_value"])
-                batch[level] = data
-        return batches
+        return merge(training_data)
 
-    def _level_batch(self, level: str, rollout: Rollout, features: Tensor) -> TensorDict:
-        """Return the data of one level, not yet normalised.
+    def _critic_features(self, rollout: Rollout) -> Tensor:
+        """Return the critics' view of all steps, [S, T + 1, N, F]."""
+        frames = self._critic_frames(rollout).map(lambda x: x.flatten(0, 1))
+        features = torch.cat([self.critic_encoder(part) for part in frames.split(CHUNK_SIZE)])
+        s, n = len(rollout.steps), rollout.robots
+        return features.view(s, n, -1, features.shape[-1]).transpose(1, 2)
+
+    def _level_data(self, level: str, rollout: Rollout, features: Tensor) -> TensorDict:
+        """Return the data of one level [B, T] as in `prepare`, not yet normalised.
 
         Args:
             level: the level.
             rollout: S sequences of T + 1 steps.
             features: [S, T + 1, N, F] the critics' view.
         """
-        c, head = self.config, self.heads[level]
-        of_level, stream = rollout.steps[level_key(level)], streams(rollout.steps)
+        c, critic = self.config, self.critics[level]
+        steps, stream = rollout.steps[level_key(level)], streams(rollout.steps)
         reward = rollout.steps["next", *level_key(level), "reward"][:, :-1]
-        data = self._level_data(level, rollout)
+        data = {key: steps[key][:, :-1] for key in ("action", "sample_log_prob")}
         if level == MACRO:
-            value = head.denormalise(head(features)).squeeze(-1)
-            decided = of_level["decision_mask"][:, :-1]
+            value = critic.denormalise(critic(features)).squeeze(-1)
+            decided = steps["decision_mask"][:, :-1]
             advantage, target, valued = macro_advantages(
                 stream, decided, reward, value, c.discount, c.gae_lambda
             )
             data |= {"decides": valued & decided, "valued": valued}
         else:
-            waypoint = [of_level["waypoint_features"]] if "waypoint_features" in data else []
-            value = head.denormalise(head(features, *waypoint)).squeeze(-1)
+            waypoint = [steps["waypoint_features"]] if MACRO in self.policy.levels else []
+            value = critic.denormalise(critic(features, *waypoint)).squeeze(-1)
             advantage, target = step_advantages(
                 stream, reward, value, c.local_discount, c.gae_lambda
             )
             data |= {"decides": stream.acts, "valued": stream.counts}
+            present = [key for key in LOCAL_KEYS if steps.get(key, None) is not None]
+            data |= {key: steps[key][:, :-1] for key in present}
+            limits = torch.tensor(action_limits(rollout.scenario), device=reward.device)
+            data["action_limits"] = limits.expand(*reward.shape, -1)
+            data["noise_correlation"] = torch.full_like(reward, rollout.correlation).unsqueeze(-1)
         data |= {"advantage": advantage.unsqueeze(-1), "value_target": target.unsqueeze(-1)}
         data["state_value"] = value[:, :-1].unsqueeze(-1)
-        return by_row(data)
+        by_row = {key: x.transpose(1, 2).flatten(0, 1) for key, x in data.items()}
+        return TensorDict(by_row, by_row["action"].shape[:2])
 
-    def _select(self, batches: list[dict[str, TensorDict]]) -> list[Tensor]:
-        """Return the steps [B, T] from which the policy learns.
+    def _normalise(self, level: str, data: list[TensorDict], statistics: Statistics) -> None:
+        """Normalise the advantages and values of a level, over all rollouts and processes.
+
+        The scale of the critic is updated once.
+        """
+        critic = self.critics[level]
+        advantage, target, value = (
+            all_gather_cat(torch.cat([part[key][part[mask]] for part in data]))
+            for key, mask in (
+                ("advantage", "decides"),
+                ("value_target", "valued"),
+                ("state_value", "valued"),
+            )
+        )
+        mean, std = advantage.new_zeros(()), advantage.new_ones(())
+        if len(advantage) > 1:  # in a short rollout the macro level may not decide at all
+            mean, std = advantage.mean(), advantage.std().clamp_min(1e-4)
+        if len(target) > 1:
+            unexplained = (target - value).var() / target.var().clamp_min(1e-8)
+            statistics[f"losses/{level}_explained_variance"].append(1.0 - float(unexplained))
+            critic.update(target)
+        for part in data:
+            part["advantage"] = (part["advantage"] - mean) / std
+            part["value_target"] = critic.normalise(part["value_target"])
+            part["state_value"] = critic.normalise(part["state_value"])
+
+    def _select(self, levels: list[dict[str, TensorDict]]) -> list[Tensor]:
+        """Return the steps [B, T] of each rollout from which the policy learns.
 
         They are those with the largest advantages, as most steps are as good as expected and carry
         no signal (Cusumano-Towner et al., Robust autonomy emerges from self-play, 2025), and those
         in which the shield corrected the policy.
         """
-        acts = super()._select(batches)
+        acts = [level_data[LOCAL]["decides"] for level_data in levels]
         selected = acts
         if self.config.advantage_filter_fraction < 1.0:
             sizes = []
-            for batch in batches:
-                of_levels = [
-                    data["advantage"].squeeze(-1).abs() * data["decides"] for data in batch.values()
+            for level_data in levels:
+                size = [
+                    data["advantage"].squeeze(-1).abs() * data["decides"]
+                    for data in level_data.values()
                 ]
-                sizes.append(torch.stack(of_levels).amax(0))
+                sizes.append(torch.stack(size).amax(0))
             pairs = zip(sizes, acts, strict=True)
             every = all_gather_cat(torch.cat([size[where] for size, where in pairs]))
             dropped = int((1.0 - self.config.advantage_filter_fraction) * len(every))
@@ -184,25 +350,56 @@ class PPO(OnPolicy):
             # Not `>=`: NaN must be selected, so that it stops the run.
             selected = [where & ~(size < least) for size, where in zip(sizes, acts, strict=True)]
         if self.uses_shield_targets:
-            local = [batch[LOCAL] for batch in batches]
-            corrected = [of_rollout["decides"] & of_rollout["unsafe"] for of_rollout in local]
+            corrected = [
+                where & data[LOCAL]["unsafe"] for where, data in zip(acts, levels, strict=True)
+            ]
             selected = [chosen | more for chosen, more in zip(selected, corrected, strict=True)]
         return selected
 
-    def _finish_epoch(self, divergence: list[float]) -> bool:
-        mean = sum(divergence) / max(len(divergence), 1)
-        return self.config.target_kl is not None and mean > self.config.target_kl
+    # Optimisation
 
-    def _loss(self, data: TrainingData, statistics: Statistics, divergence: list[float]) -> Tensor:
-        policy_loss = self._policy_loss(data, statistics, divergence)
-        return policy_loss + self._value_loss(data, statistics)
+    def _run_epochs(self, data: list[TrainingData], statistics: Statistics) -> None:
+        """Take all steps of the optimiser: whole sequences are shuffled into minibatches."""
+        c = self.config
+        for epoch in range(1, c.epochs + 1):
+            statistics["losses/epochs"] = [float(epoch)]  # the last one that was run
+            divergence: list[float] = []
+            minibatches = [part.minibatches(c.minibatches) for part in data]
+            for minibatch in zip(*minibatches, strict=True):
+                self.optimiser.zero_grad(set_to_none=True)
+                rows = sum(len(part.robot) for part in minibatch)
+                for part in minibatch:
+                    if len(part.robot) == 0:
+                        continue
+                    policy_loss = self._policy_loss(part, statistics, divergence)
+                    loss = policy_loss + self._value_loss(part, statistics)
+                    if loss.requires_grad:  # otherwise no sample counts
+                        (loss * (len(part.robot) / rows)).backward()
+                self._descend(statistics)
+            divergence = [value for values in all_gather_object(divergence) for value in values]
+            mean = sum(divergence) / max(len(divergence), 1)
+            if c.target_kl is not None and mean > c.target_kl:
+                break
+
+    def _descend(self, statistics: Statistics) -> None:
+        """Clip the gradients of policy and critics separately, and take a step."""
+        average_gradients([*self.policy.parameters(), *self.parameters()])
+        for name, module in (("actor", self.policy), ("critic", self)):
+            norm = nn.utils.clip_grad_norm_(module.parameters(), self.config.max_gradient_norm)
+            if not torch.isfinite(norm):
+                raise FloatingPointError(f"the gradient of the {name} is not finite")
+            statistics[f"losses/{name}_gradient_norm"].append(float(norm))
+        self.optimiser.step()
 
     def _policy_loss(
         self, data: TrainingData, statistics: Statistics, divergence: list[float]
     ) -> Tensor:
-        """Return the loss of all levels over the selected steps."""
+        """Return the loss of all levels over the selected steps (SAMARL, Eq. 9).
+
+        The KL divergences from the policy that collected are appended to `divergence`.
+        """
         total = torch.zeros((), device=self.policy.device)
-        steps, levels = selected_decisions(self.policy, data)
+        steps, levels = self._selected_decisions(data)
         for level, decisions in levels.items():
             if len(decisions) == 0:
                 continue
@@ -215,19 +412,63 @@ class PPO(OnPolicy):
             for key, name in STATISTICS.items():
                 statistics[f"losses/{level}_{name}"].append(float(terms[key].detach()))
             if level == LOCAL:
-                embedding, row = decisions["embedding"], decisions["row"]
-                mean, std = self.policy.distribution(LOCAL, embedding, row)
-                total = total + self._auxiliary_loss(mean, std, decisions, statistics)
+                total = total + self._auxiliary_loss(decisions, statistics)
+        return total
+
+    def _selected_decisions(self, data: TrainingData) -> tuple[int, dict[str, TensorDict]]:
+        """Encode the selected steps of a minibatch.
+
+        Returns:
+            The number P of selected steps, and each level's decisions in them [Q]: its data with
+            the inputs `embedding` and `row` of `StochasticPolicy.actor`.
+        """
+        row, step = data.selected.nonzero(as_tuple=True)
+        samples = {level: level_data[row, step] for level, level_data in data.levels.items()}  # [P]
+        index = {level: part["decides"].nonzero().squeeze(1) for level, part in samples.items()}
+        embeddings = self.policy.embed(
+            data.sequences,
+            row * (data.selected.shape[1] + 1) + step,  # sequences have one more step
+            samples[LOCAL].get("waypoint_features", None),
+            index,
+        )
+        decisions = {}
+        for level, embedding in embeddings.items():
+            decisions[level] = samples[level][index[level]]
+            decisions[level]["embedding"] = embedding
+            decisions[level]["row"] = row[index[level]]
+        return len(row), decisions
+
+    def _auxiliary_loss(self, decisions: TensorDict, statistics: Statistics) -> Tensor:
+        """Return the penalties on the local level's means [Q, A]: limits, shield and teacher."""
+        c = self.config
+        mean, std = self.policy.distribution(LOCAL, decisions["embedding"], decisions["row"])
+        total = mean.new_zeros(())
+        if c.action_limit_penalty > 0.0:
+            speed, limits = decisions["speed"], decisions["action_limits"]
+            beyond = excess(mean, std, speed, limits, c.action_limit_slack).mean()
+            total = total + c.action_limit_penalty * beyond
+            statistics["losses/action_limit_penalty"].append(float(beyond.detach()))
+        if self.uses_shield_targets:
+            unsafe = decisions["unsafe"]
+            error = (mean - decisions["safe_action"]).square().sum(-1)
+            wrong = (error * unsafe).mean()
+            total = total + c.shield_coefficient * wrong
+            statistics["losses/unsafe"].append(float(unsafe.float().mean()))
+            statistics["losses/shield_error"].append(float(wrong.detach()))
+        if self.teacher is not None:
+            error = (mean - decisions["teacher_action"]).square().sum(-1).mean()
+            total = total + self.teacher_weight * error
+            statistics["losses/teacher_error"].append(float(error.detach()))
         return total
 
     def _value_loss(self, data: TrainingData, statistics: Statistics) -> Tensor:
         """Return the value loss (Yu et al., 2022) over the policy's samples and waiting robots."""
         local = data.levels[LOCAL]
         row, step = (data.selected | (local["valued"] & ~local["decides"])).nonzero(as_tuple=True)
-        features = self.encoder(data.critic_frames.map(lambda x: x[row, step]))
+        features = self.critic_encoder(data.critic_frames.map(lambda x: x[row, step]))
         total = features.new_zeros(())
-        for level, of_level in data.levels.items():
-            samples = of_level[row, step]
+        for level, level_data in data.levels.items():
+            samples = level_data[row, step]
             samples["critic_features"] = features
             samples = samples[samples["valued"]]
             if len(samples) > 0:
@@ -235,3 +476,41 @@ class PPO(OnPolicy):
                 total = total + self.config.critic_coefficient * loss
                 statistics[f"losses/{level}_critic"].append(float(loss.detach()))
         return total
+
+
+@ALGORITHMS.register("mappo", PPOConfig)
+class MAPPO(PPO):
+    """The critic of a robot sees the true state of the team, relative to that robot."""
+
+    uses_global_state = True
+
+
+@dataclass
+class IPPOConfig(PPOConfig):
+    """Hyperparameters of independent PPO."""
+
+    team_reward: bool = setting(
+        False, kw_only=True, help="reward every robot when all have arrived, as in MAPPO"
+    )
+
+
+@ALGORITHMS.register("ippo", IPPOConfig)
+class IPPO(PPO):
+    """Every robot for itself, the paper's SAMARL-PPO (SAMARL, Sec. V).
+
+    The critic sees what its robot sees; rewards exclude the team bonus unless `team_reward`.
+    """
+
+    config: IPPOConfig
+    loss_class = IPPOLoss
+
+    def __init__(self, policy: Policy, config: IPPOConfig) -> None:
+        """See `PPO`."""
+        super().__init__(policy, config)
+        self.reward_shaping.team_bonus = config.team_reward
+
+    def _critic_sizes(self) -> FeatureSizes:
+        return self.policy.sizes
+
+    def _critic_frames(self, rollout: Rollout) -> Frames:
+        return rollout.frames.at(slice(self.policy.history, None))

@@ -150,9 +150,9 @@ class SoftActorCritic(Algorithm):
         """The weight of the entropy, alpha."""
         return self.log_temperature.detach().exp()
 
-    def set_progress(self, share: float) -> None:
+    def set_progress(self, progress: float) -> None:
         """Decay the learning rate linearly; the actor learns its own noise."""
-        self._set_learning_rate(share)
+        self._set_learning_rate(progress)
 
     def optimisers(self) -> dict[str, Any]:
         """See `Algorithm.optimisers`."""

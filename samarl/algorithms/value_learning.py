@@ -95,12 +95,12 @@ class ValueLearning(Algorithm):
         self.replay = self._empty_replay()
         self.set_progress(0.0)
 
-    def set_progress(self, share: float) -> None:
+    def set_progress(self, progress: float) -> None:
         """Let ORCA drive first, then decay epsilon linearly; the learning rate always decays."""
         c = self.config
-        self._set_learning_rate(share)
-        decayed = min(max(share - c.imitation, 0.0) / max(c.epsilon_share, 1e-6), 1.0)
-        self.policy.imitating = share < c.imitation
+        self._set_learning_rate(progress)
+        decayed = min(max(progress - c.imitation, 0.0) / max(c.epsilon_share, 1e-6), 1.0)
+        self.policy.imitating = progress < c.imitation
         self.policy.epsilon = c.epsilon_start + (c.epsilon_end - c.epsilon_start) * decayed
 
     def optimisers(self) -> dict[str, Any]:

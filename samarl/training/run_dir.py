@@ -21,7 +21,7 @@ from samarl.policies.checkpoint import attribute_errors_to, write_tensors
 
 STATE = "state.safetensors"
 LAST, BEST = "last.safetensors", "best.safetensors"  # policies
-FORMAT = 4  # of STATE
+FORMAT = 5  # of STATE
 
 
 class RunDir:

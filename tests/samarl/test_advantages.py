@@ -306,9 +306,9 @@ def test_who_arrives_early_is_paid_for_the_team_unless_everyone_is_for_himself(
     rewards = [float(r) for r in steps["next", "agents", "reward"][0, : end + 1, 0]]
     assert rewards[-1] == pytest.approx(share * scenario.reward.team)
     with torch.no_grad():  # all values are zero
-        for parameter in learner.heads[LOCAL].last.parameters():
+        for parameter in learner.critics[LOCAL].last.parameters():
             parameter.zero_()
     features = torch.zeros(1, 25, 2, learner.config.critic_features)
-    target = learner._level_batch(LOCAL, rollout, features)["value_target"]
+    target = learner._level_data(LOCAL, rollout, features)["value_target"]
     expected = sum(0.9**k * r for k, r in enumerate(rewards))
     assert target[0, 0, 0].item() == pytest.approx(expected, rel=1e-4)

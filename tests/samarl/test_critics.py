@@ -39,7 +39,7 @@ def test_the_scale_is_that_of_the_targets() -> None:
 
 def test_a_value_is_not_led_further_than_the_clip() -> None:
     learner = learning.algorithm(learning.policy("flat"), clip_epsilon=0.2)
-    head = learner.heads[LOCAL]
+    head = learner.critics[LOCAL]
     with torch.no_grad():
         head.last.weight.zero_()
         head.last.bias.fill_(1.5)

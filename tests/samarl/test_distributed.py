@@ -35,7 +35,6 @@ from samarl.training.trainer import Trainer
 from tests.commands import run_module
 from tests.learning import (
     PPO_NUMBERS,
-    REPPO_NUMBERS,
     SOFT_NUMBERS,
     VALUE_NUMBERS,
     algorithm,
@@ -167,7 +166,6 @@ LEARNERS: dict[str, tuple[str, str, dict[str, Any]]] = {
         "gru",
         FEW_EPOCHS,
     ),
-    "reppo": ("flat", "gru", REPPO_NUMBERS),
     "value_learning": ("lookahead", "pairwise", VALUE_NUMBERS),
     "soft_actor_critic": ("squashed", "gru", SOFT_NUMBERS),
 }
