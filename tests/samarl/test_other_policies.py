@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from torch import Tensor, nn
-from torch.nn.functional import linear
+from torch import nn
 
 import samarl
 from mrsan import ConfigurationError, Entities, Kinematics, Observation, Scenario
@@ -19,14 +18,12 @@ from mrsan.se2 import rotate_vectors, unrotate_vectors
 FOLDER = Path(__file__).parents[2] / "examples/other_policies"
 with pytest.MonkeyPatch.context() as patch:
     patch.syspath_prepend(str(FOLDER))
-    conformal, crowdnav, graph = map(import_module, ("conformal", "crowdnav", "crowdnav_plus_plus"))
+    crowdnav = import_module("crowdnav")
 
 ALONE = Scenario(robots=1, humans=3)
 NETWORKS = {
     "crowdnav_sarl": crowdnav.SARLNetwork,
     "crowdnav_cadrl": crowdnav.CADRLNetwork,
-    "crowdnav_plus_plus": lambda: graph.AttentionGraph(12, learns_deviation=True),
-    "sonic": lambda: graph.AttentionGraph(17, learns_deviation=False),
 }
 # Weights [out, in] of the linear layers of the published files; each has a bias [out] as well.
 LAYERS: dict[str, dict[str, tuple[int, int]]] = {
@@ -49,50 +46,13 @@ LAYERS: dict[str, dict[str, tuple[int, int]]] = {
         "value_network.4": (100, 100),
         "value_network.6": (1, 100),
     },
-    "crowdnav_plus_plus": {
-        "base.humanNodeRNN.encoder_linear": (64, 256),
-        "base.humanNodeRNN.edge_attention_embed": (64, 256),
-        "base.humanNodeRNN.output_linear": (256, 128),
-        "base.attn.temporal_edge_layer.0": (64, 256),
-        "base.attn.spatial_edge_layer.0": (64, 256),
-        "base.actor.0": (256, 256),
-        "base.actor.2": (256, 256),
-        "base.critic.0": (256, 256),
-        "base.critic.2": (256, 256),
-        "base.critic_linear": (1, 256),
-        "base.robot_linear.0": (256, 9),
-        "base.human_node_final_linear": (2, 256),
-        "base.spatial_attn.embedding_layer.0": (128, 12),
-        "base.spatial_attn.embedding_layer.2": (512, 128),
-        "base.spatial_attn.q_linear": (512, 512),
-        "base.spatial_attn.v_linear": (512, 512),
-        "base.spatial_attn.k_linear": (512, 512),
-        "base.spatial_attn.multihead_attn.out_proj": (512, 512),
-        "base.spatial_linear.0": (256, 512),
-        "dist.fc_mean": (2, 256),
-    },
-}
-OTHER_ENTRIES: dict[str, tuple[int, ...]] = {
-    "base.humanNodeRNN.gru.weight_ih_l0": (384, 128),
-    "base.humanNodeRNN.gru.weight_hh_l0": (384, 128),
-    "base.humanNodeRNN.gru.bias_ih_l0": (384,),
-    "base.humanNodeRNN.gru.bias_hh_l0": (384,),
-    "base.spatial_attn.multihead_attn.in_proj_weight": (1536, 512),
-    "base.spatial_attn.multihead_attn.in_proj_bias": (1536,),
-    "dist.logstd._bias": (2, 1),
 }
 
 
 def published_shapes(name: str) -> dict[str, tuple[int, ...]]:
-    layers = LAYERS["crowdnav_plus_plus" if name == "sonic" else name]
     shapes: dict[str, tuple[int, ...]] = {}
-    for layer, (outputs, inputs) in layers.items():
+    for layer, (outputs, inputs) in LAYERS[name].items():
         shapes |= {f"{layer}.weight": (outputs, inputs), f"{layer}.bias": (outputs,)}
-    if name in ("crowdnav_plus_plus", "sonic"):
-        shapes |= OTHER_ENTRIES
-    if name == "sonic":  # five more features of each person; its deviation is not learned
-        shapes["base.spatial_attn.embedding_layer.0.weight"] = (128, 17)
-        del shapes["dist.logstd._bias"]
     return shapes
 
 
@@ -243,99 +203,6 @@ def test_cadrl_counts_the_smallest_value() -> None:
     value = network.value_network(state).squeeze(-1)
     visible = value > value.min()  # everybody but the worst is seen
     torch.testing.assert_close(network(state, visible), value[visible].min())
-
-
-def test_robots_know_their_state_in_the_axes_of_the_map() -> None:
-    ego = torch.from_numpy(observe(2.0, [UNSEEN]).ego)[0]
-    expected = torch.tensor([[0.0, 0.5, 1.0, 2.0, 0.3, 1.0, 5.0, 1.0, math.pi / 2]])
-    torch.testing.assert_close(graph.robot_state(ego), expected)
-
-
-def test_people_are_sorted_and_predicted_at_constant_velocity(files: dict[str, str]) -> None:
-    """One 3 m, one 2 m and one 5.7 m away, which is a gap of 5.1 m; one is not seen."""
-    people = [[4, 2, 0, 0.4], [1, 4, -1, 0], [1, -3.7, 0, 0], UNSEEN]
-    observation = observe(0.7, people)
-    agent = load("crowdnav_plus_plus", files)
-    ego, others = torch.from_numpy(observation.ego)[0], crowdnav.others_of(observation)
-    detected = graph.in_sensor_range(ego, others)
-    assert detected.tolist() == [[True, True, False, False]]
-    edges = agent.edges(ego, others, detected)
-    assert edges.shape == (1, 20, 12)
-    nearer = torch.tensor([[-0.25 * k, 2.0] for k in range(6)]).flatten()
-    farther = torch.tensor([[3.0, 0.1 * k] for k in range(6)]).flatten()
-    torch.testing.assert_close(edges[0, :2], torch.stack([nearer, farther]), atol=1e-5, rtol=0)
-    assert (edges[0, 2:] == 15.0).all()
-
-
-@torch.no_grad()
-def test_the_attention_graph_agrees_with_a_plain_one_for_one_person(files: dict[str, str]) -> None:
-    """All attention is on the only person; nothing depends on the empty slots."""
-    network = NETWORKS["crowdnav_plus_plus"]()
-    weights = torch.load(files["crowdnav_plus_plus"], weights_only=True)
-    network.load_state_dict(weights)
-
-    def layer(name: str, inputs: Tensor) -> Tensor:
-        return linear(inputs, weights[f"{name}.weight"], weights[f"{name}.bias"])
-
-    robot, edges, hidden = torch.randn(1, 9), torch.full((1, 20, 12), 15.0), torch.randn(1, 128)
-    edges[0, 0] = torch.randn(12)
-    spatial = "base.spatial_attn"
-    embedded = layer(f"{spatial}.embedding_layer.0", edges[0, :1]).relu()
-    embedded = layer(f"{spatial}.embedding_layer.2", embedded).relu()
-    in_proj = (weights[f"{spatial}.multihead_attn.in_proj_{part}"] for part in ("weight", "bias"))
-    value = linear(layer(f"{spatial}.v_linear", embedded), *(w[1024:] for w in in_proj))
-    person = layer(f"{spatial}.multihead_attn.out_proj", value)
-    person = layer("base.spatial_linear.0", person).relu()
-    own = layer("base.robot_linear.0", robot).relu()
-    node = "base.humanNodeRNN"
-    inputs = [layer(f"{node}.encoder_linear", own), layer(f"{node}.edge_attention_embed", person)]
-    cell = nn.GRUCell(128, 128)
-    cell.load_state_dict({k: weights[f"{node}.gru.{k}_l0"] for k in cell.state_dict()})
-    after = cell(torch.cat(inputs, -1).relu(), hidden)
-    action = layer(f"{node}.output_linear", after)
-    for k in (0, 2):
-        action = layer(f"base.actor.{k}", action).tanh()
-    expected = layer("dist.fc_mean", action)
-    mean, next_hidden = network(robot, edges, torch.tensor([1]), hidden)
-    torch.testing.assert_close(next_hidden, after)
-    torch.testing.assert_close(mean, expected)
-
-
-@torch.no_grad()
-@pytest.mark.parametrize("name", ["crowdnav_plus_plus", "sonic"])
-def test_memory_ends_with_the_episode(name: str, files: dict[str, str]) -> None:
-    """Two worlds with the same observations; one is reset before the third step."""
-    agent = load(name, files)
-    scenes = []
-    for t in range(2):
-        people = [[1.5, 3.0 + t, 0, -1], [1.0 + t, 3.0, 0.4, 0], UNSEEN]
-        scenes.append(observe(0.5, people).of_worlds(np.array([0, 0])))
-    agent.reset(np.array([True, True]))
-    first = agent.velocity(scenes[0])
-    torch.testing.assert_close(first[0], first[1])
-    agent.velocity(scenes[1])
-    agent.reset(np.array([False, True]))
-    third = agent.velocity(scenes[0])
-    torch.testing.assert_close(third[1], first[1])
-    assert (third[0] - first[0]).abs().max() > 1e-4
-
-
-def test_conformal_quantiles_follow_the_errors() -> None:
-    """The first prediction errs by 0.3 m: the quantile of 0.1 m rises by 0.9 of each rate."""
-    quantiles = conformal.ErrorQuantiles(robots=1, people=2, steps=2)
-    visible = torch.tensor([[True, False]])
-    predicted = torch.zeros(1, 2, 3, 2)  # stands still
-    first = quantiles.update(predicted, visible)
-    torch.testing.assert_close(first, torch.tensor([[[0.1, 0.2], [0.0, 0.0]]]))
-    moved = predicted + torch.tensor([0.3, 0.0])
-    second = quantiles.update(moved, visible)
-    rise = 0.9 * (0.05 + 0.1 + 0.2) / 3
-    torch.testing.assert_close(second[0, 0], torch.tensor([0.1 + rise, 0.2]))
-    third = quantiles.update(moved, visible)  # no error after one step, 0.3 m after two
-    assert third[0, 0, 0] < second[0, 0, 0]
-    torch.testing.assert_close(third[0, 0, 1].item(), 0.2 + rise)
-    quantiles.reset(torch.tensor([True]))
-    torch.testing.assert_close(quantiles.update(moved, visible), first)
 
 
 class Exploit:
