@@ -18,6 +18,7 @@ COMMANDS = {
     "predictor": "train and evaluate a predictor of people",
     "export": "export a policy as an ONNX file that runs without torch",
     "recording": "summarise, check, draw and convert a recording of people",
+    "map": "show what is understood of a map file",
 }
 
 
@@ -30,7 +31,7 @@ def run(command: str) -> None:
         sys.exit(130)
 
 
-evaluate, bench, render, record, train, report, predictor, export, recording = (
+evaluate, bench, render, record, train, report, predictor, export, recording, map = (
     partial(run, command) for command in COMMANDS
 )
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numba
 import numpy as np
+from numpy.typing import NDArray
 
 from mrsan.fields import ConfigurationError
 from mrsan.kernels.layout import MAP
@@ -53,7 +54,7 @@ _NONE = FixedMap(
 
 
 def fixed_map(map_file: str | None, clearance: float) -> FixedMap:
-    """Return the walls of the map file of a scenario; empty arrays without one.
+    """Return the walls of the map file of a scenario about its centre; empty arrays without one.
 
     Args:
         map_file: `Scenario.map`.
@@ -62,8 +63,31 @@ def fixed_map(map_file: str | None, clearance: float) -> FixedMap:
     Raises:
         ConfigurationError: the file cannot be used.
     """
-    if map_file is None:
-        return _NONE
+    return _NONE if map_file is None else _from_file(map_file, clearance)[0]
+
+
+def map_centre(map_file: str | None) -> tuple[float, float]:
+    """Return the point of the file's coordinates that is the origin of the world, m.
+
+    It is the middle of the map in whole metres: coordinates far from their own origin, such as
+    those of surveyed sites, would lose centimetres in float32.
+
+    Args:
+        map_file: `Scenario.map`; without one (0, 0).
+
+    Raises:
+        ConfigurationError: the file cannot be used.
+    """
+    return (0.0, 0.0) if map_file is None else _from_file(map_file, 0.0)[1]
+
+
+def centre_of(polygons: Sequence[Polygon]) -> NDArray[np.float64]:
+    """Return the middle of polygons [2] in whole metres, m."""
+    points = np.concatenate(polygons)
+    return np.rint((points.min(0) + points.max(0)) / 2)
+
+
+def _from_file(map_file: str, clearance: float) -> tuple[FixedMap, tuple[float, float]]:
     path = Path(map_file)
     try:
         changed = path.stat().st_mtime_ns
@@ -73,14 +97,16 @@ def fixed_map(map_file: str | None, clearance: float) -> FixedMap:
 
 
 @lru_cache(maxsize=16)
-def _load(path: str, changed: int, clearance: float) -> FixedMap:
+def _load(path: str, changed: int, clearance: float) -> tuple[FixedMap, tuple[float, float]]:
     from mrsan.maps import MapError, load_map  # here because only maps from files need it
 
     try:
         polygons = load_map(path)
     except MapError as error:
         raise ConfigurationError(f"scenario.map: {error}") from None
-    return map_of_polygons(polygons, clearance)
+    centre = centre_of(polygons)
+    local = map_of_polygons([polygon - centre for polygon in polygons], clearance)
+    return local, (float(centre[0]), float(centre[1]))
 
 
 def map_of_polygons(polygons: Sequence[Polygon], clearance: float) -> FixedMap:
@@ -141,8 +167,9 @@ def _first_corner(place, start, goal, cost):  # type: ignore[no-untyped-def]
 
 
 def _is_clockwise(polygon: Polygon) -> bool:
-    x, y = polygon.T
-    return len(polygon) > 2 and float((x * np.roll(y, -1) - np.roll(x, -1) * y).sum()) < 0.0
+    from mrsan.maps.polygons import signed_area
+
+    return len(polygon) > 2 and signed_area(polygon) < 0.0
 
 
 @numba.njit(cache=True, error_model="numpy")

@@ -29,7 +29,7 @@ from mrsan.fields import (
     number,
     setting,
 )
-from mrsan.fixed_map import FixedMap, fixed_map
+from mrsan.fixed_map import FixedMap, fixed_map, map_centre
 from mrsan.groups import Groups, check_groups
 from mrsan.place import Place, check_place, half_size, largest_place
 from mrsan.reactions import Reactions, check_reactions
@@ -353,8 +353,13 @@ class Scenario:
 
     @property
     def fixed_map(self) -> FixedMap:
-        """Return the walls of the map file; empty arrays without one."""
+        """Return the walls of the map file about `map_centre`; empty arrays without one."""
         return fixed_map(self.map, self.route_clearance)
+
+    @property
+    def map_centre(self) -> tuple[float, float]:
+        """Return where the world's origin lies in the coordinates of the map file, m."""
+        return map_centre(self.map)
 
     @property
     def most_walls(self) -> int:
@@ -452,7 +457,7 @@ class Scenario:
 
     @property
     def centre(self) -> tuple[float, float]:
-        """The middle of the place, m: the origin, except on a map."""
+        """The middle of the place, m: the origin, or less than a metre from it on a map."""
         if self.layout is not Layout.map:
             return 0.0, 0.0
         left, bottom, right, top = map(float, self.fixed_map.zone)

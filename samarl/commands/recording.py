@@ -3,21 +3,16 @@
 from __future__ import annotations
 
 import argparse
-import io
-import os
-import sys
 from pathlib import Path
-from typing import NoReturn
 
 import numpy as np
 
-import samarl
-from mrsan import ConfigurationError, Crowd, Scenario
+from mrsan import Crowd, Scenario
 from mrsan.recording import People, RecordingError, Summary, find_problem, read_people, summarize
 from mrsan.recording.rows import FRAME_SECONDS, MAX_GAP
-from samarl.files import check_writable, write_text
+from samarl.commands.console import PICTURES, FileParser, check_output, run, table
+from samarl.files import write_text
 
-_PICTURES = (".png", ".svg", ".pdf")
 _DECIMALS = 6  # of positions in the output, m
 _OPTIONS = {  # options of this command for the settings in messages
     "scenario.frame_seconds": "--frame-seconds",
@@ -26,45 +21,19 @@ _OPTIONS = {  # options of this command for the settings in messages
 }
 
 
-class _Parser(argparse.ArgumentParser):
-    """Reports errors in one line, like the other commands."""
-
-    def error(self, message: str) -> NoReturn:
-        _fail(message)
-
-
 def main() -> None:
     """Entry point."""
-    for stream in (sys.stdout, sys.stderr):  # some terminals support ASCII only
-        if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="backslashreplace")
-    arguments = _parser().parse_args()
-    try:
-        _describe(arguments)
-        sys.stdout.flush()
-    except (ConfigurationError, RecordingError) as error:
-        _fail(str(error))
-    except BrokenPipeError:  # the reader of the output, such as `head`, has closed it
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        sys.exit(1)
+    run(_parser(), _describe, _OPTIONS)
 
 
-def _fail(message: str) -> NoReturn:
-    for setting, option in _OPTIONS.items():
-        message = message.replace(setting, option)
-    print(f"error: {' '.join(message.split())}", file=sys.stderr)
-    sys.exit(2)
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = _Parser(
-        prog="samarl-recording",
-        description="Summarise a recording of people and check whether it is plausible; draw and "
-        "convert it. --frame-seconds and --scale correspond to scenario.frame_seconds and "
+def _parser() -> FileParser:
+    parser = FileParser(
+        "samarl-recording",
+        "Summarise a recording of people and check whether it is plausible; draw and convert it. "
+        "--frame-seconds and --scale correspond to scenario.frame_seconds and "
         "scenario.recording_scale of the other commands.",
-        allow_abbrev=False,
+        "a recording of people",
     )
-    parser.add_argument("file", metavar="FILE", type=Path, help="a recording of people")
     parser.add_argument(
         "--frame-seconds",
         type=float,
@@ -78,7 +47,7 @@ def _parser() -> argparse.ArgumentParser:
         help="metres per unit of the positions (default: as stated in the file, or 1)",
     )
     parser.add_argument(
-        "--figure", type=Path, metavar="PICTURE", help=f"draw the tracks ({', '.join(_PICTURES)})"
+        "--figure", type=Path, metavar="PICTURE", help=f"draw the tracks ({', '.join(PICTURES)})"
     )
     parser.add_argument(
         "--output",
@@ -88,7 +57,6 @@ def _parser() -> argparse.ArgumentParser:
         "header if it ends in .csv",
     )
     parser.add_argument("--no-check", action="store_true", help="accept an implausible recording")
-    parser.add_argument("--version", action="version", version=f"samarl {samarl.__version__}")
     return parser
 
 
@@ -104,7 +72,7 @@ def _describe(arguments: argparse.Namespace) -> None:
     people = read_people(path, arguments.frame_seconds, arguments.scale)
     summary = summarize(people)
     problem = find_problem(people, summary)
-    print("\n".join(_lines(arguments, people, summary, problem)))
+    print(table(_rows(arguments, people, summary, problem)))
     if arguments.figure is not None:
         from samarl.report.tracks import save_tracks  # imports matplotlib, which takes a second
 
@@ -126,28 +94,17 @@ def _check_options(arguments: argparse.Namespace) -> None:
         frame_seconds=arguments.frame_seconds,
         recording_scale=arguments.scale,
     )
-    figure, output = arguments.figure, arguments.output
-    if figure is not None and figure.suffix not in _PICTURES:
-        raise ConfigurationError(
-            f"--figure is {str(figure)!r}; it must end in {', '.join(_PICTURES)}"
-        )
-    for name, path in (("--figure", figure), ("--output", output)):
-        if path is None:
-            continue
-        if path.exists() and path.samefile(arguments.file):
-            raise ConfigurationError(
-                f"{name} is {str(path)!r}, which is the recording; it must be another file"
-            )
-        check_writable(path, name)
+    check_output("--figure", arguments.figure, arguments.file, pictures=True)
+    check_output("--output", arguments.output, arguments.file)
 
 
-def _lines(
+def _rows(
     arguments: argparse.Namespace, people: People, summary: Summary, problem: str | None
-) -> list[str]:
-    """Return the lines of the summary, one per quantity."""
+) -> list[tuple[str, str]]:
+    """Return the name and the value of each quantity."""
     rows, s = people.rows, summary
     gaps = f", since a gap of more than {MAX_GAP:g} s starts another" if s.tracks > s.people else ""
-    table = [
+    return [
         ("format", rows.format),
         ("people", f"{s.people}, at most {s.people_at_once} at once"),
         ("tracks", f"{s.tracks}{gaps}"),
@@ -169,7 +126,6 @@ def _lines(
         *(("note", note) for note in rows.notes),
         ("verdict", "implausible" if problem else "plausible"),
     ]
-    return [f"{name:<12} {value}" for name, value in table]
 
 
 def _origin(option: float | None, stated: float | None) -> str:

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 
 import numpy as np
 
-from samarl.evaluation.trajectory import Trajectory
+from samarl.evaluation.trajectory import Trajectory, in_map_frame
 
 _DECIMALS = 6  # of positions, m
 
@@ -52,6 +52,7 @@ def _tracks(trajectory: Trajectory, first_frame: int, first_agent: int) -> Itera
     """Yield where the people who are present and then the robots are in every frame."""
     people = trajectory.human_present.shape[1]
     positions = np.concatenate([trajectory.human_position, trajectory.robot_position], axis=1)
+    positions = in_map_frame(positions, trajectory.scenario)
     present = np.pad(
         trajectory.human_present, ((0, 0), (0, trajectory.driving.shape[1])), constant_values=True
     )

@@ -3,27 +3,60 @@
 from __future__ import annotations
 
 import json
+import math
+import warnings
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import yaml
 
 from mrsan.kernels.walls import MOST_SEGMENTS
 from mrsan.maps.polygons import MapError, Polygon, check_inside, closed_polygon, thin_walls
-from mrsan.maps.ros import load_ros_map
+from mrsan.maps.ros import RosMap, read_ros_map, trace_ros_map
+from mrsan.maps.values import UniqueKeyLoader, number_of, unique_keys
 
 _KEYS = ("bounds", "obstacles", "walls", "scale")
+_FORMATS = (
+    "a map is YAML with bounds, obstacles and walls, GeoJSON (.json, .geojson), or the YAML file "
+    "of a map of ROS (with image)"
+)
+_MOST_BYTES = 20_000_000  # of a map file without its image
+_SMALLEST = 1.0  # m, side of a map in which a robot could move
+_DEGREES = ("CRS84", "4326")  # coordinate systems of longitudes and latitudes
+
+
+class MapFile(NamedTuple):
+    """What a map file says."""
+
+    polygons: list[Polygon]  # the bounds first, in the coordinates of the file, m
+    format: str
+    notes: tuple[str, ...]  # oddities that are not errors
+    ros: RosMap | None  # the occupancy grid from which the polygons were traced
 
 
 def load_map(path: str | Path) -> list[Polygon]:
-    """Return the polygons of a map file, the bounds first.
+    """Return the polygons of a map file, the bounds first; see `read_map`.
+
+    Oddities of the file are reported as warnings.
+
+    Raises:
+        MapError: names the file, the polygon and what is wrong.
+    """
+    file = read_map(path)
+    for note in file.notes:
+        warnings.warn(f"{path}: {note}", stacklevel=2)
+    return file.polygons
+
+
+def read_map(path: str | Path) -> MapFile:
+    """Return what a map file says.
 
     A YAML file has the keys `bounds` (the outline of the floor), `obstacles` (polygons), `walls`
     (polylines) and `scale` (metres per unit); each is optional. GeoJSON has polygons (obstacles),
     lines (walls), and at most one polygon with the property `kind: bounds`, whose holes are
-    obstacles; its coordinates are metres. A YAML file with the key `image` is a map of ROS; its
-    occupied and unknown cells are obstacles.
+    obstacles; its coordinates are metres, and heights are ignored. A YAML file with the key `image`
+    is a map of ROS; its occupied and unknown cells are obstacles.
 
     Raises:
         MapError: names the file, the polygon and what is wrong.
@@ -31,32 +64,62 @@ def load_map(path: str | Path) -> list[Polygon]:
     path = Path(path)
     try:
         content = _content(path)
+        ros: RosMap | None = None
+        notes: tuple[str, ...] = ()
         if isinstance(content, dict) and "image" in content:
-            polygons = load_ros_map(content, path.parent, MOST_SEGMENTS)
-        elif path.suffix in (".json", ".geojson"):
-            polygons = _of_parts(_geojson_parts(content))
+            ros = read_ros_map(content, path.parent)
+            polygons, kind, notes = trace_ros_map(ros), "map of ROS", ros.notes
+        elif _is_json(path):
+            parts = _geojson_parts(content)
+            _check_metres(content, parts)
+            polygons, kind = _of_parts(parts), "GeoJSON"
         else:
-            polygons = _of_parts(_yaml_parts(content))
+            polygons, kind = _of_parts(_yaml_parts(content)), "YAML"
         _check_number(polygons)
     except MapError as error:
         raise MapError(f"{path}: {error}") from None
-    return polygons
+    return MapFile(polygons, kind, notes, ros)
+
+
+def _is_json(path: Path) -> bool:
+    return path.suffix.lower() in (".json", ".geojson")
 
 
 def _content(path: Path) -> Any:
     try:
-        text = path.read_text()
-        return json.loads(text) if path.suffix in (".json", ".geojson") else yaml.safe_load(text)
+        if path.stat().st_size > _MOST_BYTES:
+            raise MapError(f"has more than {_MOST_BYTES:,} bytes; {_FORMATS}")
+        text = path.read_text(encoding="utf-8-sig")
+        if _is_json(path):
+            return json.loads(text, object_pairs_hook=unique_keys)
+        return yaml.load(text, UniqueKeyLoader)
     except OSError as error:
         raise MapError(f"cannot be read ({error.strerror})") from None
-    except (UnicodeDecodeError, json.JSONDecodeError, yaml.YAMLError) as error:
+    except (ValueError, yaml.YAMLError, RecursionError) as error:
+        if isinstance(error, MapError):
+            raise
         line = getattr(getattr(error, "problem_mark", None), "line", None)
         where = f" in line {line + 1}" if line is not None else ""
         reason = getattr(error, "problem", None) or getattr(error, "msg", None) or "not text"
-        raise MapError(f"is not valid{where}: {reason}") from None
+        raise MapError(f"is not valid{where} ({reason}); {_FORMATS}") from None
 
 
 Parts = dict[str, dict[str, Any]]  # kind -> name of the polygon -> its points
+
+
+def _check_metres(content: Any, parts: Parts) -> None:
+    """Check that the coordinates of GeoJSON are metres, not longitudes and latitudes."""
+    system = str(content.get("crs")) if isinstance(content, dict) else ""
+    listed = [points for polygons in parts.values() for points in polygons.values()]
+    try:
+        side = float(np.ptp(np.concatenate(listed).astype(np.float64), axis=0).max())
+    except (TypeError, ValueError):
+        side = math.inf  # the message about them comes with the check of each polygon
+    if side < _SMALLEST or any(name in system for name in _DEGREES):
+        raise MapError(
+            "has coordinates in degrees (longitude and latitude); they must be metres: project "
+            "them first, for example to UTM"
+        )
 
 
 def _of_parts(parts: Parts) -> list[Polygon]:
@@ -73,13 +136,13 @@ def _of_parts(parts: Parts) -> list[Polygon]:
 
 def _yaml_parts(content: Any) -> Parts:
     if not isinstance(content, dict):
-        raise MapError(f"must have the keys {', '.join(_KEYS)}")
+        raise MapError(f"is not a map; {_FORMATS}")
     for key in content:
         if key not in _KEYS:
-            raise MapError(f"has the key {key!r}; it must be one of {', '.join(_KEYS)}")
-    scale = content.get("scale", 1.0)
-    if isinstance(scale, bool) or not isinstance(scale, int | float) or not 0 < scale < 1e6:
-        raise MapError(f"scale is {scale!r}; it must be a positive number")
+            raise MapError(f"has the key {key!r:.60}; {_FORMATS}")
+    scale = number_of(content.get("scale", 1.0), "scale", "a positive number")
+    if not 0 < scale < 1e6:
+        raise MapError(f"scale is {content['scale']!r}; it must be a positive number")
 
     def scaled(points: Any) -> Any:
         try:
@@ -111,6 +174,8 @@ def _geojson_parts(content: Any) -> Parts:
         if not isinstance(feature, dict):
             raise MapError(f"{name} is {feature!r:.60}; it must be a feature")
         geometry = feature.get("geometry") if feature.get("type") == "Feature" else feature
+        if geometry is None:  # a feature without a place (RFC 7946, 3.2)
+            continue
         properties = feature.get("properties") or {}
         is_bounds = isinstance(properties, dict) and properties.get("kind") == "bounds"
         _add_geometry(parts, geometry, name, is_bounds)
@@ -123,7 +188,11 @@ def _add_geometry(parts: Parts, geometry: Any, name: str, is_bounds: bool) -> No
     """Add the polygons or lines of one feature."""
     if not isinstance(geometry, dict):
         raise MapError(f"{name} has no geometry")
-    kind, coordinates = geometry.get("type"), geometry.get("coordinates")
+    kind, coordinates = geometry.get("type"), _without_heights(geometry.get("coordinates"))
+    if kind == "GeometryCollection" and isinstance(geometry.get("geometries"), list):
+        for k, part in enumerate(geometry["geometries"]):
+            _add_geometry(parts, part, f"{name}.{k}", is_bounds)
+        return
     if not isinstance(coordinates, list):
         raise MapError(f"{name} has no coordinates")
     if kind in ("LineString", "MultiLineString"):
@@ -150,6 +219,15 @@ def _add_geometry(parts: Parts, geometry: Any, name: str, is_bounds: bool) -> No
         raise MapError(
             f"{name} is a {kind}; it must be a Polygon, a LineString or a Multi- of them"
         )
+
+
+def _without_heights(coordinates: Any) -> Any:
+    """Return nested lists of positions without what follows longitude and latitude."""
+    if not isinstance(coordinates, list) or not coordinates:
+        return coordinates
+    if any(isinstance(part, list) for part in coordinates):
+        return [_without_heights(part) for part in coordinates]
+    return coordinates[:2]
 
 
 def _check_closed(ring: Any, name: str) -> None:

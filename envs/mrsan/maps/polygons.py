@@ -96,7 +96,7 @@ def check_inside(polygons: dict[str, list[Polygon]], bounds: Polygon) -> None:
 
 def signed_area(points: Polygon) -> float:
     """Return the area of a polygon, m^2; negative if it is clockwise."""
-    x, y = points.T
+    x, y = (points - points[0]).T  # far from the origin the products would lose digits
     return float((x * np.roll(y, -1) - np.roll(x, -1) * y).sum() / 2)
 
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+import warnings
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,25 +13,88 @@ from PIL import Image, UnidentifiedImageError
 
 from mrsan.kernels.walls import MOST_SEGMENTS
 from mrsan.maps.polygons import MapError, Polygon, signed_area
+from mrsan.maps.values import number_of, switch_of
+
+MOST_CELLS = 64_000_000  # 400 m x 400 m at 0.05 m
+KEYS = ("image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh", "mode")
 
 _COARSEST = 0.2  # m, largest deviation of the simplified outline
+_MODES = ("trinary", "scale", "raw")
+# Shades of unknown cells in the images that map savers write (nav2 and SLAM Toolbox, Cartographer).
+# With a high `free_thresh` they would count as free.
+_UNKNOWN_SHADES = (205, 127, 128)
 
 
-def load_ros_map(content: dict[str, Any], folder: Path, most: int) -> list[Polygon]:
-    """Return the outline of the largest free area of a grid, clockwise, and of its obstacles.
+class Grid(NamedTuple):
+    """Cells of a map [rows, columns], the top row first. The others are unknown."""
+
+    free: NDArray[np.bool_]
+    occupied: NDArray[np.bool_]
+
+
+class RosMap(NamedTuple):
+    """What the file of an occupancy grid says."""
+
+    grid: Grid
+    resolution: float  # size of a cell, m
+    origin: tuple[float, float, float]  # pose of the lower left corner: x and y, m, and yaw, rad
+    notes: tuple[str, ...]  # oddities that are not errors
+
+
+def read_ros_map(content: dict[Any, Any], folder: Path) -> RosMap:
+    """Return the cells and the geometry of an occupancy grid.
+
+    The keys are those of the map servers of ROS and ROS 2 (`nav2_map_server`). Cells that are
+    transparent, or have the shade that map savers give to unexplored ones, are unknown.
+
+    Args:
+        content: of the YAML file.
+        folder: where the image is.
+
+    Raises:
+        MapError: a key is unknown, missing or wrong, or the image cannot be read.
+    """
+    for key in content:
+        if key not in KEYS:
+            raise MapError(f"has the key {key!r:.60}; a map of ROS has only {', '.join(KEYS)}")
+    must = "a positive number of metres"
+    resolution = number_of(content.get("resolution"), "resolution", must)
+    if resolution <= 0:
+        raise MapError(f"resolution is {content['resolution']!r}; it must be {must}")
+    origin, notes = _origin(content.get("origin"))
+    free_below = _threshold(content, "free_thresh", 0.196)
+    occupied_above = _threshold(content, "occupied_thresh", 0.65)
+    if free_below > occupied_above:
+        raise MapError(
+            f"free_thresh is {free_below:g}; it must not exceed occupied_thresh "
+            f"({occupied_above:g})"
+        )
+    mode = str(content.get("mode", "trinary")).strip().lower()
+    if mode not in _MODES:
+        raise MapError(f"mode is {content['mode']!r:.60}; it must be one of {', '.join(_MODES)}")
+    negate = switch_of(content.get("negate", 0), "negate")
+    shade, opaque = _read_image(content["image"], folder)
+    known = opaque
+    if mode == "raw":  # the shade is the occupancy in %; more than 100: unknown
+        occupancy = np.rint(shade * 255.0) / 100.0
+        known = known & (occupancy <= 1.0)
+    else:
+        occupancy = shade if negate else 1.0 - shade
+    if mode == "trinary" and not negate:
+        known = known & ~np.isin(np.rint(shade * 255.0), _UNKNOWN_SHADES)
+    grid = Grid(known & (occupancy < free_below), known & (occupancy > occupied_above))
+    return RosMap(grid, resolution, origin, notes)
+
+
+def trace_ros_map(ros_map: RosMap, most: int = MOST_SEGMENTS) -> list[Polygon]:
+    """Return the outline of the largest free area, clockwise, and of its obstacles.
 
     Occupied and unknown cells are obstacles.
 
-    Args:
-        content: of the YAML file, with the keys of ROS's map server.
-        folder: where the image is.
-        most: largest number of segments.
-
     Raises:
-        MapError: a key is missing or wrong, or the map has too many details.
+        MapError: no cell is free, or the map has too many details.
     """
-    resolution, origin = _geometry(content)
-    return trace_free_area(_free_cells(content, folder), resolution, origin, most)
+    return trace_free_area(ros_map.grid.free, ros_map.resolution, ros_map.origin, most)
 
 
 def trace_free_area(
@@ -76,35 +140,65 @@ def trace_free_area(
     )
 
 
-def _geometry(content: dict[str, Any]) -> tuple[float, tuple[float, float, float]]:
-    """Return the size of a cell and the pose of the lower left corner."""
-    resolution = content.get("resolution")
-    if isinstance(resolution, bool) or not isinstance(resolution, int | float) or resolution <= 0:
-        raise MapError(f"resolution is {resolution!r}; it must be a positive number of metres")
-    origin = content.get("origin")
-    try:
-        x, y, yaw = (float(value) for value in origin)  # type: ignore[union-attr]
-    except (TypeError, ValueError):
-        raise MapError(f"origin is {origin!r}; it must be [x, y, yaw]") from None
-    if not all(map(math.isfinite, (x, y, yaw))):
-        raise MapError(f"origin is {origin!r}; it must be finite")
-    return float(resolution), (x, y, yaw)
+def _origin(value: Any) -> tuple[tuple[float, float, float], tuple[str, ...]]:
+    """Return the pose of the lower left corner, and a note if its yaw looks like degrees."""
+    must = "three numbers [x, y, yaw] in metres and radians"
+    if not isinstance(value, list | tuple) or len(value) != 3:
+        raise MapError(f"origin is {value!r:.60}; it must be {must}")
+    x, y, yaw = (number_of(part, "origin", must) for part in value)
+    notes: tuple[str, ...] = ()
+    if abs(yaw) > 2 * math.pi:
+        notes = (f"the yaw of origin is {yaw:g} rad, more than a full turn; is it in degrees?",)
+    return (x, y, yaw), notes
 
 
-def _free_cells(content: dict[str, Any], folder: Path) -> NDArray[np.bool_]:
-    """Return which cells are free, the top row first."""
-    path = folder / str(content["image"])
+def _threshold(content: dict[Any, Any], name: str, usual: float) -> float:
+    value = number_of(content.get(name, usual), name, "a number in [0, 1]")
+    if not 0.0 <= value <= 1.0:
+        raise MapError(f"{name} is {content[name]!r}; it must be a number in [0, 1]")
+    return value
+
+
+def _read_image(name: Any, folder: Path) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Return the shades of the cells in [0, 1], and which of them are opaque."""
+    if not isinstance(name, str) or not name:
+        raise MapError(f"image is {name!r:.60}; it must be the path of a picture")
+    path = folder / name
     try:
-        with Image.open(path) as image:
-            grey = np.asarray(image.convert("L"), np.float64) / 255.0
-    except (OSError, UnidentifiedImageError) as error:
-        reason = getattr(error, "strerror", None) or "not an image"
-        raise MapError(f"image {path} cannot be read ({reason})") from None
-    threshold = content.get("free_thresh", 0.196)
-    if isinstance(threshold, bool) or not isinstance(threshold, int | float):
-        raise MapError(f"free_thresh is {threshold!r}; it must be a number")
-    occupancy = grey if content.get("negate") else 1.0 - grey
-    return np.asarray(occupancy < threshold)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)
+            image = Image.open(path)
+        with image:
+            columns, rows = image.size
+            if columns * rows > MOST_CELLS:
+                raise MapError(
+                    f"image {path} has {columns} x {rows} cells; it must have at most "
+                    f"{MOST_CELLS:,}"
+                )
+            return _shades(image)
+    except MapError:
+        raise
+    except FileNotFoundError as error:
+        raise MapError(f"image {path} cannot be read ({error.strerror})") from None
+    except UnidentifiedImageError:
+        raise MapError(f"image {path} is not a picture; it must be PGM, PNG or BMP") from None
+    except Image.DecompressionBombError:
+        raise MapError(
+            f"image {path} has too many cells; it must have at most {MOST_CELLS:,}"
+        ) from None
+    except (OSError, ValueError, SyntaxError, EOFError, MemoryError) as error:
+        reason = getattr(error, "strerror", None) or str(error) or "it ends too early"
+        raise MapError(f"image {path} cannot be read ({reason:.80})") from None
+
+
+def _shades(image: Image.Image) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    if image.mode.startswith(("I", "F")):  # 16 bits per cell, or floating-point numbers
+        shade = np.asarray(image, np.float64)
+        if image.mode == "F" or shade.min() < 0 or shade.max() > 65535:
+            raise ValueError("its shades are not integers of 8 or 16 bits")
+        return shade / 65535.0, np.ones(shade.shape, np.bool_)
+    pixels = np.asarray(image.convert("RGBA"), np.float64) / 255.0
+    return pixels[..., :3].mean(-1), pixels[..., 3] == 1.0
 
 
 def _in_metres(

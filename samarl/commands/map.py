@@ -1,0 +1,77 @@
+"""`samarl-map`: show what the simulator understands of a map file."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+
+from mrsan.fixed_map import centre_of
+from mrsan.maps import MOST_SEGMENTS, MapFile, read_map
+from mrsan.maps.polygons import signed_area
+from samarl.commands.console import PICTURES, FileParser, check_output, run, table
+
+
+def main() -> None:
+    """Entry point."""
+    parser = FileParser(
+        "samarl-map",
+        "Show what is understood of a map file: its floor, walls and cells. It is used with "
+        "scenario.layout=map scenario.map=FILE.",
+        "YAML or GeoJSON, or the YAML file of a map of ROS",
+    )
+    parser.add_argument(
+        "--figure", type=Path, metavar="PICTURE", help=f"draw the map ({', '.join(PICTURES)})"
+    )
+    run(parser, _describe)
+
+
+def _describe(arguments: argparse.Namespace) -> None:
+    """Print what was understood, then draw the map.
+
+    Raises:
+        ValueError: an option or the file cannot be used.
+    """
+    path: Path = arguments.file
+    check_output("--figure", arguments.figure, path, pictures=True)
+    file = read_map(path)
+    print(table(_rows(file)))
+    if arguments.figure is not None:
+        from samarl.report.map_figure import save_map  # imports matplotlib, which takes a second
+
+        save_map(file, path.name, arguments.figure)
+        print(f"written to {arguments.figure}")
+
+
+def _rows(file: MapFile) -> list[tuple[str, str]]:
+    outline, *others = file.polygons
+    low, high = np.concatenate(file.polygons).min(0), np.concatenate(file.polygons).max(0)
+    solid = [abs(signed_area(polygon)) for polygon in others if len(polygon) > 2]
+    is_bounded = signed_area(outline) < 0  # clockwise
+    floor = abs(signed_area(outline)) - sum(solid) if is_bounded else None
+    obstacles = len(solid) + (not is_bounded and len(outline) > 2)
+    thin = sum(len(polygon) == 2 for polygon in file.polygons)
+    segments = sum(map(len, file.polygons))
+    x, y = (centre_of(file.polygons) + 0.0).tolist()  # without a negative zero
+    rows = [
+        ("format", file.format),
+        ("floor", "unbounded" if floor is None else f"{floor:.1f} m²"),
+        ("extent", f"x {low[0]:.2f} to {high[0]:.2f} m, y {low[1]:.2f} to {high[1]:.2f} m"),
+        ("obstacles", f"{obstacles}, and {thin} thin walls"),
+        ("segments", f"{segments} of at most {MOST_SEGMENTS}"),
+        ("origin", f"of the simulated world: ({x:.0f}, {y:.0f}) in the file"),
+    ]
+    if file.ros is not None:
+        free, occupied = file.ros.grid
+        height, width = free.shape
+        known = free.sum() + occupied.sum()
+        shares = (free.mean(), occupied.mean(), 1 - known / free.size)
+        free_share, occupied_share, unknown_share = (f"{100 * share:.1f} %" for share in shares)
+        rows.append(("cells", f"{width} x {height} of {file.ros.resolution:g} m"))
+        rows.append(("", f"{free_share} free, {occupied_share} occupied, {unknown_share} unknown"))
+    return [*rows, *(("note", note) for note in file.notes)]
+
+
+if __name__ == "__main__":
+    main()
