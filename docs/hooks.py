@@ -75,6 +75,13 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
     return re.sub(r"(?<!!)\[([^\]]+)\]\(([^)\s]+)\)", resolve, text)
 
 
+def on_post_template(output: str, template_name: str, **_: Any) -> str:
+    """Let the page of missing pages find its style and links, wherever the site lies."""
+    if template_name != "404.html":
+        return output
+    return re.sub(r'(?<=[=( ])"/(\w*)', lambda address: f'"{address[1] or "."}', output)
+
+
 def on_page_content(html: str, page: Any, **_: Any) -> str:
     """Wrap the wide rows that commands print in a notebook, so that no cell is cut off."""
     if not page.file.src_path.endswith(".ipynb"):

@@ -1,7 +1,12 @@
-"""The report used by the tests of its files and by those in a browser."""
+"""The report used by the tests of its files and by those in a browser, and the browser."""
+
+from __future__ import annotations
 
 import json
+import shutil
+from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 
@@ -9,6 +14,9 @@ from samarl.files import find_folder
 from samarl.policies.checkpoint import save_policy
 from tests.reporting import report
 from tests.small import small_policy
+
+if TYPE_CHECKING:  # importing it takes time that other tests do not need
+    from playwright.sync_api import Browser, ConsoleMessage, Page
 
 
 @pytest.fixture(scope="session")
@@ -49,3 +57,55 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     assert "written to site/index.html" in done.stdout
     return folder / "site"
+
+
+FLAGS = [  # of Chromium
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+]
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[Browser]:
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as playwright:
+        names = ("chromium", "chromium-browser", "google-chrome")
+        path = next(filter(None, map(shutil.which, names)), playwright.chromium.executable_path)
+        if not Path(path).exists():
+            pytest.fail(
+                "there is no Chromium to test the report with; install one: "
+                "apt-get install chromium, or playwright install chromium"
+            )
+        chromium = playwright.chromium.launch(executable_path=path, args=FLAGS)
+        yield chromium
+        chromium.close()
+
+
+@pytest.fixture
+def page(browser: Browser) -> Iterator[Page]:
+    """A page that may not complain and may not ask for anything but files."""
+    complaints: list[str] = []
+
+    def hear(message: ConsoleMessage) -> None:
+        if message.type in ("error", "warning"):
+            complaints.append(message.text)
+
+    page = browser.new_page(viewport={"width": 1200, "height": 900})
+    page.on("console", hear)
+    page.on("pageerror", lambda error: complaints.append(str(error)))
+    page.on("requestfailed", lambda request: complaints.append(request.url))
+    page.on(
+        "request",
+        lambda request: (
+            None if request.url.startswith(("file:", "data:")) else complaints.append(request.url)
+        ),
+    )
+    yield page
+    page.close()
+    assert complaints == []
