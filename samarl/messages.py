@@ -19,7 +19,7 @@ from omegaconf.errors import (
 
 from mrsan import ConfigurationError
 from mrsan.fields import check_numbers
-from mrsan.suggestions import choice_hint, closest_names
+from mrsan.suggestions import choice_hint, closest_names, renamed
 
 _LIST, _MAPPING = "a list such as [a,b]", "a mapping such as {name: value}"
 # Patterns in OmegaConf's messages about wrong types, and what the value must be.
@@ -38,8 +38,11 @@ _REQUIREMENTS = (
 def unknown_field(path: str, key: str, fields: Iterable[str]) -> str:
     """Return the message for an unknown field `key` at `path`, with the one probably meant."""
     names = [name for name in fields if not name.startswith("_")]
+    prefix = path.rpartition(": ")[2]
+    if new := renamed(key, names):
+        return f"{path}{key} is not known; it is now {prefix}{new}"
     if close := closest_names(key, names, 1):
-        return f"{path}{key} is not known; did you mean {path.rpartition(': ')[2]}{close[0]}?"
+        return f"{path}{key} is not known; did you mean {prefix}{close[0]}?"
     return f"{path}{key} is not known; {choice_hint(key, names, 'see --help for all fields')}"
 
 
@@ -93,6 +96,9 @@ def _unknown_field(error: OmegaConfBaseException, name: str) -> str:
             node = parent._get_node(group)
             if isinstance(node, DictConfig) and not node._is_none() and not node._is_missing():
                 paths |= {str(other): f"{group}.{other!s}" for other in node}
+        if new := renamed(key, paths):
+            name, equals, content = new.partition("=")
+            return f"{key} is not known; it is now {paths[name]}{equals}{content}"
         if close := closest_names(key, paths, 1):
             return f"{key} is not known; did you mean {paths[close[0]]}?"
     return unknown_field(where, key, fields)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from mrsan.choices import Crowd, CrowdReaction, Layout
+from mrsan.choices import Crowd, Layout
 from mrsan.fields import ConfigurationError
 
 if TYPE_CHECKING:
@@ -28,9 +28,8 @@ def check_consistency(s: Scenario) -> None:
         )
     if s.crowd == Crowd.recorded and (s.robots_avoided or s.arena_radius is not None):
         raise ConfigurationError(
-            "scenario.crowd is recorded; then scenario.robots_visible must be false, "
-            "scenario.crowd_reaction blind and scenario.arena_radius null: recorded people react "
-            "neither to robots nor to walls"
+            "scenario.crowd is recorded; then scenario.crowd_reaction must be blind and "
+            "scenario.arena_radius null: recorded people react neither to robots nor to walls"
         )
     _check_social(s)
     _check_walls(s)
@@ -40,11 +39,6 @@ def check_consistency(s: Scenario) -> None:
 
 def _check_social(s: Scenario) -> None:
     """Check the settings of people who react to robots or belong to groups."""
-    if s.crowd_reaction is CrowdReaction.mixed and s.robots_visible:
-        raise ConfigurationError(
-            "scenario.robots_visible is True and scenario.crowd_reaction is mixed; robots_visible "
-            "must be false: each person's reaction is drawn"
-        )
     if s.is_social and s.crowd in (Crowd.still, Crowd.recorded):
         raise ConfigurationError(
             f"scenario.crowd is {s.crowd}; with scenario.crowd_reaction "

@@ -89,7 +89,7 @@ def _derived(s: Scenario) -> dict[str, Any]:
         "route_clearance": _f(s.route_clearance),
         "deadlock_steps": _f(s.steps(DEADLOCK_TIME)),
         "late_steps": s.steps(s.late_time),
-        "robots_visible": s.robots_visible or s.crowd_reaction is not CrowdReaction.blind,
+        "people_see_robots": s.crowd_reaction is not CrowdReaction.blind,
         "people_recorded": s.crowd == Crowd.recorded,
         "people_come_and_go": s.late_probability > 0 or s.leave_probability > 0,
         "reward_goal_distance": _f(s.reward.goal_distance / s.circle_radius**2),

@@ -222,9 +222,6 @@ class Scenario:
     recording_check: bool = setting(
         True, help="refuse a recording that is implausible for pedestrians"
     )
-    robots_visible: bool = setting(
-        False, help="people avoid robots: the same as crowd_reaction=reciprocal"
-    )
     crowd_reaction: CrowdReaction = setting(CrowdReaction.blind, help="how people react to robots")
     reactions: Reactions = field(default_factory=Reactions)
     groups: Groups = field(default_factory=Groups)
@@ -333,7 +330,7 @@ class Scenario:
     @property
     def robots_avoided(self) -> bool:
         """Return whether everybody avoids robots as people."""
-        return self.robots_visible or self.crowd_reaction is CrowdReaction.reciprocal
+        return self.crowd_reaction is CrowdReaction.reciprocal
 
     @property
     def is_social(self) -> bool:

@@ -27,6 +27,16 @@ _SYNONYMS = {
     "max_steps": "time_limit",
     "timestep": "time_step",
 }
+# Settings of earlier versions, and what they are now: a name, or a name with a value.
+RENAMED = {
+    "robots_visible": "crowd_reaction=reciprocal",
+}
+
+
+def renamed(name: str, names: Iterable[str]) -> str | None:
+    """Return what a setting of an earlier version is now, if that is among `names`."""
+    new = RENAMED.get(name)
+    return new if new is not None and new.partition("=")[0] in names else None
 
 
 def _synonym(name: str) -> str | None:
@@ -57,6 +67,8 @@ def choice_hint(name: str, names: Iterable[str], rest: str = "see --help") -> st
         rest: the hint if none is similar and there are too many to list.
     """
     options = sorted(names)
+    if new := renamed(name, options):
+        return f"it is now {new}"
     if close := closest_names(name, options):
         return f"did you mean {' or '.join(', '.join(close).rsplit(', ', 1))}?"
     return f"it must be one of {', '.join(options)}" if 0 < len(options) <= _MAX_LISTED else rest

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mrsan import ConfigurationError, Scenario, World
+from mrsan import ConfigurationError, CrowdReaction, Scenario, World
 from mrsan.recording import COAST, RecordingError, load_recording
 from samarl.prediction.training import Training
 
@@ -27,7 +27,8 @@ class Windows(NamedTuple):
 
 def simulate_windows(scenario: Scenario, cases: NDArray[np.int64], training: Training) -> Windows:
     """Simulate a crowd in the given cases without a robot nearby."""
-    world = World(replace(scenario, robots=1, robots_visible=False, time_limit=1e4), len(cases))
+    alone = replace(scenario, robots=1, crowd_reaction=CrowdReaction.blind, time_limit=1e4)
+    world = World(alone, len(cases))
     world.reset(cases)
     world.state.robot_position[:] = FAR
     action = np.zeros((len(cases), 1, world.scenario.action_size), np.float32)

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from mrsan import Crowd, Kinematics, Scenario, State
+from mrsan import Crowd, CrowdReaction, Kinematics, Scenario, State
 
 PARALLEL = 1e-9
 
@@ -194,7 +194,7 @@ def human_velocities(s: dict[str, Any], goal: np.ndarray, scenario: Scenario) ->
     here = np.flatnonzero(s["human_present"])
     radius = s["human_radius"] + scenario.human_safety_space
     agents = np.column_stack([s["human_position"], s["human_velocity"], radius])[here]
-    if scenario.robots_visible:
+    if scenario.crowd_reaction is CrowdReaction.reciprocal:
         n = len(s["robot_heading"])
         reach = np.full(n, scenario.robot_radius + scenario.human_safety_space)
         agents = np.vstack(

@@ -10,10 +10,10 @@ from mrsan.parameters import kernel_parameters
 
 
 def test_fields_keep_their_names_and_get_the_kernels_types() -> None:
-    p = kernel_parameters(Scenario(circle_radius=6, robots_visible=True, reward=Reward(team=7)))
+    p = kernel_parameters(Scenario(circle_radius=6, occlusion=True, reward=Reward(team=7)))
     assert (p.circle_radius, type(p.circle_radius)) == (6.0, np.float32)
     assert (p.reward_team, type(p.reward_team)) == (7.0, np.float32)
-    assert p.robots_visible is True
+    assert p.occlusion is True
     assert (p.humans_min, p.layout) == (10, Layout.circle.value)
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from staging import stage
 
-from mrsan import Crowd, Scenario, State, World
+from mrsan import Crowd, CrowdReaction, Scenario, State, World
 from mrsan.kernels.tally import CLOSEST_HUMAN
 
 COAST = [0.0, 0.0, 0.0]
@@ -71,7 +71,7 @@ def test_a_world_with_absent_people_is_the_world_without_them(crowd: Crowd) -> N
         "crowd": crowd,
         "occlusion": True,
         "fov_degrees": 150.0,
-        "robots_visible": True,
+        "crowd_reaction": CrowdReaction.reciprocal,
         "goal_change_probability": 0.0,
     }
     world = World(Scenario(humans=8, **fields), E)

@@ -162,10 +162,9 @@ def test_robots_and_people_do_the_same_share_of_avoiding() -> None:
     assert pair.human_velocity[0, 0, 1] == 0.0
 
 
-def test_reciprocal_is_what_visible_robots_are() -> None:
+def test_reciprocal_is_a_regular_reaction_of_everybody() -> None:
     actions = np.random.default_rng(0).uniform(-1, 1, (40, 1, 3, 3)).astype(np.float32)
     worlds = [
-        World(Scenario(robots_visible=True)),
         World(Scenario(crowd_reaction=CrowdReaction.reciprocal)),
         World(Scenario(**everybody(Reaction.regular))),
     ]
@@ -173,8 +172,7 @@ def test_reciprocal_is_what_visible_robots_are() -> None:
         world.reset([3])
         for action in actions:
             world.step(action)
-    for other in worlds[1:]:
-        np.testing.assert_array_equal(worlds[0].state.human_position, other.state.human_position)
+    np.testing.assert_array_equal(worlds[0].state.human_position, worlds[1].state.human_position)
 
 
 @pytest.mark.parametrize(("robot_x", "noticed"), [(-3.5, True), (1.5, False)])
@@ -218,7 +216,10 @@ def test_reactions_are_drawn_by_the_shares_and_the_case() -> None:
         ({"reactions": Reactions(regular=0.9)}, "scenario.reactions has shares whose sum is 1.5"),
         ({"reactions": 0.5}, "scenario.reactions is 0.5"),
         ({"crowd_reaction": "rude"}, "scenario.crowd_reaction is 'rude'"),
-        ({"crowd_reaction": "mixed", "robots_visible": True}, "scenario.robots_visible is True"),
+        (
+            {"robots_visible": True},
+            r"'robots_visible' \(True\); it is now crowd_reaction=reciprocal",
+        ),
         ({"crowd_reaction": "mixed", "crowd": Crowd.still}, "scenario.crowd is still"),
         ({"crowd_reaction": "reciprocal", "crowd": Crowd.recorded}, "scenario.crowd is recorded"),
     ],

@@ -142,8 +142,8 @@ def test_what_is_no_recording_is_refused(tmp_path: Path) -> None:
         World(recorded(str(tmp_path / "binary")))
     with pytest.raises(ConfigurationError, match=r"unless scenario\.crowd is recorded"):
         Scenario(recording="people.txt")
-    with pytest.raises(ConfigurationError, match=r"scenario\.crowd is recorded.*robots_visible"):
-        recorded(robots_visible=True)
+    with pytest.raises(ConfigurationError, match=r"scenario\.crowd is recorded.*crowd_reaction"):
+        recorded(crowd_reaction="reciprocal")
     with pytest.raises(ConfigurationError, match="robot_way_min is 13"):
         World(recorded(written(tmp_path, TWO), robot_way_min=13.0))
 

@@ -18,12 +18,11 @@ SCENARIO = Scenario(
     occlusion=True,
     position_noise=0.1,
     missed_detection=0.1,
-    robots_visible=True,
+    crowd_reaction=CrowdReaction.reciprocal,
     goal_change_interval=1.0,
 )
 SOCIAL = replace(
     SCENARIO,
-    robots_visible=False,
     crowd_reaction=CrowdReaction.mixed,
     groups=Groups(share=0.7, standing_share=0.3),
 )

@@ -9,7 +9,7 @@ import oracle
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from mrsan import Crowd, Kinematics, Layout, Outcome, Reward, Scenario, World
+from mrsan import Crowd, CrowdReaction, Kinematics, Layout, Outcome, Reward, Scenario, World
 from mrsan.kernels.tally import TALLY
 
 TOLERANCE = 2e-4
@@ -23,7 +23,7 @@ SCENARIOS = st.builds(
     humans=st.sampled_from([6, 3, 8, 1, 0]),
     kinematics=st.sampled_from(Kinematics),
     crowd=st.sampled_from([Crowd.orca, Crowd.orca, Crowd.social_force, Crowd.still]),
-    robots_visible=st.booleans(),
+    crowd_reaction=st.sampled_from([CrowdReaction.blind, CrowdReaction.reciprocal]),
     fov_degrees=st.sampled_from([1.0, 60.0, 90.0, 180.0, 200.0, 359.0, 360.0]),
     sensing_range=st.sampled_from([2.0, 10.0]),
     occlusion=st.booleans(),

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from mrsan import Crowd, Observation, Scenario, Step, World
+from mrsan import Crowd, CrowdReaction, Observation, Scenario, Step, World
 
 WORLDS = 100
 VECTORS = ("position", "velocity", "goal")
@@ -19,7 +19,7 @@ SCENARIO = Scenario(
     arena_radius=8.0,
     goal_change_probability=0.0,
     human_radius_max=0.5,
-    robots_visible=True,
+    crowd_reaction=CrowdReaction.reciprocal,
 )
 HEADING = slice(6, 8)  # the only entries of `ego` that tell north from south
 

@@ -30,7 +30,7 @@ FIELDS = [
     for f in dataclasses.fields(owner)
     if "low" in f.metadata
 ]
-SWITCHES = ["scenario.turn_in_place", "scenario.occlusion", "scenario.robots_visible"]
+SWITCHES = ["scenario.turn_in_place", "scenario.occlusion", "scenario.map_known"]
 SWITCHES += ["scenario.reward.literal"]
 ENUMS = ["scenario.crowd", "scenario.kinematics", "evaluation.split"]
 KNOBS = {
@@ -313,6 +313,11 @@ def test_every_malformed_configuration_ends_in_one_line(
         ),
         (["agent.shild=false"], "agent.shild is not known; did you mean agent.shield?"),
         (["robots=3"], "robots is not known; did you mean scenario.robots?"),
+        (
+            ["scenario.robots_visible=true"],
+            "scenario.robots_visible is not known; it is now scenario.crowd_reaction=reciprocal",
+        ),
+        (["robots_visible=true"], "it is now scenario.crowd_reaction=reciprocal"),
         (["scenario.human=5"], "scenario.human is not known; did you mean scenario.humans?"),
         (["scenario.dt=0.1"], "scenario.dt is not known; did you mean scenario.time_step?"),
         (["agent=samarl", "checkpoint=nobody"], "checkpoint is 'nobody', which does not exist"),

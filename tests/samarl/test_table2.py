@@ -43,7 +43,7 @@ def test_the_scenarios_are_those_of_msa3c(name: str) -> None:
     assert (2 * s.robot_radius, 2 * s.human_radius_min, 2 * s.human_radius_max) == (0.6, 0.5, 1.3)
     assert (s.human_speed_min, s.human_speed_max) == (0.5, 1.5)
     assert (s.goal_change_probability, s.goal_change_probability_max) == (0.2, 0.3)
-    assert (s.crowd, s.robots_visible, s.radius_noise > 0) == ("social_force", False, True)
+    assert (s.crowd, s.crowd_reaction.name, s.radius_noise > 0) == ("social_force", "blind", True)
     r = s.reward
     assert (r.collision, r.time, r.goal_distance, r.arrival, r.team, r.progress) == (
         -1.0,

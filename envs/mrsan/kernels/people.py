@@ -146,7 +146,7 @@ def list_agents(state, e, p, present, agents):
         agents[row, 0], agents[row, 1] = position[e, j, 0], position[e, j, 1]
         agents[row, 2], agents[row, 3] = velocity[e, j, 0], velocity[e, j, 1]
         agents[row, 4] = state.human_radius[e, j] + state.human_space[e, j]
-    if p.robots_visible:
+    if p.people_see_robots:
         for i in range(robot_position.shape[1]):
             agents[count, 0], agents[count, 1] = robot_position[e, i, 0], robot_position[e, i, 1]
             agents[count, 2], agents[count, 3] = robot_velocity[e, i, 0], robot_velocity[e, i, 1]
