@@ -47,10 +47,6 @@ POLICIES: dict[str, dict[str, Any]] = {
         "turns": 5,
         "speeds": 5,
         "directions": 16,
-        "neighbor_distance": 10.0,
-        "max_neighbors": 10,
-        "time_horizon": 5.0,
-        "safety_space": 0.5,
     },
     "hierarchical": {
         "macro_steps": 4,
@@ -75,7 +71,6 @@ PPO_NUMBERS: dict[str, Any] = {
     "max_gradient_norm": 1.0,
     "advantage_filter_fraction": 1.0,
     "action_limit_penalty": 0.01,
-    "action_limit_slack": 1.0,
     "std_start": 1.0,
     "std_end": 0.1,
     "critic_width": 8,
@@ -85,7 +80,6 @@ PPO_NUMBERS: dict[str, Any] = {
     "teacher_coefficient": 0.0,
     "teacher_end": 1.0,
     "path_penalty": 0.0,
-    "local_std": 0.0,
     "macro_std": 0.0,
 }
 VALUE_NUMBERS: dict[str, Any] = {
@@ -98,7 +92,6 @@ VALUE_NUMBERS: dict[str, Any] = {
     "learning_starts": 16,
     "batch": 16,
     "updates": 4,
-    "target_every": 2,
     "max_gradient_norm": 10.0,
 }
 SOFT_NUMBERS: dict[str, Any] = {

@@ -100,8 +100,6 @@ def _check_order(s: Scenario) -> None:
         ("hurry_speed_min", "hurry_speed_max", simulated and s.hurry_probability > 0.0),
         ("robot_way_min", "robot_way_max", floor or not simulated),
         ("robot_way_min", "floor_size", floor),
-        ("crossing_width", "floor_size", Layout.crossing in layouts),
-        ("opposite_width", "floor_size", Layout.opposite in layouts),
         ("time_step", "time_limit", True),
         ("goal_distance", "circle_radius", circle and walking),
         ("goal_change_probability", "goal_change_probability_max", walking),

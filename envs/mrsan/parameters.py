@@ -62,6 +62,7 @@ _NOT_COPIED = {
 }
 
 _f = np.float32
+CROSSING_WIDTH, OPPOSITE_WIDTH = 8.0, 6.0  # of streams of people, if the floor is as wide, m
 DEADLOCK_TIME = 10.0  # for which every driving robot stands still, s
 
 
@@ -73,6 +74,8 @@ def _derived(s: Scenario) -> dict[str, Any]:
         "humans_min": s.humans if s.humans_min is None else s.humans_min,
         "goal_turn": _f(math.radians(s.goal_turn_degrees)),
         "goal_turn_spread": _f(math.radians(s.goal_turn_spread_degrees)),
+        "crossing_width": _f(min(CROSSING_WIDTH, s.floor_size)),
+        "opposite_width": _f(min(OPPOSITE_WIDTH, s.floor_size)),
         "arena_radius": _f(np.inf if s.arena_radius is None else s.arena_radius),
         "time_limit_steps": s.time_limit_steps,
         "instant_velocity": s.kinematics is not Kinematics.acceleration_heading,

@@ -95,12 +95,6 @@ class Scenario:
     floor_size: float = number(
         14.0, 6.0, 1000.0, unit="m", help="side of the floor of layouts other than the circle"
     )
-    crossing_width: float = number(
-        8.0, 1.0, 1000.0, unit="m", help="width of each of two streams at right angles"
-    )
-    opposite_width: float = number(
-        6.0, 1.0, 1000.0, unit="m", help="width of the band with two opposite streams"
-    )
     robot_way_min: float = number(
         4.0, 0.0, 1000.0, unit="m", help="shortest straight route, except in the circle"
     )
@@ -372,7 +366,7 @@ class Scenario:
     def _place_size(self) -> tuple[int, int]:
         if self.layout is Layout.map:
             return self.fixed_map.walls.shape[1], self.fixed_map.corners.shape[1]
-        return largest_place(self.layout, self.place)
+        return largest_place(self.layout)
 
     @property
     def time_limit_steps(self) -> int:

@@ -21,7 +21,7 @@ def action_limits(scenario: Scenario) -> tuple[float, float, float, float]:
     return s.max_acceleration * s.time_step, s.robot_speed, s.max_turn, turn_per_speed
 
 
-def excess(mean: Tensor, std: Tensor, speed: Tensor, limits: Tensor, slack: float) -> Tensor:
+def excess(mean: Tensor, std: Tensor, speed: Tensor, limits: Tensor) -> Tensor:
     """Return the squared excess of mean actions over the limits of the robots, [R].
 
     All actions beyond the limits of speed and turning (SAMARL, Eq. 3) have the same effect. A
@@ -31,15 +31,14 @@ def excess(mean: Tensor, std: Tensor, speed: Tensor, limits: Tensor, slack: floa
 
     Args:
         mean: [R, 3] longitudinal and lateral acceleration and heading change.
-        std: [R, 3] of the exploration noise.
+        std: [R, 3] of the exploration noise; so much beyond the limits is not penalised.
         speed: [R] m/s.
         limits: [R, 4] see `action_limits`.
-        slack: number of standard deviations beyond the limits that are not penalised.
     """
     if mean.shape[-1] != 3:  # only acceleration_heading has these limits
         return torch.zeros_like(speed)
     gain, robot_speed, max_turn, turn_per_speed = limits.unbind(-1)
-    margin = slack * std.detach()
+    margin = std.detach()
     forward = mean[:, 0]
     too_fast = (forward - (robot_speed - speed) / gain - margin[:, 0]).clamp_min(0.0)
     reverse = (-speed / gain - forward - margin[:, 0]).clamp_min(0.0)

@@ -96,9 +96,6 @@ class PPOConfig:
     action_limit_penalty: float = required(
         0.0, 10.0, help="penalty on means of actions beyond the robots' limits"
     )
-    action_limit_slack: float = required(
-        0.0, 10.0, help="standard deviations beyond the limits that cost nothing"
-    )
     path_penalty: float = required(0.0, 100.0, help="penalty per metre driven; falls linearly to 0")
     shield_coefficient: float = required(
         0.0, 100.0, help="weight of imitating the safety shield where it intervenes"
@@ -112,9 +109,6 @@ class PPOConfig:
     std_start: float = required(0.01, 10.0, help="initial upper bound of the exploration noise")
     std_end: float = required(
         0.01, 10.0, help="final upper bound of the exploration noise, approached linearly"
-    )
-    local_std: float = required(
-        0.0, 10.0, help="lower bound of the local level's noise, below its upper bound"
     )
     macro_std: float = required(
         0.0, 10.0, help="lower bound of the macro level's noise, below its upper bound"
@@ -212,7 +206,7 @@ class PPO(Algorithm):
         self.teacher_weight = c.teacher_coefficient * max(1.0 - progress / c.teacher_end, 0.0)
         self.teacher = c.teacher if self.teacher_weight > 0.0 else None
         largest = c.std_start + (c.std_end - c.std_start) * progress
-        least = {LOCAL: c.local_std, MACRO: c.macro_std * min(progress / MACRO_RISE, 1.0)}
+        least = {LOCAL: 0.0, MACRO: c.macro_std * min(progress / MACRO_RISE, 1.0)}
         for level in self.policy.levels:
             self.policy.bound_std(level, least[level], largest)
 
@@ -445,7 +439,7 @@ class PPO(Algorithm):
         total = mean.new_zeros(())
         if c.action_limit_penalty > 0.0:
             speed, limits = decisions["speed"], decisions["action_limits"]
-            beyond = excess(mean, std, speed, limits, c.action_limit_slack).mean()
+            beyond = excess(mean, std, speed, limits).mean()
             total = total + c.action_limit_penalty * beyond
             statistics["losses/action_limit_penalty"].append(float(beyond.detach()))
         if self.uses_shield_targets:

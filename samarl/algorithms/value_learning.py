@@ -49,7 +49,6 @@ class ValueLearningConfig:
     )
     batch: int = required(1, 10**6, help="samples per gradient step")
     updates: int = required(1, 10**6, help="gradient steps per round")
-    target_every: int = required(1, 10**6, help="rounds between updates of the target network")
     max_gradient_norm: float = required(0.0, 1e6, help="largest gradient norm")
 
 
@@ -64,7 +63,6 @@ class ValueLearning(Algorithm):
     policy: LookaheadPolicy
     config: ValueLearningConfig
     supports_data_parallel = True
-    rounds: Tensor  # number of rounds with updates
 
     def __init__(self, policy: Policy, config: ValueLearningConfig) -> None:
         """See `Algorithm`.
@@ -88,7 +86,6 @@ class ValueLearning(Algorithm):
         self.target = type(policy)(policy.config, policy.action_size, policy.sizes)
         self.target.load_state_dict(policy.state_dict())
         self.target.requires_grad_(False)
-        self.register_buffer("rounds", torch.zeros((), dtype=torch.long))
         self.to(policy.device)
         self.optimiser = torch.optim.Adam(policy.parameters(), lr=config.learning_rate)
         self.slots = [0] * len(OTHERS)  # of the replay buffer's samples, for each of `OTHERS`
@@ -128,9 +125,7 @@ class ValueLearning(Algorithm):
                 raise FloatingPointError("the gradient of the value is not finite")
             self.optimiser.step()
             total += torch.stack([loss.detach(), value.detach().mean(), target.mean(), norm])
-        self.rounds += 1
-        if self.rounds % c.target_every == 0:
-            self.target.load_state_dict(self.policy.state_dict())
+        self.target.load_state_dict(self.policy.state_dict())
         names = ("value", "mean_value", "mean_target", "gradient_norm")
         means = zip(names, (total / c.updates).tolist(), strict=True)
         return statistics | {f"losses/{name}": mean for name, mean in means}

@@ -36,12 +36,15 @@ from samarl.policies.policy import (
 )
 
 CHUNK_SIZE = 512  # states that are evaluated together; more do not fit into a processor's cache
+ORCA = OrcaParameters(  # of `conf/agent/orca.yaml`, which the policy imitates first
+    neighbor_distance=10.0, max_neighbors=10, time_horizon=5.0, safety_space=0.5
+)
 VALUE_SCALE = 10.0  # a network output of 1; the rewards of an episode add up to about 30
 
 
 @dataclass
-class LookaheadConfig(OrcaParameters, Commands, PolicyConfig):
-    """Settings of the lookahead, and of ORCA, which it imitates first."""
+class LookaheadConfig(Commands, PolicyConfig):
+    """Settings of the lookahead."""
 
     discount: float = required(0.0, 0.9999, help="discount per step")
 
@@ -117,7 +120,7 @@ class LookaheadPolicy(Policy):
         decided = torch.from_numpy(active)
         action = torch.zeros(*shape, self.action_size)
         if explore and self.imitating:
-            avoiding = orca_actions(self.config, observation, scenario)
+            avoiding = orca_actions(ORCA, observation, scenario)
             action[decided] = torch.from_numpy(avoiding)[decided]
         else:
             epsilon = self.epsilon if explore else 0.0

@@ -247,10 +247,6 @@ def test_an_episode_does_not_depend_on_the_batch(layout: Layout) -> None:
             "scenario.robot_way_min is 4.0; it must not exceed",
         ),
         (
-            {"layout": "crossing", "crossing_width": 15.0},
-            "must not exceed scenario.floor_size",
-        ),
-        (
             {"hurry_probability": 0.5, "hurry_speed_min": 2.5},
             "must not exceed scenario.hurry_speed_max",
         ),

@@ -112,16 +112,6 @@ def test_contradictions_name_both_sides(fields: dict[str, Any], message: str) ->
 # Fields that contradict each other: where both are used, and where one of them is not.
 CONTRADICTIONS: list[tuple[dict[str, Any], list[dict[str, Any]], list[dict[str, Any]]]] = [
     (
-        {"floor_size": 6.0, "crossing_width": 8.0, "opposite_width": 6.0},
-        [{"layout": Layout.crossing}, {"layout": Layout.mixed}],
-        [{}, {"layout": Layout.square}, {"layout": Layout.opposite}, {"crowd": Crowd.recorded}],
-    ),
-    (
-        {"floor_size": 6.0, "crossing_width": 6.0, "opposite_width": 8.0},
-        [{"layout": Layout.opposite}, {"layout": Layout.mixed}],
-        [{}, {"layout": Layout.square}, {"layout": Layout.crossing}, {"crowd": Crowd.recorded}],
-    ),
-    (
         {"robot_way_min": 20.0, "robot_way_max": 30.0},
         [{"layout": Layout.square}, {"layout": Layout.mixed}],
         [{}, {"crowd": Crowd.recorded}],
@@ -137,7 +127,7 @@ CONTRADICTIONS: list[tuple[dict[str, Any], list[dict[str, Any]], list[dict[str, 
         [{"layout": Layout.square}, {"crowd": Crowd.still}, {"crowd": Crowd.recorded}],
     ),
     (
-        {"arena_radius": 6.0, "circle_radius": 8.0, "floor_size": 8.0, "opposite_width": 6.0},
+        {"arena_radius": 6.0, "circle_radius": 8.0, "floor_size": 8.0},
         [{}, {"layout": Layout.mixed}],
         [{"layout": Layout.square}, {"layout": Layout.crossing}],
     ),

@@ -47,9 +47,7 @@ def test_routes_of_nearly_one_length_point_everywhere() -> None:
 
 
 def test_people_who_find_no_room_on_a_walled_floor_start_beyond_it() -> None:
-    scenario = Scenario(
-        layout=Layout.square, humans=64, floor_size=6.0, crossing_width=6.0, arena_radius=8.0
-    )
+    scenario = Scenario(layout=Layout.square, humans=64, floor_size=6.0, arena_radius=8.0)
     state = reset(scenario, 5).state
     assert np.abs(state.robot_position).max() <= 3.0 + 1e-5
     assert np.abs(state.human_position).max() > 3.0
@@ -65,7 +63,6 @@ def test_people_who_find_no_room_on_a_walled_floor_start_beyond_it() -> None:
             {
                 "layout": Layout.square,
                 "floor_size": 6.0,
-                "crossing_width": 6.0,
                 "arena_radius": 25.0,
                 "robots": 16,
                 "robot_radius": 2.0,

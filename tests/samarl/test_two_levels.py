@@ -229,7 +229,7 @@ def test_robots_with_parameters_of_their_own_must_be_so_many() -> None:
 
 def test_commands_beyond_the_limits_cost_and_only_those() -> None:
     """5 m/s^2 for 0.25 s is 1.25 m/s; at 1 m/s a robot turns by up to 0.25 rad, standing by 15°."""
-    cases = [  # speed, mean action, squared excess without slack
+    cases = [  # speed, mean action, squared excess without noise
         (0.0, [0.8, 0.0, 0.0], 0.0),
         (0.0, [1.0, 0.0, 0.0], 0.2**2),
         (1.0, [0.3, 0.0, 0.0], 0.3**2),
@@ -243,11 +243,11 @@ def test_commands_beyond_the_limits_cost_and_only_those() -> None:
     ]
     speed, mean = torch.tensor([c[0] for c in cases]), torch.tensor([c[1] for c in cases])
     limits = torch.tensor(action_limits(SCENARIO)).expand(len(mean), -1)
-    costs = excess(mean, torch.full_like(mean, 0.3), speed, limits, slack=0.0)
+    costs = excess(mean, torch.zeros_like(mean), speed, limits)
     assert costs.tolist() == pytest.approx([c[2] for c in cases], abs=1e-6)
-    forgiven = excess(mean[2:3], torch.full((1, 3), 0.2), speed[2:3], limits[2:3], slack=1.0)
+    forgiven = excess(mean[2:3], torch.full((1, 3), 0.2), speed[2:3], limits[2:3])
     assert forgiven.item() == pytest.approx(0.1**2)
-    assert not excess(mean[:, :2], mean[:, :2], speed, limits, slack=0.0).any()  # holonomic
+    assert not excess(mean[:, :2], mean[:, :2], speed, limits).any()  # holonomic
 
 
 def test_the_mean_is_drawn_back_to_what_can_be_done() -> None:
