@@ -24,6 +24,7 @@ from torch import Tensor
 from torch.nn import Parameter
 
 from mrsan import ConfigurationError
+from samarl.errors import TrainingError
 from samarl.launch import rank, world_size
 
 T = TypeVar("T")
@@ -34,7 +35,7 @@ _STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 _stop_requested = False
 
 
-class LostProcessError(ConfigurationError):
+class LostProcessError(TrainingError):
     """Another process of the training has ended."""
 
 

@@ -25,6 +25,7 @@ from mrsan.groups import Groups
 from mrsan.metrics import Episodes, Outcome, social_score
 from mrsan.observation import Entities, Observation
 from mrsan.place import Place
+from mrsan.plugin_values import PluginError
 from mrsan.reactions import Reactions
 from mrsan.reward import Reward, RewardParts
 from mrsan.reward_terms import register_reward_term
@@ -52,6 +53,7 @@ __all__ = [
     "Observation",
     "Outcome",
     "Place",
+    "PluginError",
     "Reaction",
     "Reactions",
     "Reward",

@@ -56,6 +56,25 @@ def setting(default: Any, *, kw_only: bool = False, help: str = "") -> Any:
     return field(default=default, kw_only=kw_only, metadata={"help": help})
 
 
+def short_repr(settings: Any, omit: tuple[str, ...] = ()) -> str:
+    """Return a dataclass as Python code with the fields that differ from their defaults.
+
+    Args:
+        settings: an instance.
+        omit: names of fields to leave out.
+    """
+    shown = []
+    for f in dataclasses.fields(settings):
+        value = getattr(settings, f.name)
+        factory = f.default_factory
+        default = f.default if factory is dataclasses.MISSING else factory()
+        if f.name not in omit and f.init and value != default:
+            is_choice = isinstance(value, Enum)
+            text = f"{type(value).__name__}.{value.name}" if is_choice else repr(value)
+            shown.append(f"{f.name}={text}")
+    return f"{type(settings).__name__}({', '.join(shown)})"
+
+
 def _metadata(low: float, high: float, above: bool, unit: str, help: str) -> dict[str, Any]:
     return {"low": low, "high": high, "above": above, "unit": unit, "help": help}
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mrsan.fields import ConfigurationError, check_numbers, number
+from mrsan.fields import ConfigurationError, check_numbers, number, short_repr
 
 if TYPE_CHECKING:
     from mrsan.scenario import Scenario
@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 @dataclass
 class Groups:
     """Who belongs to groups, and how their members keep together (Moussaid et al., 2010)."""
+
+    __repr__ = short_repr
 
     share: float = number(0.0, 0.0, 1.0, help="share of people in groups, about")
     standing_share: float = number(

@@ -30,9 +30,17 @@ from mrsan.world import ActionError, Step, World
 Array = NDArray[Any]
 
 
+FARTHEST = np.float32(1e6)  # m and m/s, beyond everything that robots observe
+_LARGEST = np.finfo(np.float32).max
+
+
 def as_spaces(scenario: Scenario) -> tuple[spaces.Dict, spaces.Box]:
-    """Return the observation and the action space of one robot."""
-    low = np.full(len(EGO_FEATURES), -np.inf, np.float32)
+    """Return the observation and the action space of one robot.
+
+    The bounds are finite, as libraries expect: those of registered sensors, whose units are not
+    known, are the largest numbers.
+    """
+    low = np.full(len(EGO_FEATURES), -FARTHEST, np.float32)
     high = -low
     low[[HEADING_COS, HEADING_SIN]], high[[HEADING_COS, HEADING_SIN]] = -1.0, 1.0
     low[[RADIUS, PREFERRED_SPEED, TIME]], high[TIME] = 0.0, 1.0
@@ -41,11 +49,11 @@ def as_spaces(scenario: Scenario) -> tuple[spaces.Dict, spaces.Box]:
     for key, array in arrays_in_space(SensorSuite(scenario).empty(1)).items():
         if key != "ego":
             shape = array.shape[2:]
-            is_flag = array.dtype == np.int8
+            bound = _LARGEST if key in scenario.sensors else FARTHEST
             entries[key] = (
                 spaces.Box(0, 1, shape, np.int8)
-                if is_flag
-                else spaces.Box(-np.inf, np.inf, shape, np.float32)
+                if array.dtype == np.int8
+                else spaces.Box(-bound, bound, shape, np.float32)
             )
     return spaces.Dict(entries), spaces.Box(-1.0, 1.0, (scenario.action_size,), np.float32)
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
 
 from mrsan.gymnasium_env import (
+    FARTHEST,
     as_spaces,
     end_info,
     robot_observations,
@@ -67,7 +68,7 @@ class PettingZooEnv(ParallelEnv[str, dict[str, Array], Array]):
         self.observation_spaces = dict.fromkeys(self.possible_agents, observation)
         self.action_spaces = dict.fromkeys(self.possible_agents, action)
         numbers = 8 * self.scenario.robots + 6 * self.scenario.humans
-        self.state_space = spaces.Box(-np.inf, np.inf, (numbers,), np.float32)
+        self.state_space = spaces.Box(-FARTHEST, FARTHEST, (numbers,), np.float32)
         self._is_first_reset = True
 
     def observation_space(self, agent: str) -> spaces.Space[Any]:

@@ -9,12 +9,14 @@ from typing import Any
 import numpy as np
 
 from mrsan.choices import Layout
-from mrsan.fields import ConfigurationError, check_numbers, number
+from mrsan.fields import ConfigurationError, check_numbers, number, short_repr
 
 
 @dataclass
 class Place:
     """The ranges from which the openings of a place are drawn for each case."""
+
+    __repr__ = short_repr
 
     feasible_margin: float = number(
         0.1, 0.0, 1.0, unit="m", help="distance that routes keep from walls, besides the radius"

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mrsan.choices import CrowdReaction, Reaction
-from mrsan.fields import ConfigurationError, check_numbers, number
+from mrsan.fields import ConfigurationError, check_numbers, number, short_repr
 
 if TYPE_CHECKING:
     from mrsan.scenario import Scenario
@@ -28,6 +28,8 @@ class Reactions:
 
     The shares apply with `Scenario.crowd_reaction` mixed; the rest of the people ignore robots.
     """
+
+    __repr__ = short_repr
 
     regular: float = number(0.4, 0.0, 1.0, help="share who avoid robots as people")
     impassive: float = number(0.2, 0.0, 1.0, help="share who avoid robots as if they stood still")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from typing import Any
 
 import numpy as np
@@ -35,7 +36,7 @@ class Renderer:
             scenario: the task of the worlds.
 
         Raises:
-            ConfigurationError: there is no such mode, or no screen for a window.
+            ConfigurationError: there is no such mode.
         """
         if mode is not None and mode not in RENDER_MODES:
             raise ConfigurationError(
@@ -46,7 +47,7 @@ class Renderer:
             "render_modes": RENDER_MODES,
             "render_fps": max(1, round(1.0 / scenario.time_step)),
         }
-        self._window = _Window(scenario.time_step) if mode == "human" else None
+        self._window = _Window(scenario.time_step) if mode == "human" and _has_screen() else None
 
     def picture(self, world: World, index: int = 0) -> NDArray[np.uint8]:
         """Draw the state of one world, [512, 512, 3]."""
@@ -158,19 +159,28 @@ def walls_of(state: State, index: int) -> NDArray[np.float32]:
     return state.walls[index, :4, :count].T
 
 
+def _has_screen() -> bool:
+    """Return whether there is a screen for a window; warn if there is none."""
+    import matplotlib.pyplot  # noqa: F401  # it chooses the backend
+    from matplotlib import get_backend
+
+    if get_backend().lower() != "agg":
+        return True
+    warnings.warn(
+        "render_mode is 'human', but there is no screen, so nothing is shown; use 'rgb_array' and "
+        "show or save the pictures",
+        stacklevel=4,
+    )
+    return False
+
+
 class _Window:
     """A Matplotlib window that plays the episode in real time."""
 
     def __init__(self, seconds: float) -> None:
         # Imported here because the import is slow and only this mode needs it.
         import matplotlib.pyplot as plt
-        from matplotlib import get_backend
 
-        if get_backend().lower() == "agg":
-            raise ConfigurationError(
-                "render_mode is 'human', but there is no screen for a window; use 'rgb_array' and "
-                "show or save the pictures"
-            )
         self._plt, self._seconds = plt, seconds
         self._figure = plt.figure("mrsan", figsize=(6, 6))
         axes = self._figure.add_axes((0, 0, 1, 1))

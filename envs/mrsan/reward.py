@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mrsan.fields import number, setting
+from mrsan.fields import number, setting, short_repr
 from mrsan.kernels import function
 
 _ZERO = np.float32(0.0)
@@ -15,6 +15,8 @@ _ZERO = np.float32(0.0)
 @dataclass
 class Reward:
     """Weights of SAMARL, Eq. 10, and of the additional terms of MSA3C, Eq. 2-4."""
+
+    __repr__ = short_repr
 
     arrival: float = number(10.0, -1e6, 1e6, help="for a robot that reaches its goal")
     team: float = number(5.0, -1e6, 1e6, help="for every robot when the last one arrives")

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mrsan.fields import ConfigurationError
+from mrsan.plugin_values import as_numbers, check_finite, check_shape
 from mrsan.state import Bools, Floats, State
 
 if TYPE_CHECKING:
@@ -82,16 +83,12 @@ def sum_of_terms(state: State, scenario: Scenario, driving: Bools) -> Floats:
     """Return the weighted sum of the custom terms after a step, [E, N]; zero where not `driving`.
 
     Raises:
-        ValueError: a term has another shape or is not finite.
+        PluginError: a term has another shape or is not finite.
     """
     total = np.zeros(driving.shape, np.float32)
     for name, weight in scenario.reward.terms.items():
-        term = np.asarray(REWARD_TERMS[name](state, scenario), np.float32)
-        if term.shape != total.shape:
-            raise ValueError(
-                f"reward term {name} has shape {term.shape}; it must have {total.shape}"
-            )
-        if not np.isfinite(term[driving]).all():
-            raise ValueError(f"reward term {name} is NaN or infinite; it must be finite")
+        term = as_numbers(f"reward term {name}", REWARD_TERMS[name](state, scenario))
+        check_shape(f"reward term {name}", term.shape, total.shape)
+        check_finite(f"reward term {name}", term, state, driving)
         total[driving] += np.float32(weight) * term[driving]
     return total

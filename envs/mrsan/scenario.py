@@ -28,6 +28,7 @@ from mrsan.fields import (
     from_mapping,
     number,
     setting,
+    short_repr,
 )
 from mrsan.fixed_map import FixedMap, fixed_map, map_centre
 from mrsan.groups import Groups, check_groups
@@ -68,6 +69,8 @@ class Scenario:
     `place`, `reactions` and `groups` may be mappings, as in `Scenario(reward={"collision": -5.0})`;
     their other fields then have their defaults.
     """
+
+    __repr__ = short_repr
 
     name: str = setting("samarl", help="file in conf/scenario/ that it is, or is a variant of")
 

@@ -8,11 +8,13 @@ frame of the observing robot (x ahead, y to the left).
 from __future__ import annotations
 
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numba.core.errors import NumbaError
 from numpy.typing import ArrayLike
 
+from mrsan.choices import Crowd
 from mrsan.crowds import begin_kernel, crowd_model, social_settings, step_kernel
 from mrsan.features import OTHER_FEATURES
 from mrsan.fields import ConfigurationError
@@ -29,12 +31,19 @@ from mrsan.metrics import Episodes, episodes_of
 from mrsan.observation import Observation
 from mrsan.parameters import kernel_parameters
 from mrsan.place import place_parameters
+from mrsan.plugin_values import PluginError, check_finite
 from mrsan.reward import RewardParts
 from mrsan.reward_terms import sum_of_terms
 from mrsan.scenario import Scenario
 from mrsan.sensors.suite import SensorSuite
 from mrsan.state import Bools, Floats, State
 
+# Of snapshots, which must be finite.
+_AGENT_ARRAYS = {
+    f"{agent}_{name}"
+    for agent in ("robot", "human")
+    for name in ("position", "velocity", "heading", "goal", "radius", "speed")
+}
 _RESET_BATCH = 128  # worlds that begin an episode between two chances to stop with Ctrl-C
 
 
@@ -186,7 +195,8 @@ class World:
 
         Raises:
             TypeError: the snapshot is not a `State`.
-            ValueError: an array has another shape or type, or `worlds` is not E booleans.
+            ValueError: an array has another shape or type, an agent is not somewhere, or `worlds`
+                is not E booleans.
         """
         mask = self._mask(worlds)
         if not isinstance(snapshot, State):
@@ -201,8 +211,24 @@ class World:
                 raise ValueError(
                     f"snapshot.{name} has type {saved.dtype}; it must have {array.dtype}"
                 )
+            if name in _AGENT_ARRAYS and not np.isfinite(saved[mask]).all():
+                raise ValueError(f"snapshot.{name} is NaN or infinite; it must be finite")
         for name, array in self.state._asdict().items():
             array[mask] = getattr(snapshot, name)[mask]
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what `__setstate__` needs: compiled kernels are found again by the scenario."""
+        return {
+            "scenario": self.scenario,
+            "worlds": self.worlds,
+            "auto_reset": self.auto_reset,
+            "state": self.snapshot(),
+        }
+
+    def __setstate__(self, saved: dict[str, Any]) -> None:
+        """Continue where the pickled or copied worlds were."""
+        self.__init__(saved["scenario"], saved["worlds"], saved["auto_reset"])  # type: ignore[misc]
+        self.restore(saved["state"])
 
     def observe(self, all_seeing: bool = False) -> Observation:
         """Return the observations of all robots in new arrays.
@@ -259,6 +285,9 @@ class World:
         running = ~state.done
         driving = running[:, None] & ~state.arrived
         reward, parts = self._move(advance, motion)
+        if self.scenario.crowd not in Crowd.__members__:
+            velocity = self.state.human_velocity
+            check_finite(f"crowd {self.scenario.crowd}", velocity, state, state.human_present)
         observation = self.observe()
         if self._lookahead:
             self._add_lookahead(self._lookahead, observation, running, reward, parts)
@@ -280,16 +309,25 @@ class World:
         """Move every world that has not ended; return the reward [E, N] and its terms."""
         reward = np.empty(motion.shape[:2], np.float32)
         terms = np.zeros((len(RewardParts._fields), *reward.shape), np.float32)
-        advance(
-            self.worlds,
-            self.state,
-            motion,
-            self._parameters,
-            self._social or self._crowd_settings,
-            self._recording,
-            reward,
-            terms,
-        )
+        try:
+            advance(
+                self.worlds,
+                self.state,
+                motion,
+                self._parameters,
+                self._social or self._crowd_settings,
+                self._recording,
+                reward,
+                terms,
+            )
+        except NumbaError as error:
+            if self.scenario.crowd in Crowd.__members__:
+                raise
+            reason = " ".join(str(error).split())
+            raise PluginError(
+                f"crowd {self.scenario.crowd} cannot be compiled; it must return two numbers, the "
+                f"velocity of a person: {reason:.300}"
+            ) from error
         return reward, RewardParts(*terms)
 
     def _add_lookahead(
@@ -325,8 +363,8 @@ class World:
         if not (np.abs(action) <= 1.0).all():  # also False for NaN
             e, n = np.argwhere(~(np.abs(action) <= 1.0).all(-1))[0]
             raise ActionError(
-                f"action of robot {n} in world {e} is {action[e, n].tolist()}; "
-                "every element must lie in [-1, 1]"
+                f"action of robot {n} in world {e} is {action[e, n].tolist()} at step "
+                f"{self.state.clock[e]}; every element must lie in [-1, 1]"
             )
         return action
 

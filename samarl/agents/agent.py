@@ -5,15 +5,15 @@ from __future__ import annotations
 import hashlib
 import inspect
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mrsan import Observation, Scenario
-from mrsan.fields import check_numbers
+from mrsan.fields import check_numbers, short_repr
 from samarl.policies.explanation import Explanation
 
 
@@ -25,6 +25,25 @@ class Agent(ABC):
     """
 
     scenario: Scenario
+
+    def __init_subclass__(cls, **arguments: Any) -> None:
+        """Keep the short `repr`, which dataclasses would replace."""
+        super().__init_subclass__(**arguments)
+        if "__repr__" not in vars(cls):
+            cls.__repr__ = Agent.__repr__  # type: ignore[method-assign]
+
+    def __repr__(self) -> str:
+        """Return the settings that differ from the defaults, and how the scenario does."""
+        return f"{self._settings()[:-1]}, scenario={self.scenario})".replace("(, ", "(")
+
+    def _settings(self) -> str:
+        """Return the agent as Python code without its scenario."""
+        values = {f.name: getattr(self, f.name) for f in fields(self)}
+        inner = {name: agent for name, agent in values.items() if isinstance(agent, Agent)}
+        text = short_repr(self, ("scenario", *inner))
+        for name, agent in inner.items():
+            text = f"{text[:-1]}, {name}={agent._settings()})".replace("(, ", "(")
+        return text
 
     label = ""  # name in tables, which `samarl.load_agent` sets; empty: the name of the class
 

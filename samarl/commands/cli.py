@@ -28,20 +28,29 @@ from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
 import samarl
-from mrsan import ActionError, ConfigurationError
+from mrsan import ActionError, ConfigurationError, PluginError
 from mrsan.kernels import kernel
 from samarl.commands.composition import COMPOSITION_ERRORS, compose_cells, unreadable
 from samarl.commands.errors import explain
 from samarl.commands.help import help_text
 from samarl.commands.overrides import CommandLine
 from samarl.configuration import first, import_plugins, register_schemas, reject_alias_bombs
+from samarl.errors import TrainingError
 from samarl.files import find_folder
 from samarl.launch import launcher, rank
 from samarl.messages import unknown_field
 
 _RANK0_REPORT_SECONDS = 5.0  # for which other processes let rank 0 report an error
 # Errors that the user causes in a task; all others are bugs.
-_USER_ERRORS = (ConfigurationError, ActionError, OmegaConfBaseException, OSError, MemoryError)
+_USER_ERRORS = (
+    ConfigurationError,
+    ActionError,
+    PluginError,
+    TrainingError,
+    OmegaConfBaseException,
+    OSError,
+    MemoryError,
+)
 
 
 def run_command(

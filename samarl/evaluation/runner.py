@@ -9,7 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from mrsan import Episodes, Observation, Scenario, Split, World
+from mrsan import ActionError, Episodes, Observation, Scenario, Split, World
 from mrsan.fields import check_numbers, number, setting
 from mrsan.metrics import episodes_of
 
@@ -86,7 +86,10 @@ def run_cases(
             agent.reset(is_init)
         if focus is not None:
             focus((current >= 0)[:, None] & ~world.state.arrived)
-        step = world.step(agent.act(observation))
+        try:
+            step = world.step(agent.act(observation))
+        except ActionError as error:
+            raise ActionError(f"agent {type(agent).__name__}: {error}") from None
         observation = step.observation
         ended = (step.terminated | step.truncated) & (current >= 0)
         is_init = np.zeros(worlds, np.bool_)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import sys
 import threading
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 from torch.utils.tensorboard import SummaryWriter
+from tqdm import tqdm
 
 from mrsan import ConfigurationError
 from samarl.launch import rank
@@ -72,6 +74,11 @@ class Logger(contextlib.AbstractContextManager["Logger"]):
         self._bar.set_postfix_str(f"success {100 * row['charts/success']:.1f} %", refresh=False)
         shown = min(steps_done, self._total_steps)  # the last round may exceed the total
         self._bar.update(shown - self._bar.n)
+
+    def write(self, line: str) -> None:
+        """Print a line without disturbing the progress bar."""
+        if rank() == 0:
+            tqdm.write(line, file=sys.stderr)
 
     def __exit__(self, *_: Any) -> None:
         """Write buffered scalars.

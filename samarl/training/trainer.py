@@ -12,10 +12,10 @@ import torch
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 from tqdm import tqdm
 
-from mrsan import ConfigurationError
 from mrsan.fields import check_numbers
 from mrsan.threads import use_threads
 from samarl import distributed
+from samarl.errors import TrainingError
 from samarl.files import code_version, machine
 from samarl.launch import local_device, rank, world_size
 from samarl.policies.checkpoint import attribute_errors_to, check_finite, save_policy
@@ -24,6 +24,7 @@ from samarl.rollout import Rollout
 from samarl.training.config import MAX_SEEDS, TrainerConfig, run_configuration
 from samarl.training.curriculum import CurriculumStage
 from samarl.training.device import keep_freed_memory, usable_device
+from samarl.training.health import Health
 from samarl.training.logging import Logger
 from samarl.training.progress import Progress
 from samarl.training.resume import check_same_run
@@ -101,12 +102,13 @@ class Trainer:
 
         Raises:
             KeyboardInterrupt: SIGINT or SIGTERM was received; the round was completed and saved.
-            ConfigurationError: a gradient is not finite, another process has ended, or a file
-                cannot be written.
+            TrainingError: a gradient is not finite, or another process has ended.
+            ConfigurationError: a file cannot be written.
         """
         c, progress = self.config, self.progress
         self.algorithm.set_progress(self.steps_done / c.steps)
         folder = self.run_dir.folder
+        health = Health()
         logger = Logger(folder, c.wandb, self.configuration, self.steps_done, c.steps)
         with self._report_failure(), logger:
             while self.steps_done < c.steps:
@@ -117,12 +119,16 @@ class Trainer:
                     row |= self.validate()
                 progress.rows.append(row)
                 logger.log(row, self.steps_done)
+                for warning in health.update(row, self.steps_done / c.steps):
+                    logger.write(f"warning: {warning}")
                 stop = distributed.stop_requested()
                 if stop or progress.passed(c.save_every, steps_before):
                     self.save()
                 if stop:
                     raise KeyboardInterrupt
         self.save()
+        for warning in health.warnings.values():
+            logger.write(f"warning about this run: {warning}")
 
     def round(self) -> dict[str, float]:
         """Collect rollouts, update the networks and average the weights; return the statistics."""
@@ -215,7 +221,7 @@ class Trainer:
         """Report failures of a round, with what was saved before.
 
         Raises:
-            ConfigurationError: a gradient is not finite, or another process has ended.
+            TrainingError: a gradient is not finite, or another process has ended.
         """
         try:
             yield
@@ -224,7 +230,7 @@ class Trainer:
             outcome = f"{folder} holds the last save" if saved else f"nothing was saved in {folder}"
             if saved and isinstance(error, distributed.LostProcessError):
                 outcome += ", from which the same command resumes"
-            raise ConfigurationError(
+            raise TrainingError(
                 f"training stopped at step {self.steps_done}: {error}; {outcome}"
             ) from error
 

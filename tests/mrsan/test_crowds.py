@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mrsan import ConfigurationError, Crowd, Scenario, World, register_crowd
+from mrsan import ConfigurationError, Crowd, PluginError, Scenario, World, register_crowd
 from mrsan.crowds import CROWDS, crowd_model
 from mrsan.fields import number, setting
 from samarl.configuration import import_plugins
@@ -69,6 +69,25 @@ def speeds(scenario: Scenario) -> list[float]:
     world.reset([0, 1])
     world.step(STILL_ROBOTS)
     return np.linalg.norm(world.state.human_velocity, axis=-1).ravel().tolist()
+
+
+def test_a_velocity_that_is_not_finite_is_named(
+    stroll: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It would otherwise count as a person who is nowhere, so that nobody collides."""
+    world = World(Scenario(crowd="stroll"), 2)
+    world.reset([0, 7])
+    world.step(STILL_ROBOTS)
+    move = world._move
+
+    def broken(*arguments: Any) -> Any:
+        result = move(*arguments)
+        world.state.human_velocity[1, 2, 0] = np.nan
+        return result
+
+    monkeypatch.setattr(world, "_move", broken)
+    with pytest.raises(PluginError, match=r"crowd stroll is nan for person 2 in world 1.*case 7"):
+        world.step(STILL_ROBOTS)
 
 
 @pytest.mark.parametrize(

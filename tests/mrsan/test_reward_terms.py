@@ -89,7 +89,7 @@ def test_invalid_terms_are_named() -> None:
     action = np.zeros((2, 2, 2))
     with pytest.raises(ValueError, match=r"term flat has shape \(2,\); it must have \(2, 2\)"):
         worlds_of({"flat": 1.0}).step(action)
-    with pytest.raises(ValueError, match="term broken is NaN or infinite"):
+    with pytest.raises(ValueError, match="reward term broken is nan for robot 0 in world 0"):
         worlds_of({"broken": 1.0}).step(action)
     with pytest.raises(ValueError, match="'a b'; it must be an identifier"):
         register_reward_term("a b")

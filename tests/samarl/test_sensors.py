@@ -13,7 +13,15 @@ from gymnasium.utils.env_checker import check_env
 from torch import Tensor, nn
 from torchrl.envs.utils import check_env_specs
 
-from mrsan import ConfigurationError, EntitySensor, Scenario, ValueSensor, World, register_sensor
+from mrsan import (
+    ConfigurationError,
+    EntitySensor,
+    PluginError,
+    Scenario,
+    ValueSensor,
+    World,
+    register_sensor,
+)
 from mrsan.fields import number, required
 from mrsan.gymnasium_env import GymnasiumEnv
 from mrsan.pettingzoo_env import PettingZooEnv
@@ -256,3 +264,17 @@ def test_wrong_settings_are_named(sensors: Any, words: list[str]) -> None:
 def test_names_of_other_parts_are_refused(name: str) -> None:
     with pytest.raises(ValueError, match=re.escape(repr(name))):
         register_sensor(name)
+
+
+def test_values_that_a_sensor_does_not_write_are_named() -> None:
+    @register_sensor("forgetful")
+    class Forgetful(ValueSensor):
+        shape = (2,)
+
+        def observe(self, state, worlds, values):
+            values[worlds, :, 0] = 1.0
+
+    world = World(Scenario(humans=1, robots=2, sensors={"forgetful": {}}), 3)
+    with pytest.raises(PluginError, match=r"sensor forgetful is nan for robot 0 in world 0.*\[1\]"):
+        world.reset(np.arange(3))
+    del SENSORS["forgetful"]

@@ -13,6 +13,7 @@ from mrsan.kernels.team import share_tracks
 from mrsan.kernels.walled import observe_past_walls
 from mrsan.observation import Entities, Observation
 from mrsan.parameters import SensorParameters, kernel_parameters
+from mrsan.plugin_values import check_finite
 from mrsan.scenario import Scenario
 from mrsan.sensors.sensor import EntitySensor, make_sensors
 from mrsan.sensors.walls import wall_sensors
@@ -45,11 +46,12 @@ class SensorSuite:
             if isinstance(sensor, EntitySensor):
                 slots[name] = sensor.slots, sensor.features
             else:
-                sensors[name] = np.empty((worlds, s.robots, *sensor.shape), np.float32)
+                # A value that a sensor does not write is found as not finite.
+                sensors[name] = np.full((worlds, s.robots, *sensor.shape), np.nan, np.float32)
         entities = {
             name: Entities(
-                np.empty((worlds, s.robots, number, features), np.float32),
-                np.empty((worlds, s.robots, number), np.bool_),
+                np.full((worlds, s.robots, number, features), np.nan, np.float32),
+                np.zeros((worlds, s.robots, number), np.bool_),
             )
             for name, (number, features) in slots.items()
         }
@@ -77,9 +79,13 @@ class SensorSuite:
             )
         for name, sensor in self._sensors.items():
             if isinstance(sensor, EntitySensor):
-                sensor.observe(state, worlds, *observation.entities[name])
+                values, mask = observation.entities[name]
+                sensor.observe(state, worlds, values, mask)
             else:
-                sensor.observe(state, worlds, observation.sensors[name])
+                values = observation.sensors[name]
+                sensor.observe(state, worlds, values)
+            if name in self.scenario.sensors:
+                check_finite(f"sensor {name}", values, state, worlds)
 
 
 def _without_limits(scenario: Scenario) -> Scenario:
