@@ -23,13 +23,18 @@ METHODS = (
     ("Around the crowd, shielded", "perimeter_shielded"),
     ("CADRL", "cadrl"),
     ("CADRL, shielded", "cadrl_shielded"),
+    ("SAMARL-PPO without its shield", "samarl_ppo_unshielded"),
+    ("SAMARL-PPO", "samarl_ppo"),
     ("SAMARL without its shield", "samarl_unshielded"),
     ("SAMARL", "samarl"),
 )
+# Methods without a policy for 90°, also in the README.
+ONE_LEVEL = (
+    ("One level without its shield", "samarl_flat_unshielded"),
+    ("One level (`samarl_flat`)", "samarl_flat"),
+)
 # Rows of the documentation in addition to those of the README.
 OTHER_METHODS = (
-    ("SAMARL-PPO without its shield", "samarl_ppo_unshielded"),
-    ("SAMARL-PPO", "samarl_ppo"),
     ("SAMARL-SRNN without its shield", "samarl_srnn_unshielded"),
     ("SAMARL-SRNN", "samarl_srnn"),
 )
@@ -37,8 +42,6 @@ OTHER_METHODS = (
 WIDE_METHODS = (
     ("SAMARL with the paper's transformer", "samarl_transformer"),
     ("SAMARL with the paper's transformer, without its shield", "samarl_transformer_unshielded"),
-    ("One level (`samarl_flat`)", "samarl_flat"),
-    ("One level without its shield", "samarl_flat_unshielded"),
 )
 
 # What the settings of table `robustness` change, in words.
@@ -73,6 +76,17 @@ def _method_lines(methods: Iterable[tuple[str, str]]) -> list[list[str]]:
     return [[label, *(_cell("table1", method, c) for c in COLUMNS)] for label, method in methods]
 
 
+def _wide_lines(methods: Iterable[tuple[str, str]]) -> list[list[str]]:
+    """Return the lines of methods without a policy for 90°."""
+    return [
+        [
+            label,
+            *(_cell("table1", method, c) if c.fov_degrees == 360.0 else NONE for c in COLUMNS),
+        ]
+        for label, method in methods
+    ]
+
+
 def _table1_header() -> list[str]:
     names = [f"{c.fov_degrees:g}°, {c.robots} robots" for c in COLUMNS]
     return ["success % / social score", *names]
@@ -80,17 +94,15 @@ def _table1_header() -> list[str]:
 
 @table
 def headline() -> str:
-    """Return Table I with a row for each method and no empty cells."""
-    return markdown_table(_table1_header(), _method_lines(METHODS))
+    """Return Table I with a row for each method of the README."""
+    return markdown_table(_table1_header(), _method_lines(METHODS) + _wide_lines(ONE_LEVEL))
 
 
 @table
 def table1_with_paper() -> str:
     """Return Table I with all methods, and with the paper's success rates."""
     lines = _method_lines((*METHODS, *OTHER_METHODS))
-    for label, method in WIDE_METHODS:
-        cells = [_cell("table1", method, c) if c.fov_degrees == 360.0 else NONE for c in COLUMNS]
-        lines.append([label, *cells])
+    lines += _wide_lines((*ONE_LEVEL, *WIDE_METHODS))
     for method in next(iter(PAPER_SUCCESS.values())):
         rates = [PAPER_SUCCESS.get(column, {}).get(method) for column in COLUMNS]
         lines.append([f"*paper: {method}*", *(NONE if r is None else f"*{r}*" for r in rates)])
