@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 from hydra.core.hydra_config import HydraConfig
@@ -80,8 +81,11 @@ def _check_policy_kind(name: str, checkpoint: str) -> None:
         )
 
 
-def check_agent(config: DictConfig) -> None:
+def check_agent(config: DictConfig) -> tuple[str, Path] | None:
     """Check the scenario and the agent of a command without running it.
+
+    Returns:
+        The setting `output` if the command has it, see `run_command`.
 
     Raises:
         ConfigurationError: one of them is not valid.
@@ -89,6 +93,7 @@ def check_agent(config: DictConfig) -> None:
     scenario = scenario_in(config)
     scenario.load_recording()
     build_agent(selected_agent(config), scenario)
+    return ("output", Path(config.output)) if "output" in config else None
 
 
 def print_scope_warning(agent: Agent) -> None:

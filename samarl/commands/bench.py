@@ -28,7 +28,7 @@ from samarl.configuration import (
     scenario_of,
 )
 from samarl.evaluation.page import improvement_figure, page
-from samarl.evaluation.regression import compare
+from samarl.evaluation.regression import beside_committed, compare
 from samarl.evaluation.runner import Evaluation, run_cases
 from samarl.evaluation.seeds import across_seeds, improvements, other_seeds
 from samarl.evaluation.summary import (
@@ -109,7 +109,7 @@ def bench(config: DictConfig) -> None:
     rows = _run(tasks, config, committed)
     print(f"\n{STATUS}\n")
     print(rows_as_markdown(rows), "\n")
-    print(grids_as_markdown(rows), "\n")
+    _print_grid(rows, committed, config, [_column(scenario) for scenario in scenarios])
     if scope_warnings:
         print("not evaluated in every column:")
         for name, warning in scope_warnings.items():
@@ -118,6 +118,22 @@ def bench(config: DictConfig) -> None:
     write_json(path, rows)
     _write_page(config, path, rows)
     print(f"\nwritten to {path} and {path.with_suffix('.md').name}")
+
+
+def _print_grid(
+    rows: Sequence[Row], committed: Sequence[Row], config: DictConfig, columns: Sequence[Column]
+) -> None:
+    """Print evaluated rows beside the committed ones of other methods."""
+    if config.only_headline:
+        committed = [row for row in committed if row["method"] in config.headline]
+    shown = beside_committed(rows, committed, columns)
+    print(grids_as_markdown(shown, columns), "\n")
+    if others := shown[len(rows) :]:
+        print(f"(this run): evaluated now, {_cases(rows)}; others: committed, {_cases(others)}\n")
+
+
+def _cases(rows: Sequence[Row]) -> str:
+    return f"{' or '.join(map(str, sorted({row['episodes'] for row in rows})))} cases"
 
 
 def _write_page(config: DictConfig, path: Path, rows: Sequence[Row]) -> None:

@@ -13,7 +13,7 @@ import shlex
 import signal
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -40,6 +40,8 @@ from samarl.files import find_folder
 from samarl.launch import launcher, rank
 from samarl.messages import unknown_field
 
+# Settings that a sweep may change when it is resumed: they do not affect results, or let runs grow.
+_SAME_SWEEP = ("evaluation.batch", "trainer.steps", "trainer.threads", "trainer.wandb")
 _RANK0_REPORT_SECONDS = 5.0  # for which other processes let rank 0 report an error
 # Errors that the user causes in a task; all others are bugs.
 _USER_ERRORS = (
@@ -56,7 +58,7 @@ _USER_ERRORS = (
 def run_command(
     task: Callable[[DictConfig], Any],
     config_name: str,
-    check: Callable[[DictConfig], Any] | None = None,
+    check: Callable[[DictConfig], tuple[str, Path] | None] | None = None,
     **schemas: Any,
 ) -> None:
     """Run a Hydra task; user errors are reported in one line with exit code 2.
@@ -65,7 +67,8 @@ def run_command(
         task: function of the composed configuration.
         config_name: name of the primary file in `conf/`.
         check: function called with the configuration of every cell of a sweep before the first
-            cell is run, to find errors early.
+            cell is run, to find errors early. It returns the file or folder that no other cell may
+            write, with the name of its setting, or None.
         **schemas: dataclasses used as schemas in the defaults list of the configuration.
     """
     words = sys.argv[1:]
@@ -85,16 +88,35 @@ def run_command(
             print(help_text(config_name, command))
             return
         if command.is_sweep:
-            for config in compose_cells(config_name, command):
-                check_plugins_and_keys(config)
-                if check is not None:
-                    check(config)
+            _check_cells(compose_cells(config_name, command), check)
     except KeyboardInterrupt:
         _stop("interrupted")
     except (*_USER_ERRORS, *COMPOSITION_ERRORS) as error:
         _fail(error, folder)
     sys.argv = [sys.argv[0], *command.words()]
     _run_hydra(task, config_name, folder)
+
+
+def _check_cells(
+    cells: Iterator[DictConfig], check: Callable[[DictConfig], tuple[str, Path] | None] | None
+) -> None:
+    """Check every cell of a sweep, see `run_command`.
+
+    Raises:
+        ConfigurationError: a cell is not valid, or two of them would write the same file.
+    """
+    outputs: set[Path] = set()
+    for config in cells:
+        check_plugins_and_keys(config)
+        if check is None or (output := check(config)) is None:
+            continue
+        name, path = output
+        if path.resolve() in outputs:
+            raise ConfigurationError(
+                f"{name} is {str(path)!r} in several cells of the sweep; it must differ, as in "
+                f"'{name}=outputs/${{hydra:job.override_dirname}}{path.suffix}'"
+            )
+        outputs.add(path.resolve())
 
 
 def _prepare_process(words: Sequence[str]) -> None:
@@ -199,9 +221,9 @@ def _limit_threads() -> None:
 
 def _sweep_name(words: Sequence[str]) -> str:
     """Return the folder name of a sweep: the swept keys and a digest of all settings."""
-    ignored = ("hydra", "evaluation.batch")  # these do not affect results
-    settings = sorted(w for w in words if "=" in w and not w.startswith(ignored))
+    settings = sorted(w for w in words if "=" in w and not w.startswith("hydra"))
     swept = [w.partition("=")[0].rpartition(".")[2] for w in settings if "," in w or "(" in w]
+    settings = [w for w in settings if w.partition("=")[0] not in _SAME_SWEEP]
     digest = hashlib.sha256("\n".join(settings).encode()).hexdigest()[:8]
     return "-".join([*(re.sub(r"\W+", "_", key) for key in swept[:4]), digest])
 

@@ -13,6 +13,7 @@ from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.types import Quote, QuotedString
 from hydra.errors import HydraException
+from hydra.types import RunMode
 from omegaconf import DictConfig, open_dict
 from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
@@ -77,6 +78,7 @@ def compose_cells(config_name: str, command: CommandLine) -> Iterator[DictConfig
     with config_loader(command.folder) as (loader, search_path):
         for cell in command.cells(loader):
             config = composed(config_name, [*cell, *search_path])
+            config.hydra.mode = RunMode.MULTIRUN if command.is_sweep else RunMode.RUN
             HydraConfig.instance().set_config(config)
             cell_config = copy.deepcopy(config)
             with open_dict(cell_config):

@@ -73,6 +73,7 @@ _OPTIONS = frozenset(
         "--experimental-rerun",
     }
 )
+_EXCLUDED_FROM_NAMES = "hydra.job.config.override_dirname.exclude_keys"
 # One of several values, in quotes or up to the next comma.
 _ELEMENT = re.compile(r"""\s*('(?:[^'\\]|\\.)*'|"(?:[^"\\]|\\.)*"|[^,]*?)\s*,""", re.DOTALL)
 
@@ -131,6 +132,10 @@ class CommandLine:
         """
         parser = OverridesParser.create()
         settings = [_quoted_setting(word, self.is_sweep, parser) for word in self.settings]
+        if self.is_sweep:  # cells are named by the settings in which they differ
+            overrides = [parser.parse_override(word) for word in settings]
+            fixed = [o.key_or_group for o in overrides if not o.is_sweep_override()]
+            settings.append(f"{_EXCLUDED_FROM_NAMES}=[{','.join(fixed)}]")
         return replace(self, settings=settings)
 
     def words(self) -> list[str]:

@@ -22,6 +22,7 @@ from samarl.commands.cli import check_plugins_and_keys, command_line, prepare_hy
 from samarl.commands.composition import compose_cells
 from samarl.commands.overrides import CommandLine
 from samarl.configuration import scenario_in, scenario_of
+from samarl.files import check_writable
 from samarl.launch import copies, launcher, rank
 from samarl.registry import checked_fields
 from samarl.training.curriculum import CurriculumStage, check_stages, single_stage
@@ -143,7 +144,10 @@ def _run(config: DictConfig, command: str) -> Path:
     try:
         trainer.run()
     except KeyboardInterrupt:
-        raise KeyboardInterrupt(f"resume with: {resume_command}") from None
+        advice = f"resume with: {resume_command}"
+        if HydraConfig.get().mode is RunMode.MULTIRUN:
+            advice = "the same command resumes the sweep"
+        raise KeyboardInterrupt(advice) from None
     if rank() == 0:
         print(
             f"written to {trainer.run_dir.folder}: "
@@ -192,7 +196,7 @@ def build_trainer(config: DictConfig, command: str) -> Trainer:
 
     settings = settings_in(config)
     return Trainer(
-        Path(config.run_dir),
+        run_folder(config),
         settings.trainer,
         settings.policy,
         settings.algorithm,
@@ -202,13 +206,28 @@ def build_trainer(config: DictConfig, command: str) -> Trainer:
     )
 
 
-def check_training(config: DictConfig) -> None:
+def run_folder(config: DictConfig) -> Path:
+    """Return the folder of a run: in a sweep without `run_dir` each cell has its own."""
+    hydra = HydraConfig.get()
+    names = {override.partition("=")[0] for override in hydra.overrides.task}
+    if hydra.mode is RunMode.MULTIRUN and names.isdisjoint(("run_dir", "resume")):
+        return Path(hydra.sweep.dir) / hydra.sweep.subdir
+    return Path(config.run_dir)
+
+
+def check_training(config: DictConfig) -> tuple[str, Path]:
     """Check the settings of a cell of a sweep without starting its training.
 
+    Returns:
+        The setting `run_dir`, see `run_command`.
+
     Raises:
-        ConfigurationError: a setting is not valid.
+        ConfigurationError: a setting is not valid, or the folder contains another run.
     """
     from samarl.algorithms import ALGORITHMS
+    from samarl.training.config import run_configuration
+    from samarl.training.resume import check_same_run
+    from samarl.training.run_dir import STATE, read_progress
     from samarl.training.setup import build_policy
 
     if config.resume is not None:
@@ -218,6 +237,14 @@ def check_training(config: DictConfig) -> None:
     for stage in settings.stages:
         stage.scenario.load_recording()
     ALGORITHMS.config(settings.algorithm)
+    folder = run_folder(config)
+    check_writable(folder / STATE, "run_dir")
+    if (folder / STATE).is_file():
+        configuration = run_configuration(
+            settings.trainer, settings.policy, settings.algorithm, settings.stages
+        )
+        check_same_run(read_progress(folder), configuration, {}, folder)
+    return "run_dir", folder
 
 
 class Settings(NamedTuple):

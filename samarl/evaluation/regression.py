@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from samarl.evaluation.summary import CASE_FIELDS, Row, column_of, first_cases
-from samarl.evaluation.table import column_name, row_settings
+from samarl.evaluation.summary import CASE_FIELDS, Column, Row, column_of, first_cases
+from samarl.evaluation.table import column_name, counts_collisions, row_settings
 
 _MEASURED = (
     "episodes",
@@ -56,3 +56,35 @@ def compare(row: Row, committed: Sequence[Row]) -> str:
         if not low - tolerance <= row[key] <= high + tolerance:
             return f"DIFFERS  {change}: {key} is outside [{low:.1f}, {high:.1f}]"
     return f"close    {change}, within the committed intervals"
+
+
+def beside_committed(
+    rows: Sequence[Row], committed: Sequence[Row], columns: Sequence[Column]
+) -> list[Row]:
+    """Return evaluated rows, labelled "(this run)", followed by committed rows of other methods.
+
+    Committed rows are restricted to the cases of the evaluated rows of their column, so that all
+    methods are compared on the same cases. Rows without a record of each case, and rows in which
+    collisions are counted, are not restricted.
+
+    Args:
+        rows: the rows that have just been evaluated.
+        committed: all committed rows of the table.
+        columns: the columns of the table.
+    """
+    methods = {row["method"] for row in rows}
+    longest = sorted(rows, key=lambda row: row["episodes"])
+    cases = {column_of(row): (row["episodes"], row["seed"]) for row in longest}
+    others = []
+    for row in committed:
+        column = column_of(row)
+        if row["method"] in methods or column not in columns:
+            continue
+        episodes, seed = cases.get(column, (row["episodes"], row["seed"]))
+        has_cases = "case_success" in row and not counts_collisions([row])
+        if episodes < row["episodes"] and seed == row["seed"] and has_cases:
+            row = first_cases(row, episodes)
+        others.append(row)
+    if not others:
+        return list(rows)
+    return [*({**row, "method": f"{row['method']} (this run)"} for row in rows), *others]

@@ -174,22 +174,29 @@ def group_by_kind(rows: Sequence[Row]) -> dict[str, list[Row]]:
     return kinds
 
 
-def grids_as_markdown(rows: Sequence[Row]) -> str:
-    """Return one grid per kind of column, with headings if there are several."""
+def grids_as_markdown(rows: Sequence[Row], columns: Sequence[Column] = ()) -> str:
+    """Return one grid per kind of column, with headings if there are several.
+
+    Args:
+        rows: the rows.
+        columns: the order of the columns; others follow in order of appearance.
+    """
     kinds = group_by_kind(rows)
     if len(kinds) == 1:
-        return grid_as_markdown(rows)
-    return "\n\n".join(f"### {kind}\n\n{grid_as_markdown(group)}" for kind, group in kinds.items())
+        return grid_as_markdown(rows, columns)
+    return "\n\n".join(
+        f"### {kind}\n\n{grid_as_markdown(group, columns)}" for kind, group in kinds.items()
+    )
 
 
-def grid_as_markdown(rows: Sequence[Row]) -> str:
+def grid_as_markdown(rows: Sequence[Row], columns: Sequence[Column] = ()) -> str:
     """Return a grid of success and social score, one line per method, then the paper's methods.
 
     If collisions do not end the episode, the table has the metrics of MSA3C instead.
     """
     if counts_collisions(rows):
         return markdown_table(*co_planning_as_cells(rows))
-    grid = grid_of(rows)
+    grid = grid_of(rows, columns)
     header = ["success % / social score", *map(column_name, grid.columns)]
     lines = [
         [method]
@@ -227,9 +234,15 @@ class Grid(NamedTuple):
     paper: dict[str, list[int | None]]  # per method of the paper, its success rates, %
 
 
-def grid_of(rows: Sequence[Row]) -> Grid:
-    """Arrange rows by method and column, both in order of appearance."""
-    columns = list(dict.fromkeys(column_of(row) for row in rows))
+def grid_of(rows: Sequence[Row], columns: Sequence[Column] = ()) -> Grid:
+    """Arrange rows by method and column, both in order of appearance.
+
+    Args:
+        rows: the rows.
+        columns: come first, in this order, as far as they have rows.
+    """
+    present = list(dict.fromkeys(column_of(row) for row in rows))
+    columns = [column for column in dict.fromkeys([*columns, *present]) if column in present]
     cells = {(row["method"], column_of(row)): row for row in rows}
     ours = {row["method"]: [cells.get((row["method"], c)) for c in columns] for row in rows}
     paper = {

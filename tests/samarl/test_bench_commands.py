@@ -12,10 +12,11 @@ from PIL import Image
 from mrsan import Crowd, Reward, Scenario, Split
 from samarl.commands.bench import _command, _row, _Task, main
 from samarl.configuration import load_agent_config
-from samarl.evaluation.regression import compare
+from samarl.evaluation.regression import beside_committed, compare
 from samarl.evaluation.runner import Evaluation
 from samarl.evaluation.seeds import improvements
-from samarl.evaluation.summary import Row, read_rows
+from samarl.evaluation.summary import Row, case_successes, column_of, first_cases, read_rows
+from samarl.evaluation.table import grids_as_markdown
 from samarl.files import find_folder, write_json
 from samarl.policies.checkpoint import find_policy, load_policy, save_policy
 from samarl.report.improvement import draw_improvements
@@ -101,6 +102,31 @@ def committed() -> list[Row]:
     rows = read_rows(find_folder("results") / "table1.json")
     assert rows is not None
     return rows
+
+
+def test_a_custom_method_stands_beside_the_committed_rows() -> None:
+    """Also where it is evaluated in two of four columns only, here on the first 40 cases."""
+    rows = committed()
+    columns = list(dict.fromkeys(map(column_of, rows)))
+    wide = [row for row in rows if row["method"] == "samarl_flat"]
+    mine = [first_cases(row, 40) | {"method": "mine"} for row in wide]
+    shown = beside_committed(mine, [*rows, *mine], columns)
+    assert len(shown) == len(rows) + len(mine)
+    assert {row["episodes"] for row in shown if row["fov_degrees"] == 360.0} == {40}
+    orca = next(row for row in rows if row["method"] == "orca" and column_of(row) == columns[2])
+    same = next(row for row in shown if row["method"] == "orca" and column_of(row) == columns[2])
+    assert same["success_rate"] == 100 * case_successes(orca)[:40].mean()
+    header, _, first, *others = grids_as_markdown(shown, columns).splitlines()
+    names = [cell.strip() for cell in header.split("|")[2:6]]
+    assert names == ["90° 10h 3r", "90° 10h 5r", "360° 10h 5r", "360° 10h 3r"]
+    cells = [cell.strip() for cell in first.split("|")[1:6]]
+    assert cells[:3] == ["mine (this run)", "", ""]
+    assert all(" / " in cell for cell in cells[3:])
+    assert sum("this run" in line for line in others) == 0
+    assert any(line.startswith("| samarl ") for line in others)
+    assert any(line.startswith("| paper: SAMARL ") for line in others)
+    # No committed rows of these columns: nothing to stand beside.
+    assert beside_committed(mine, rows, []) == mine
 
 
 def test_a_policy_with_damaged_weights_differs(tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ import mrsan
 import samarl
 from mrsan import Outcome
 from samarl.evaluation.summary import row_fields
+from samarl.training.sweep import summary
 from tests.commands import run_module
 
 COMMANDS = ("evaluate", "bench", "render", "record", "report", "predictor", "export")
@@ -119,6 +120,45 @@ def test_a_sweep_of_a_cluster_resumes_on_one_machine(tmp_path: Path) -> None:
     again = run("evaluate", *sweep, cwd=tmp_path)
     assert again.stdout.count("already finished") == 4
     assert (folder / "table.md").read_text() == table
+
+
+def test_a_sweep_of_training_runs_has_a_folder_for_each_and_resumes(tmp_path: Path) -> None:
+    small = ["scenario.humans=2", "worlds=4", "encoder.width=16", "policy=flat"]
+    small += ["trainer.rollout=4", "trainer.validation_cases=2", "trainer.threads=1"]
+    sweep = ["-m", "trainer.seed=0,1", *small]
+    run("train", *sweep, "trainer.steps=32", cwd=tmp_path)
+    (folder,) = (tmp_path / "outputs/sweep").iterdir()
+    assert sorted(path.name for path in folder.glob("*/")) == ["trainer.seed-0", "trainer.seed-1"]
+    more = run("train", *sweep, "trainer.steps=64", cwd=tmp_path)
+    assert more.stdout.count("resuming at step 32 of 64") == 2
+    assert [path.name for path in (tmp_path / "outputs/sweep").iterdir()] == [folder.name]
+    assert "| all |     2 |    64 |" in (folder / "summary.md").read_text()
+    # Refused before the first run starts: one folder for all, and the folder of another run.
+    done = run("train", *sweep, "trainer.steps=64", "run_dir=one", cwd=tmp_path, code=2)
+    assert done.stderr.startswith("error: run_dir is 'one' in several cells of the sweep; it must")
+    done = run("train", *sweep, "trainer.steps=32", cwd=tmp_path, code=2)
+    assert done.stderr.startswith("error: trainer.steps is 32; it must be at least 64")
+    assert not (tmp_path / "one").exists()
+
+
+def test_the_summary_of_a_sweep_is_the_mean_over_seeds(tmp_path: Path) -> None:
+    for name, rate in (("policy-flat", 0.9), ("policy-hierarchical", 0.6)):
+        for seed in (0, 1):
+            lines = ["steps,seconds,validation/success_360_10h_3r", "100,1,0.1"]
+            lines += [f"200,2,{rate + 0.1 * seed}", "300,3,"]
+            folder = tmp_path / f"{name}_trainer.seed-{seed}"
+            folder.mkdir()
+            (folder / "progress.csv").write_text("\n".join(lines))
+    assert summary(tmp_path).splitlines()[2:] == [
+        "| policy-flat         |     2 |   200 |   95.0 [90.0, 100.0] |",
+        "| policy-hierarchical |     2 |   200 |    65.0 [60.0, 70.0] |",
+    ]
+
+
+def test_cells_that_would_write_one_file_are_refused(tmp_path: Path) -> None:
+    done = run("render", "-m", "agent=straight", "case=1,2", cwd=tmp_path, code=2)
+    assert done.stderr.startswith("error: output is 'outputs/case.png' in several cells")
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_the_bench_writes_table_1_in_the_documented_form(tmp_path: Path) -> None:
