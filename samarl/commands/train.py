@@ -208,10 +208,10 @@ def build_trainer(config: DictConfig, command: str) -> Trainer:
 
 def run_folder(config: DictConfig) -> Path:
     """Return the folder of a run: in a sweep without `run_dir` each cell has its own."""
-    hydra = HydraConfig.get()
-    names = {override.partition("=")[0] for override in hydra.overrides.task}
-    if hydra.mode is RunMode.MULTIRUN and names.isdisjoint(("run_dir", "resume")):
-        return Path(hydra.sweep.dir) / hydra.sweep.subdir
+    if HydraConfig.initialized() and (hydra := HydraConfig.get()).mode is RunMode.MULTIRUN:
+        names = {override.partition("=")[0] for override in hydra.overrides.task}
+        if names.isdisjoint(("run_dir", "resume")):
+            return Path(hydra.sweep.dir) / hydra.sweep.subdir
     return Path(config.run_dir)
 
 
