@@ -20,7 +20,7 @@ from samarl.policies.policy import LOCAL, MACRO, Policy, PolicyState
 Floats = NDArray[np.float32]
 
 
-@dataclass
+@dataclass(frozen=True)
 class RewardShaping:
     """The shaping that an algorithm asks for, which is the same for all policies."""
 

@@ -17,7 +17,6 @@ from samarl.observations.features import empty_frames
 from samarl.policies.checkpoint import make_policy
 from samarl.policies.policy import LOCAL, Policy
 from samarl.policies.stochastic import ActionEvaluation, StochasticPolicy
-from samarl.reward_shaping import RewardShaping
 from samarl.rollout import Rollout
 from samarl.training.collector import RolloutCollector
 from samarl.training.curriculum import CurriculumStage
@@ -61,8 +60,8 @@ PPO_NUMBERS: dict[str, Any] = {
     "learning_rate": 1e-3,
     "epochs": 1,
     "minibatches": 2,
-    "discount": 0.9,
-    "local_discount": 0.95,
+    "discount": 0.95,
+    "macro_discount": 0.9,
     "gae_lambda": 0.8,
     "clip_epsilon": 0.2,
     "entropy_coefficient": 0.01,
@@ -162,7 +161,6 @@ def collector(
     worlds: int = 12,
     steps: int = 10,
     scenario: Scenario = SCENARIO,
-    shaping: RewardShaping | None = None,
     **stage: Any,
 ) -> RolloutCollector:
     """What collects rollouts with it, with the true state."""
@@ -171,7 +169,6 @@ def collector(
         of,
         steps,
         0,
-        shaping,
         uses_global_state=True,
     )
 

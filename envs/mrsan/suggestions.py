@@ -29,6 +29,7 @@ _SYNONYMS = {
 }
 # Settings of earlier versions, and what they are now: a name, or a name with a value.
 RENAMED = {
+    "local_discount": "discount",
     "robots_visible": "crowd_reaction=reciprocal",
 }
 

@@ -25,7 +25,7 @@ class Algorithm(nn.Module, ABC):
     """Trains a policy on rollouts; critics and other networks are its submodules."""
 
     policy: Policy
-    reward_shaping: RewardShaping  # of its rollouts
+    reward_shaping = RewardShaping()  # of its next rollouts
     uses_global_state = False  # rollouts must hold the global state
     uses_shield_targets = False  # rollouts must hold the actions of the safety shield
     teacher: str | None = None  # name of the agent whose actions rollouts must hold, if any
@@ -40,7 +40,6 @@ class Algorithm(nn.Module, ABC):
         """
         super().__init__()
         self.config = config
-        self.reward_shaping = RewardShaping()
         self.__dict__["policy"] = policy  # not a submodule: the trainer saves it separately
 
     @abstractmethod

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
@@ -39,7 +39,7 @@ from samarl.policies.policy import LOCAL, MACRO, Policy
 from samarl.policies.stochastic import Sequences, StochasticPolicy
 from samarl.rollout import Rollout, level_key
 
-MACRO_RISE = 0.3
+MACRO_STD_WARMUP = 0.3
 """Share of the training in which the macro level's minimal noise rises from 0.
 
 Waypoints hardly move at first, so that the local level learns to drive to them.
@@ -78,8 +78,7 @@ class PPOConfig:
     learning_rate: float = required(0.0, 1.0, help="initial learning rate; falls linearly to 0")
     epochs: int = required(1, 100, help="passes over each rollout")
     minibatches: int = required(1, 1000, help="minibatches per epoch")
-    discount: float = required(0.0, 1.0, help="discount of the macro level, per step")
-    local_discount: float = required(0.0, 0.9999, help="discount of the local level, per step")
+    discount: float = required(0.0, 0.9999, help="discount per step")
     gae_lambda: float = required(0.0, 1.0, help="lambda of generalised advantage estimation")
     clip_epsilon: float = required(0.0, 0.99, help="clipping range of the probability ratio")
     entropy_coefficient: float = required(0.0, 10.0, help="weight of the entropy bonus")
@@ -115,6 +114,9 @@ class PPOConfig:
     )
     critic_width: int = required(8, 1024, help="width of the critics' encoder")
     critic_features: int = required(8, 4096, help="output size of the critics' encoder")
+    macro_discount: float | None = number(
+        None, 0.0, 1.0, help="discount of the macro level per step; null: the same"
+    )
     target_kl: float | None = number(
         None, 0.0, 1e6, help="KL divergence beyond which epochs stop; null: never"
     )
@@ -186,7 +188,7 @@ class PPO(Algorithm):
             critic_coeff=0.0,
             clip_value=c.clip_epsilon,
             loss_critic_type="l2",
-            normalize_advantage=False,  # `_level_data` does, over all rollouts
+            normalize_advantage=False,  # `_normalise` does, over all rollouts
             log_explained_variance=False,
             functional=False,
         )
@@ -198,15 +200,16 @@ class PPO(Algorithm):
     def set_progress(self, progress: float) -> None:
         """Decay learning rate, exploration, path penalty and imitation of the teacher linearly.
 
-        The minimal noise of the macro level rises during the first part, see `MACRO_RISE`.
+        The minimal noise of the macro level rises during the first part, see `MACRO_STD_WARMUP`.
         """
         c = self.config
         self._set_learning_rate(progress)
-        self.reward_shaping.path_penalty = c.path_penalty * (1.0 - progress)
+        path_penalty = c.path_penalty * (1.0 - progress)
+        self.reward_shaping = replace(self.reward_shaping, path_penalty=path_penalty)
         self.teacher_weight = c.teacher_coefficient * max(1.0 - progress / c.teacher_end, 0.0)
         self.teacher = c.teacher if self.teacher_weight > 0.0 else None
         largest = c.std_start + (c.std_end - c.std_start) * progress
-        least = {LOCAL: 0.0, MACRO: c.macro_std * min(progress / MACRO_RISE, 1.0)}
+        least = {LOCAL: 0.0, MACRO: c.macro_std * min(progress / MACRO_STD_WARMUP, 1.0)}
         for level in self.policy.levels:
             self.policy.bound_std(level, least[level], largest)
 
@@ -229,27 +232,29 @@ class PPO(Algorithm):
         The local level also has what `_auxiliary_loss` reads.
         """
         features = [self._critic_features(rollout) for rollout in rollouts]
-        levels: list[dict[str, TensorDict]] = [{} for _ in rollouts]
+        levels: list[dict[str, TensorDict]] = [{} for _ in rollouts]  # of each rollout
         for level in self.policy.levels:
-            parts = zip(rollouts, features, strict=True)
-            data = [self._level_data(level, rollout, seen) for rollout, seen in parts]
+            pairs = zip(rollouts, features, strict=True)
+            data = [self._level_data(level, *pair) for pair in pairs]
             self._normalise(level, data, statistics)
-            for of_rollout, level_data in zip(levels, data, strict=True):
-                of_rollout[level] = level_data
-        training_data = []
-        for rollout, data_of, selected in zip(rollouts, levels, self._select(levels), strict=True):
+            for rollout_levels, level_data in zip(levels, data, strict=True):
+                rollout_levels[level] = level_data
+        parts = []
+        for rollout, rollout_levels, selected in zip(
+            rollouts, levels, self._select(levels), strict=True
+        ):
             row = torch.arange(len(selected), device=selected.device)
-            training_data.append(
+            parts.append(
                 TrainingData(
                     Sequences(rollout.frames, rollout.is_init, rollout.encoder),
                     self._critic_frames(rollout),
-                    data_of,
+                    rollout_levels,
                     selected,
                     row % rollout.robots,
                     row // rollout.robots,
                 )
             )
-        return merge(training_data)
+        return merge(parts)
 
     def _critic_features(self, rollout: Rollout) -> Tensor:
         """Return the critics' view of all steps, [S, T + 1, N, F]."""
@@ -273,16 +278,15 @@ class PPO(Algorithm):
         if level == MACRO:
             value = critic.denormalise(critic(features)).squeeze(-1)
             decided = steps["decision_mask"][:, :-1]
+            discount = c.discount if c.macro_discount is None else c.macro_discount
             advantage, target, valued = macro_advantages(
-                stream, decided, reward, value, c.discount, c.gae_lambda
+                stream, decided, reward, value, discount, c.gae_lambda
             )
             data |= {"decides": valued & decided, "valued": valued}
         else:
             waypoint = [steps["waypoint_features"]] if MACRO in self.policy.levels else []
             value = critic.denormalise(critic(features, *waypoint)).squeeze(-1)
-            advantage, target = step_advantages(
-                stream, reward, value, c.local_discount, c.gae_lambda
-            )
+            advantage, target = step_advantages(stream, reward, value, c.discount, c.gae_lambda)
             data |= {"decides": stream.acts, "valued": stream.counts}
             present = [key for key in LOCAL_KEYS if steps.get(key, None) is not None]
             data |= {key: steps[key][:, :-1] for key in present}
@@ -501,7 +505,7 @@ class IPPO(PPO):
     def __init__(self, policy: Policy, config: IPPOConfig) -> None:
         """See `PPO`."""
         super().__init__(policy, config)
-        self.reward_shaping.team_bonus = config.team_reward
+        self.reward_shaping = replace(self.reward_shaping, team_bonus=config.team_reward)
 
     def _critic_sizes(self) -> FeatureSizes:
         return self.policy.sizes

@@ -33,6 +33,7 @@ from samarl.policies.policy import Policy
 from samarl.policies.squashed import SquashedPolicy
 from samarl.policies.stochastic import Sequences
 from samarl.registry import needed
+from samarl.reward_shaping import RewardShaping
 from samarl.rollout import Rollout
 
 
@@ -92,7 +93,8 @@ class SoftActorCritic(Algorithm):
         super().__init__(
             policy, per_process(config, "algorithm", "replay", "learning_starts", "batch")
         )
-        self.reward_shaping.team_bonus = self.reward_shaping.shared = config.team_reward
+        team = config.team_reward
+        self.reward_shaping = RewardShaping(team_bonus=team, shared=team)
         if not isinstance(policy, SquashedPolicy):
             raise ConfigurationError(
                 "algorithm.name is soft_actor_critic; policy.name must be squashed"

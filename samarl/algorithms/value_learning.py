@@ -25,6 +25,7 @@ from samarl.launch import per_process
 from samarl.observations.frames import Frames
 from samarl.policies.lookahead import LookaheadPolicy
 from samarl.policies.policy import Policy
+from samarl.reward_shaping import RewardShaping
 from samarl.rollout import Rollout
 
 OTHERS = ("humans", "humans_known", "robots", "robots_known")  # `Frames` with slots for others
@@ -73,7 +74,7 @@ class ValueLearning(Algorithm):
         super().__init__(
             policy, per_process(config, "algorithm", "replay", "learning_starts", "batch")
         )
-        self.reward_shaping.team_bonus = False
+        self.reward_shaping = RewardShaping(team_bonus=False)
         if not isinstance(policy, LookaheadPolicy):
             raise ConfigurationError(
                 "algorithm.name is value_learning; policy.name must be one with values: lookahead"

@@ -272,8 +272,30 @@ def settings_in(config: DictConfig) -> Settings:
         OmegaConf.to_container(config[name], resolve=True) for name in ("policy", "algorithm")
     )
     check_numbers(trainer, "trainer")
+    _refuse_macro_settings(str(policy.get("name")))  # type: ignore[union-attr]
     init_from = None if config.init_from is None else find_policy(config.init_from, "init_from")
     return Settings(stages, trainer, policy, algorithm, init_from)  # type: ignore[arg-type]
+
+
+def _refuse_macro_settings(policy: str) -> None:
+    """Refuse settings of a macro level on the command line if the policy has none.
+
+    Recipes may have them: most are for policies of one and of two levels.
+
+    Raises:
+        ConfigurationError: a setting would have no effect.
+    """
+    from samarl.policies.policy import MACRO, POLICIES
+
+    if MACRO in POLICIES[policy].cls.levels or not HydraConfig.initialized():
+        return
+    for override in HydraConfig.get().overrides.task:
+        name, _, value = override.lstrip("+").partition("=")
+        if name.startswith("algorithm.macro_"):
+            raise ConfigurationError(
+                f"{name} is {value}; it must not be set with policy.name {policy}, which has no "
+                "macro level"
+            )
 
 
 def stages_in(config: DictConfig) -> list[CurriculumStage]:

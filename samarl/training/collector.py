@@ -43,7 +43,6 @@ class RolloutCollector:
         policy: Policy,
         steps: int,
         first: int,
-        shaping: RewardShaping | None = None,
         uses_global_state: bool = False,
         uses_shield_targets: bool = False,
         teacher: Agent | None = None,
@@ -55,13 +54,12 @@ class RolloutCollector:
             policy: decides and explores.
             steps: T.
             first: the first case number within the training split; 2 E of them are used.
-            shaping: of the rewards; None: none.
             uses_global_state: store the global state too, for central critics.
             uses_shield_targets: store the actions of the safety shield too.
             teacher: store the actions of this agent too.
         """
         self.stage, self.policy, self.steps = stage, policy, steps
-        self.shaping = shaping or RewardShaping()
+        self.shaping = RewardShaping()
         self.uses_global_state = uses_global_state
         self.shield = Shield() if uses_shield_targets else None
         self.teacher = teacher
@@ -101,8 +99,16 @@ class RolloutCollector:
         return self.stage.failure_restart_probability > 0.0
 
     @torch.no_grad()
-    def collect(self) -> Rollout:
-        """Collect T more steps of every world."""
+    def collect(self, shaping: RewardShaping | None = None, imitates: bool = True) -> Rollout:
+        """Collect T more steps of every world.
+
+        Args:
+            shaping: of the rewards; None: none.
+            imitates: store the teacher's actions. Once it is False, the teacher does not act again.
+        """
+        self.shaping = shaping or RewardShaping()
+        if not imitates:
+            self.teacher = None
         policy, world, t, h = self.policy, self.world, self.steps, self.policy.history
         for tensor in (*self.frames.tensors(), self.begins):  # step T becomes step 0
             tensor[:, : self.past + 1] = tensor[:, t : t + self.past + 1].clone()

@@ -142,7 +142,6 @@ def build_collectors(
                 policy,
                 config.rollout,
                 first_case + 2 * process_stage.worlds * rank(),
-                algorithm.reward_shaping,
                 algorithm.uses_global_state,
                 algorithm.uses_shield_targets,
                 build_teacher(algorithm.teacher, stage.scenario),

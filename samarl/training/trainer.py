@@ -143,12 +143,14 @@ class Trainer:
 
     def collect(self) -> list[Rollout]:
         """Return a rollout of every active stage."""
-        if self.algorithm.teacher is None:
-            for collector in self.collectors:
-                collector.teacher = None  # it is not imitated any more
+        shaping, imitates = self.algorithm.reward_shaping, self.algorithm.teacher is not None
         share = self.steps_done / self.config.steps
         pairs = zip(self.stages, self.collectors, strict=True)
-        return [collector.collect() for stage, collector in pairs if stage.is_active(share)]
+        return [
+            collector.collect(shaping, imitates)
+            for stage, collector in pairs
+            if stage.is_active(share)
+        ]
 
     @property
     def steps_done(self) -> int:

@@ -288,8 +288,8 @@ def test_who_arrives_early_is_paid_for_the_team_unless_everyone_is_for_himself(
             head.body[-1].weight.zero_()
             head.body[-1].bias.copy_(torch.tensor([0.8, 0.0, 0.0]))
             head.log_std.fill_(-20.0)
-    learner = algorithm(model, name, gae_lambda=1.0, local_discount=0.9, **changes)
-    going = collector(model, 1, 24, scenario, learner.reward_shaping)
+    learner = algorithm(model, name, gae_lambda=1.0, discount=0.9, **changes)
+    going = collector(model, 1, 24, scenario)
     state = going.world.state
     for n, far in enumerate((1.5, 3.5)):
         goal, start = state.robot_goal[0, n], state.robot_start[0, n]
@@ -297,7 +297,7 @@ def test_who_arrives_early_is_paid_for_the_team_unless_everyone_is_for_himself(
         state.robot_position[0, n] = goal - far * ahead
         state.robot_heading[0, n] = np.arctan2(ahead[1], ahead[0])
     going.observation = going.world.observe()
-    rollout = going.collect()
+    rollout = going.collect(learner.reward_shaping)
     steps = rollout.steps
     end = int(steps["next", "done"][0, :, 0].nonzero()[0])
     early = int((~steps["agents", "active_mask"][0, :, 0]).nonzero()[0])

@@ -111,7 +111,7 @@ def test_a_metre_costs_what_it_should() -> None:
         learner = learning.algorithm(policy, path_penalty=penalty)
         learner.set_progress(0.0)
         shaping = learner.reward_shaping
-        rollouts.append(learning.collector(policy, 4, 12, scenario, shaping).collect())
+        rollouts.append(learning.collector(policy, 4, 12, scenario).collect(shaping))
     free, rollout = rollouts
     key = ("next", "agents", "reward")
     cost = (free.steps[key] - rollout.steps[key])[:, :-1].sum(1)

@@ -330,23 +330,28 @@ def test_a_foreign_or_damaged_checkpoint_is_refused_in_words(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize(
-    ("stages", "message"),
+    ("words", "message"),
     [
-        ("[]", r"curriculum\.stages .* 0 "),
-        ("[{worlds: 1, end: 0.5}]", r"curriculum\.stages .* 0\.5 "),
-        ("[{worlds: 1, begin: 0.7, end: 0.5}]", r"curriculum\.stages\[0\]\.begin .*0\.7.*0\.5"),
-        ("[{worlds: 0}]", r"curriculum\.stages\[0\]\.worlds .*0.* \[?1\b"),
+        (["curriculum.stages=[]"], r"curriculum\.stages .* 0 "),
+        (["curriculum.stages=[{worlds: 1, end: 0.5}]"], r"curriculum\.stages .* 0\.5 "),
+        (
+            ["curriculum.stages=[{worlds: 1, begin: 0.7, end: 0.5}]"],
+            r"curriculum\.stages\[0\]\.begin .*0\.7.*0\.5",
+        ),
+        (["curriculum.stages=[{worlds: 0}]"], r"curriculum\.stages\[0\]\.worlds .*0.* \[?1\b"),
+        (["policy=flat", "algorithm.macro_std=0.4"], r"algorithm\.macro_std .*0\.4.*\bflat\b"),
+        (["algorithm.local_discount=0.9"], r"algorithm\.local_discount .*algorithm\.discount\b"),
     ],
 )
-def test_a_curriculum_with_a_mistake_is_refused(
-    stages: str,
+def test_a_mistake_is_refused_in_one_line(
+    words: list[str],
     message: str,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
     tmp_path: Path,
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "argv", ["samarl-train", f"curriculum.stages={stages}"])
+    monkeypatch.setattr(sys, "argv", ["samarl-train", *words])
     with pytest.raises(SystemExit) as stopped:
         main()
     assert stopped.value.code == 2
