@@ -27,8 +27,9 @@ from tensorboard.backend.event_processing.event_accumulator import (  # type: ig
 from benchmarks.workload import add_output, interruptible, provenance
 from mrsan import ConfigurationError
 from samarl.files import check_writable, write_json
+from samarl.policies.card import BEST, LAST
 from samarl.progress import progress_bar
-from samarl.training.run_dir import BEST, LAST, RunDir
+from samarl.training.run_dir import RunDir
 
 SAVE_EVERY = 32  # environment steps
 TRAINING = [

@@ -35,7 +35,7 @@ from mrsan.prediction import SHIPPED, find_predictor
 from mrsan.recording import SAMPLE, load_recording
 from samarl.agents import build_agent
 from samarl.commands import bench, evaluate, export, predictor, render, report, train
-from samarl.configuration import first, register_schemas
+from samarl.configuration import register_schemas
 from samarl.evaluation.page import page
 from samarl.evaluation.regression import compare
 from samarl.evaluation.seeds import improvements
@@ -458,7 +458,6 @@ def call(name: str, words: list[str]) -> None:
 def composed(name: str, words: list[str]) -> Iterator[DictConfig]:
     """Compose the configuration of a command."""
     register_schemas()
-    OmegaConf.register_new_resolver("first", first, replace=True)
     schema = getattr(COMMANDS[name], name.capitalize(), None)
     if schema is not None:
         ConfigStore.instance().store(name=f"{name}_schema", node=schema)

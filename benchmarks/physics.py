@@ -12,16 +12,14 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import samarl
 from benchmarks.workload import add_output, interruptible, positive_whole_number, provenance
 from mrsan import Scenario
-from samarl.agents import build_agent
-from samarl.commands.evaluate import evaluate_agent
-from samarl.configuration import load_agent_config, load_scenario
-from samarl.evaluation.runner import Evaluation
+from samarl.configuration import load_scenario
 from samarl.evaluation.summary import Row
 from samarl.evaluation.table import markdown_table
-from samarl.files import code_version, read_json, write_json, write_text
-from samarl.physics.engine import Engine, MrsanEngine, MujocoEngine
+from samarl.files import read_json, write_json, write_text
+from samarl.physics.engine import MujocoEngine
 from samarl.progress import progress_bar
 
 LATENCY = 0.05  # s, of the column that policies must withstand
@@ -75,13 +73,9 @@ class Run:
     def row(self, cases: int) -> Row:
         """Evaluate the row."""
         scenario = replace(load_scenario(self.scenario), **self._of("scenario"))
-        agent = build_agent(load_agent_config(self.agent), scenario)
-        engine: Engine = MrsanEngine()
-        if self.engine == "mujoco":
-            engine = MujocoEngine(**self._of("engine"))
-        evaluation = Evaluation(cases=cases)
-        command, commit = self.command(cases), code_version()
-        return evaluate_agent(agent, self.agent, engine, evaluation, command, commit)[1]
+        engine = MujocoEngine(**self._of("engine")) if self.engine == "mujoco" else None
+        command = self.command(cases)
+        return samarl.evaluate(self.agent, scenario, cases, engine=engine, command=command).row
 
     def _of(self, group: str) -> dict[str, Any]:
         prefix = f"{group}."

@@ -18,16 +18,17 @@ import time
 from typing import Any
 
 from hydra import compose, initialize_config_dir
-from hydra.core.config_store import ConfigStore
 
 from benchmarks.workload import add_output, interruptible, positive_whole_number, provenance
-from samarl.commands.train import build_trainer, train_schema
+from samarl.commands.train import settings_in
 from samarl.configuration import register_schemas
 from samarl.distributed import stop_requested
 from samarl.evaluation.table import markdown_table
 from samarl.files import find_folder, machine, write_json
 from samarl.launch import rank, world_size
 from samarl.progress import progress_bar
+from samarl.training.run import build_trainer
+from samarl.training.settings import train_schema
 from samarl.training.trainer import Trainer
 
 # The functions that make up each part of a round: end of the file's path, name.
@@ -114,10 +115,9 @@ def shares(profile: pstats.Stats) -> dict[str, float]:
 
 def default_trainer(settings: list[str]) -> Trainer:
     """Return the trainer that `samarl-train` would run with these settings."""
-    register_schemas()
-    ConfigStore.instance().store(name="train_schema", node=train_schema())
+    register_schemas(train_schema=train_schema())
     with initialize_config_dir(str(find_folder("conf").resolve()), version_base="1.3"):
-        return build_trainer(compose("train", settings), "benchmark")
+        return build_trainer(settings_in(compose("train", settings)), "benchmark")
 
 
 def _parse() -> argparse.Namespace:

@@ -1,11 +1,11 @@
-"""The Python API: load agents and scenarios, evaluate, record, draw and train."""
+"""The Python API: load agents and scenarios, evaluate, record and draw."""
 
 from __future__ import annotations
 
 import contextlib
-import dataclasses
+import sys
 import warnings
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,37 +13,37 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mrsan import ConfigurationError, Scenario, Split
+from mrsan import ConfigurationError, Observation, Scenario, Split
+from mrsan.compile_ahead import compile_ahead
 from mrsan.kernels import kernel
 from mrsan.scenario import overridden
-from mrsan.suggestions import choice_hint
 from samarl import configuration
-from samarl.agents import Agent, build_agent
-from samarl.commands.agents import AGENT_OF_POLICY
-from samarl.commands.composition import COMPOSITION_ERRORS
-from samarl.commands.errors import explain
-from samarl.commands.overrides import as_override
-from samarl.commands.render import picture_writer, title_of
+from samarl.agents import Agent, ScopeWarning, build_agent
+from samarl.agents.custom import Custom
 from samarl.evaluation.result import EvaluationResult
-from samarl.evaluation.runner import Evaluation, run_cases
+from samarl.evaluation.runner import Evaluation, run_cases, warm_up
 from samarl.evaluation.summary import changed_fields, summarise
 from samarl.evaluation.trajectory import as_table, record_episode
 from samarl.files import check_writable, code_version
+from samarl.physics.engine import Engine, MrsanEngine
+from samarl.policies.card import is_policy
 from samarl.progress import progress_bar
+from samarl.report.pictures import film_physics, picture_writer, title_of
+from samarl.user_files import label_of
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
 Name = str | Path
-_YAML = (".yaml", ".yml")
+AnyAgent = Agent | Name | Callable[[Observation], Any] | Any
 
 
 def load_scenario(scenario: Name | Scenario = Scenario.name, **overrides: Any) -> Scenario:
     """Return a scenario by its name, with some of its fields changed.
 
     Args:
-        scenario: the name of a file in `conf/scenario/`, a YAML file in the same form, or a
-            scenario.
+        scenario: the name of a file in `conf/scenario/`; a YAML file in the same form; a policy or
+            the folder of a training run, for the scenario of its training; or a scenario.
         **overrides: fields of `mrsan.Scenario`, such as `humans=5`.
 
     Raises:
@@ -54,13 +54,10 @@ def load_scenario(scenario: Name | Scenario = Scenario.name, **overrides: Any) -
         5
     """
     if not isinstance(scenario, Scenario):
-        with _one_line_errors():
-            is_file = Path(scenario).suffix in _YAML
-            scenario = (
-                configuration.read_scenario(Path(scenario))
-                if is_file
-                else configuration.load_scenario(str(scenario))
-            )
+        name = str(scenario)
+        is_known = name in configuration.available_scenarios() or not is_policy(name)
+        load = configuration.load_scenario if is_known else configuration.training_scenario
+        scenario = load(name)
     return overridden(scenario, overrides)
 
 
@@ -69,10 +66,11 @@ def load_agent(agent: Name, scenario: Name | Scenario | None = None, **overrides
 
     Args:
         agent: the name of an agent in `conf/agent/`, such as `samarl` or `orca`; a YAML file in
-            the same form; a policy, which is a `.safetensors` file or the name of a shipped one;
-            or the folder of a training, whose best policy is loaded. A policy drives like the
-            shipped agent with a policy of its kind, which for SAMARL's kinds has a shield.
-        scenario: the task (`load_scenario` lists the forms). None: SAMARL's.
+            the same form; or a policy, which is a `.safetensors` file, the folder of a training
+            run, whose best policy is loaded, or the name of an included one. A policy drives like
+            the included agent with a policy of its kind, which for SAMARL's kinds has a shield.
+        scenario: the task (`load_scenario` lists the forms). None: that of the training of a
+            policy, otherwise SAMARL's.
         **overrides: fields of the YAML file, such as `shield=False`.
 
     Raises:
@@ -85,37 +83,59 @@ def load_agent(agent: Name, scenario: Name | Scenario | None = None, **overrides
         >>> load_agent("samarl", shield=False).checkpoint
         'samarl'
     """
-    with _one_line_errors():
-        label, settings = _agent_settings(agent)
-    task = load_scenario() if scenario is None else load_scenario(scenario)
-    loaded = build_agent({**settings, **overrides}, task)
-    loaded.label = label
+    name = str(agent)
+    settings = configuration.load_agent_config(name)
+    if scenario is None:
+        scenario = Scenario.name
+        if configuration.is_own_policy(name):
+            scenario = scenario_of_training(name)
+    loaded = build_agent({**settings, **overrides}, load_scenario(scenario))
+    loaded.label = label_of(name)
     return loaded
 
 
+def scenario_of_training(policy: str) -> Scenario:
+    """Return the scenario of the training of a policy and say so in one line.
+
+    Raises:
+        ConfigurationError: its scenario cannot be read.
+    """
+    scenario = configuration.training_scenario(policy)
+    print(f"note: {policy} is used in the scenario of its training: {scenario}", file=sys.stderr)
+    return scenario
+
+
 def evaluate(
-    agent: Agent | Name,
+    agent: AnyAgent,
     scenario: Name | Scenario | None = None,
     cases: int | Iterable[int] = 500,
     *,
     split: str | Split = Split.test,
     batch: int = Evaluation.batch,
     name: str | None = None,
+    engine: Engine | None = None,
+    command: str | None = None,
 ) -> EvaluationResult:
-    """Run an agent on fixed cases, like `samarl-evaluate`; results do not depend on the batch size.
+    """Run an agent on fixed cases; results do not depend on the batch size.
 
     Args:
-        agent: an agent, or a name that `load_agent` accepts. An agent that was created for another
-            scenario is created again from its settings.
-        scenario: the task (`load_scenario` lists the forms). None: that of the agent object, or
-            SAMARL's.
+        agent: an agent; a name that `load_agent` accepts; a function that returns actions
+            [E, N, A] in [-1, 1] for the `mrsan.Observation` of N robots in each of E worlds; or an
+            object with such a method `act`, and perhaps `reset` like `Agent`. An agent that was
+            created for another scenario is created again from its settings.
+        scenario: the task (`load_scenario` lists the forms). None: that of the agent object, that
+            of the training of a policy, or SAMARL's.
         cases: how many cases from the first one, or which: indices in the split, or case numbers.
         split: "test", "validation" or "training".
         batch: number of worlds simulated in parallel.
-        name: the method in the row. None: the name of the agent, or of its class.
+        name: the method in the row. None: the name of the agent, of the function or of the class.
+        engine: what moves the robots, such as a `samarl.physics.engine.MujocoEngine`. None: the
+            simulator.
+        command: recorded in the row as what reproduces it. None: this call.
 
     Raises:
         ConfigurationError: there is no such agent or scenario, or a case is invalid.
+        ActionError: an action is not valid.
 
     Examples:
         >>> result = evaluate("orca", load_scenario(humans=5), cases=4)
@@ -125,28 +145,35 @@ def evaluate(
     driver = _agent_for(agent, scenario)
     title = name or _name_of(driver)
     numbers = _case_numbers(cases, split)
-    with (
-        progress_bar(total=len(numbers), desc=title, unit="case", leave=False) as bar,
-        _one_kernel_version(),
-    ):
-        episodes = run_cases(driver, driver.scenario, numbers, batch, bar.update)
+    Evaluation(batch=batch)  # checks it
+    engine = engine or MrsanEngine()
+    engine.check(driver.scenario)
+    task, further = driver.scenario, {}
+    with one_kernel_version():
+        if isinstance(engine, MrsanEngine):
+            _compile_for(driver)
+        with progress_bar(total=len(numbers), desc=title, unit="case", leave=False) as bar:
+            if isinstance(engine, MrsanEngine):
+                episodes = run_cases(driver, task, numbers, batch, bar.update)
+            else:
+                from samarl.physics.runner import run_physics_cases  # imports MuJoCo
+
+                episodes, error = run_physics_cases(driver, engine, numbers, title, bar.update)
+                further["tracking_error"] = round(error, 4)
     named = None
     with contextlib.suppress(ConfigurationError):  # the name of a scenario may be the user's own
-        named = configuration.load_scenario(driver.scenario.name)
-    row = summarise(
-        episodes,
-        driver.scenario,
-        title,
-        _call(title, driver.scenario, named or Scenario(), numbers),
-        code_version(),
-        int(numbers[0]),
-        named,
-    )
-    return EvaluationResult(driver.scenario, episodes, row)
+        named = configuration.load_scenario(task.name)
+    if command is None:
+        source = str(agent) if isinstance(agent, Name) else title
+        command = _call(source, task, named or Scenario(), numbers)
+    first = int(numbers[0])
+    row = summarise(episodes, task, title, command, code_version(), first, named)
+    row["changes"] = " ".join(filter(None, [row["changes"], *engine.changes()]))
+    return EvaluationResult(task, episodes, row | further)
 
 
 def record(
-    agent: Agent | Name,
+    agent: AnyAgent,
     scenario: Name | Scenario | None = None,
     case: int = 0,
     *,
@@ -172,55 +199,21 @@ def record(
     """
     driver = _agent_for(agent, scenario)
     (number,) = _case_numbers([case], split)
-    with _one_kernel_version():
+    with one_kernel_version():
         return as_table(record_episode(driver, driver.scenario, int(number)))
 
 
-def train(*overrides: str | Sequence[str], **settings: Any) -> Path:
-    """Train a policy, or resume an interrupted training, like `samarl-train`.
-
-    Args:
-        *overrides: the words of a command line, such as "policy=flat", or lists of them.
-        **settings: the same by name: choices of a file (`policy="flat"`), and numbers in nested
-            mappings (`trainer={"steps": 50000}`). `scenario` may be a `mrsan.Scenario`.
-
-    Returns:
-        The folder of the run, which `load_agent` and `evaluate` accept as an agent.
-
-    Raises:
-        ConfigurationError: a setting is not valid.
-        KeyboardInterrupt: the training was interrupted; the same call resumes it.
-
-    Examples:
-        ```python
-        scenario = samarl.load_scenario(humans=3)
-        folder = samarl.train(
-            "policy=flat", scenario=scenario, trainer={"steps": 200_000}, run_dir="outputs/mine"
-        )
-        samarl.evaluate(folder, scenario)
-        ```
-    """
-    from samarl.commands.train import train_in_process  # imports what the rest does not need
-
-    words: list[str] = []
-    for override in overrides:
-        words += [override] if isinstance(override, str) else override
-    for name, value in settings.items():
-        words += _words(name, value)
-    with _one_line_errors(), _one_kernel_version():
-        return train_in_process(words)
-
-
 def render(
-    agent: Agent | Name,
+    agent: AnyAgent,
     scenario: Name | Scenario | None = None,
     case: int = 0,
     output: Name = "outputs/case.png",
     *,
-    against: Agent | Name | None = None,
+    against: AnyAgent | None = None,
     split: str | Split = Split.test,
+    engine: Engine | None = None,
 ) -> Path:
-    """Run one case and draw it, like `samarl-render`.
+    """Run one case and draw it.
 
     Args:
         agent: as for `evaluate`.
@@ -229,6 +222,7 @@ def render(
         output: file of the picture (.png, .svg or .pdf) or of the animation (.gif or .mp4).
         against: a second agent, drawn next to the first on the same case.
         split: "test", "validation" or "training".
+        engine: as for `evaluate`; MuJoCo draws films of one agent.
 
     Returns:
         The path of the file.
@@ -240,48 +234,40 @@ def render(
     save = picture_writer(path)
     check_writable(path, "output")
     drivers = [_agent_for(agent, scenario)]
+    (number,) = _case_numbers([case], split)
+    if engine is not None and not isinstance(engine, MrsanEngine):
+        if against is not None:
+            raise ConfigurationError(f"against is {against}; it must be null with engine=mujoco")
+        film_physics(drivers[0], engine, int(number), _name_of(drivers[0]), path)
+        return path
     if against is not None:
         drivers.append(_agent_for(against, drivers[0].scenario))
-    (number,) = _case_numbers([case], split)
-    with _one_kernel_version():
+    with one_kernel_version():
+        _compile_for(drivers[0])
         trajectories = [record_episode(driver, driver.scenario, int(number)) for driver in drivers]
     titles = [title_of(*pair) for pair in zip(map(_name_of, drivers), trajectories, strict=True)]
     save(list(zip(trajectories, titles, strict=True)), path)
     return path
 
 
-def _words(name: str, value: Any) -> Iterator[str]:
-    """Yield the settings of a command line that have the same effect as a named argument."""
-    if isinstance(value, Scenario):
-        named = configuration.load_scenario(value.name)
-        yield as_override(name, value.name)
-        for key, item in _changes(value, named):
-            yield from _words(f"{name}.{key}", item)
-    elif isinstance(value, Mapping) and value:
-        for key, item in value.items():
-            yield from _words(f"{name}.{key}", item)
-    else:
-        yield as_override(name, value)
-
-
-def _changes(value: Any, default: Any) -> Iterator[tuple[str, Any]]:
-    """Yield the fields of a scenario that differ, with those of its parts as mappings."""
-    for name, item in changed_fields(value, default):
-        is_part = dataclasses.is_dataclass(item)
-        yield name, dict(_changes(item, getattr(default, name))) if is_part else item
-
-
-def _agent_for(agent: Agent | Name, scenario: Name | Scenario | None) -> Agent:
+def _agent_for(agent: AnyAgent, scenario: Name | Scenario | None) -> Agent:
     """Return the agent for a scenario, with a warning if it was not trained for such scenarios."""
-    if not isinstance(agent, Agent):
+    if isinstance(agent, Name):
         driver = load_agent(agent, scenario)
+    elif not isinstance(agent, Agent):
+        if not callable(getattr(agent, "act", agent)):
+            raise ConfigurationError(
+                f"agent is {agent!r:.60}; it must be a name, an Agent, a function of an "
+                "observation or an object with `act`"
+            )
+        driver = Custom(load_scenario(Scenario.name if scenario is None else scenario), agent)
     elif scenario is None or (task := load_scenario(scenario)) == agent.scenario:
         driver = agent
     else:
         driver = agent.for_scenario(task)
         driver.label = agent.label
     if warning := driver.scope_warning():
-        warnings.warn(warning, stacklevel=3)
+        warnings.warn(warning, ScopeWarning, stacklevel=3)
     return driver
 
 
@@ -289,32 +275,11 @@ def _name_of(agent: Agent) -> str:
     return agent.label or type(agent).__name__
 
 
-def _agent_settings(agent: Name) -> tuple[str, dict[str, Any]]:
-    """Return the label and the settings of an agent that is named in one of several ways."""
-    path = Path(agent)
-    if path.suffix in _YAML:
-        return path.stem, configuration.read_agent_config(path)
-    names = configuration.available_agents()
-    if str(agent) in names:
-        return str(agent), configuration.load_agent_config(str(agent))
-    from samarl.policies.checkpoint import find_policy, read_card  # import torch
-
-    try:
-        checkpoint = find_policy(str(path / "best.safetensors" if path.is_dir() else path))
-    except ConfigurationError:
-        raise ConfigurationError(
-            f"agent is {str(agent)!r}; it must be the name of an agent or of a shipped policy, a "
-            "YAML file, a .safetensors file, or the folder of a training; "
-            f"{choice_hint(str(agent), names, 'samarl-evaluate --help lists all names')}"
-        ) from None
-    kind = read_card(checkpoint).policy
-    if kind not in AGENT_OF_POLICY:
-        raise ConfigurationError(
-            f"agent is {str(agent)!r}, a {kind} policy; it must be a policy of the kinds "
-            f"{', '.join(AGENT_OF_POLICY)}, or a YAML file of an agent with this checkpoint"
-        )
-    settings = configuration.load_agent_config(AGENT_OF_POLICY[kind])
-    return path.stem, settings | {"checkpoint": str(checkpoint)}
+def _compile_for(agent: Agent) -> None:
+    """Compile what evaluating an agent needs, side by side, unless it is cached."""
+    with compile_ahead(agent.scenario) as compiles:
+        if compiles and not isinstance(agent, Custom):
+            warm_up(agent.for_scenario(agent.scenario), agent.scenario)
 
 
 def _case_numbers(cases: int | Iterable[int], split: str | Split) -> NDArray[np.int64]:
@@ -350,18 +315,7 @@ def _code(value: Any) -> str:
 
 
 @contextlib.contextmanager
-def _one_line_errors() -> Iterator[None]:
-    """Raise errors of Hydra and YAML as errors that name the setting, like those of commands."""
-    try:
-        yield
-    except ConfigurationError:
-        raise
-    except COMPOSITION_ERRORS as error:
-        raise ConfigurationError(explain(error)) from error
-
-
-@contextlib.contextmanager
-def _one_kernel_version() -> Iterator[None]:
+def one_kernel_version() -> Iterator[None]:
     """Simulate one world with the version of the kernels that simulates many.
 
     A user who evaluates and records then waits for one compilation only, as with the commands.

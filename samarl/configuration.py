@@ -5,18 +5,19 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import importlib
-import tempfile
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
 
-import yaml
 from hydra import compose, initialize_config_dir
 from hydra.core.config_loader import ConfigLoader
+from hydra.core.config_search_path import SearchPathQuery
 from hydra.core.config_store import ConfigStore
 from hydra.core.global_hydra import GlobalHydra
+from hydra.core.override_parser.types import Quote, QuotedString
+from hydra.core.plugins import Plugins
 from omegaconf import MISSING, DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
@@ -24,12 +25,12 @@ from mrsan import ConfigurationError, Scenario
 from mrsan.suggestions import choice_hint
 from samarl.evaluation.runner import Evaluation
 from samarl.files import find_folder
-from samarl.messages import describe
+from samarl.messages import describe, explain
 from samarl.physics.engine import ENGINES, Engine
+from samarl.policies.card import find_policy, is_policy, read_card
+from samarl.user_files import YAML, PathChoices, label_of
 
 T = TypeVar("T")
-
-MAX_VALUES = 100_000  # in a YAML file with its aliases expanded; typical files have some hundred
 
 
 def open_mapping(element_type: Any = Any) -> Any:
@@ -58,9 +59,19 @@ def first(*values: Any) -> Any:
     return next(value for value in values if value is not None)
 
 
-def register_schemas() -> None:
-    """Register the dataclasses against which Hydra checks names and types."""
+def register_schemas(**schemas: Any) -> None:
+    """Register all that the files in `conf/` refer to: schemas, resolvers and choices by path.
+
+    Args:
+        **schemas: further dataclasses, or their structured configurations, by their names in the
+            defaults lists.
+    """
+    OmegaConf.register_new_resolver("first", first, replace=True)
+    OmegaConf.register_new_resolver("label", label_of, replace=True)
+    Plugins.instance().register(PathChoices)
     store = ConfigStore.instance()
+    for name, schema in schemas.items():
+        store.store(name=name, node=schema)
     store.store(name="config_schema", node=Config)
     scenario = OmegaConf.structured(Scenario)
     for node in (scenario.crowd_settings, scenario.sensors, scenario.reward.terms):
@@ -112,38 +123,6 @@ def _object_in(
     return instance
 
 
-def reject_alias_bombs(folder: Path) -> None:
-    """Reject YAML files whose aliases expand to more than `MAX_VALUES` values.
-
-    Hydra expands every alias, so a few lines could exhaust the memory.
-
-    Raises:
-        ConfigurationError: a file has too many values.
-    """
-    for path in sorted(folder.rglob("*.yaml")):
-        try:
-            text = path.read_text(encoding="utf-8")
-            tree = yaml.compose(text, yaml.SafeLoader) if "&" in text else None
-            if tree and _count_values(tree, {}) > MAX_VALUES:
-                raise ConfigurationError(
-                    f"{path} has more than {MAX_VALUES} values with its aliases expanded; it must "
-                    "have fewer"
-                )
-        except (OSError, UnicodeError, yaml.YAMLError, RecursionError):
-            pass  # reported when the file is used
-
-
-def _count_values(node: yaml.Node, counts: dict[int, int]) -> int:
-    """Return the number of values below a node, aliases expanded; `counts` caches other nodes."""
-    if id(node) not in counts:
-        counts[id(node)] = MAX_VALUES  # counted if the node contains itself
-        entries = node.value if isinstance(node, yaml.CollectionNode) else []
-        if isinstance(node, yaml.MappingNode):
-            entries = [part for pair in entries for part in pair]
-        counts[id(node)] = 1 + sum(_count_values(entry, counts) for entry in entries)
-    return counts[id(node)]
-
-
 def import_plugins(modules: Sequence[str]) -> None:
     """Import a user's modules, which register their classes.
 
@@ -161,102 +140,139 @@ def import_plugins(modules: Sequence[str]) -> None:
 
 def available_agents() -> list[str]:
     """Return the names of all agents in `conf/agent/` and in `agent/` of `--config-dir`."""
-    with _hydra() as loader:
+    with hydra_tree() as loader:
         return sorted(loader.get_group_options("agent"))
 
 
+def available_scenarios() -> list[str]:
+    """Return the names of all scenarios in `conf/scenario/` and in those of `--config-dir`."""
+    with hydra_tree() as loader:
+        return sorted(set(loader.get_group_options("scenario")) - {"schema"})
+
+
 def load_agent_config(name: str, field: str = "agent") -> dict[str, Any]:
-    """Return the configuration of an agent of `conf/agent/`.
+    """Return the configuration of an agent.
 
     Args:
-        name: name of its file.
+        name: of its file in `conf/agent/`, or a path or policy as in `PathChoices`.
         field: name of the setting that holds `name`, for error messages.
 
     Raises:
         ConfigurationError: there is no such agent.
     """
-    names = available_agents()
-    if name not in names:
-        hint = choice_hint(name, names, "samarl-evaluate --help lists them")
-        raise ConfigurationError(f"{field}: there is no agent {name!r}; {hint}")
-    return _agent_in_group(name, [])
-
-
-def read_agent_config(path: Path) -> dict[str, Any]:
-    """Return the configuration of an agent in any YAML file, in the form of `conf/agent/`."""
-    with _as_choice(path, "agent") as (name, search_path):
-        return _agent_in_group(name, search_path)
-
-
-def _agent_in_group(name: str, search_path: list[str]) -> dict[str, Any]:
-    with _hydra():
-        config = OmegaConf.to_container(compose("config", [f"agent={name}", *search_path]).agent)
+    config = OmegaConf.to_container(_chosen("agent", name, field).agent)
     assert isinstance(config, dict)
     return {str(key): value for key, value in config.items()}
 
 
-@contextlib.contextmanager
-def _as_choice(path: Path, group: str) -> Iterator[tuple[str, list[str]]]:
-    """Make a YAML file a choice of a group, next to the files of its folder.
+def load_scenario(name: str, field: str = "scenario") -> Scenario:
+    """Return a scenario.
 
     Args:
-        path: path of the file.
-        group: name of the group.
-
-    Yields:
-        The name of the choice, and the override that adds it to Hydra's search path.
+        name: of its file in `conf/scenario/` or in `scenario/` of `--config-dir`, or the path of a
+            YAML file in the same form.
+        field: name of the setting that holds `name`, for error messages.
 
     Raises:
-        ConfigurationError: there is no such file.
+        ConfigurationError: there is no such scenario.
     """
-    if not path.is_file():
-        raise ConfigurationError(f"{group} is {str(path)!r}; there is no such file")
-    with tempfile.TemporaryDirectory() as folder:
-        links = Path(folder) / group
-        links.mkdir()
-        for file in path.resolve().parent.glob("*.yaml"):  # which its defaults list may name
-            (links / file.name).symlink_to(file)
-        name = f"file_{path.stem}"  # not the name of a file in `conf/`, which would precede it
-        (links / f"{name}.yaml").symlink_to(path.resolve())
-        yield name, [f"hydra.searchpath=['file://{folder}']"]
+    is_file = Path(name).suffix in YAML
+    return scenario_in(_chosen("scenario", name, field)) if is_file else _named(name, field)
+
+
+@cache
+def _named(name: str, field: str) -> Scenario:
+    return scenario_in(_chosen("scenario", name, field))
+
+
+def _chosen(group: str, name: str, field: str) -> DictConfig:
+    """Compose `conf/config.yaml` with a choice of a group.
+
+    Raises:
+        ConfigurationError: there is no such choice, or a file is wrong.
+    """
+    with hydra_tree():
+        names = available_agents() if group == "agent" else available_scenarios()
+        if name not in names and not PathChoices("paths", "paths://").is_config(f"{group}/{name}"):
+            where = group if field == group else f"{field}: {group}"
+            hint = choice_hint(
+                name, names, "samarl-evaluate --help lists names; files end in .yaml"
+            )
+            raise ConfigurationError(f"{where} is {name!r}, which does not exist; {hint}")
+        return composed("config", [f"{group}={in_quotes(name)}"])
+
+
+def is_own_policy(agent: str) -> bool:
+    """Return whether the name of an agent is that of a policy, see `find_policy`."""
+    return agent not in available_agents() and is_policy(agent)
+
+
+def training_scenario(checkpoint: str) -> Scenario:
+    """Return the scenario that a policy was trained for, with all people present.
+
+    Of the scenarios with which a curriculum ends, it is the one with the most worlds; of equals the
+    first. It is SAMARL's if the card of the policy names none.
+
+    Args:
+        checkpoint: a policy, see `find_policy`.
+
+    Raises:
+        ConfigurationError: there is no such policy, or its scenario cannot be read.
+    """
+    configuration = read_card(find_policy(checkpoint)).provenance.get("configuration") or {}
+    stages = (configuration.get("curriculum") or {}).get("stages", [])
+    final = [stage for stage in stages if stage.get("end", 1.0) == 1.0]
+    if not final:
+        return load_scenario(Scenario.name)
+    fields = max(final, key=lambda stage: stage["worlds"])["scenario"]
+    try:
+        return replace(scenario_of(fields, f"the scenario of {checkpoint}"), humans_min=None)
+    except ConfigurationError as error:
+        raise ConfigurationError(f"{error}; name a scenario instead (scenario=NAME)") from error
+
+
+def composed(config_name: str, settings: Sequence[str], folder: Path | None = None) -> DictConfig:
+    """Compose a configuration, with Hydra's own part, within `hydra_tree`.
+
+    Args:
+        config_name: the primary file in `conf/`.
+        settings: what is changed in it.
+        folder: of `--config-dir`, for error messages.
+
+    Raises:
+        ConfigurationError: a setting or a file is wrong.
+    """
+    try:
+        return compose(config_name, list(settings), return_hydra_config=True)
+    except Exception as error:  # Hydra, OmegaConf and PyYAML raise whatever they come across
+        raise ConfigurationError(explain(error, folder)) from error
+
+
+def in_quotes(text: str) -> str:
+    """Return a text as Hydra's grammar quotes it."""
+    return QuotedString(text, Quote.single).with_quotes()
 
 
 @contextlib.contextmanager
-def _hydra() -> Iterator[ConfigLoader]:
-    """Yield the configuration loader of the running command, or one for `conf/` outside of it."""
+def hydra_tree(folder: Path | None = None) -> Iterator[ConfigLoader]:
+    """Yield the configuration loader of the running command, or one for `conf/` outside of it.
+
+    Args:
+        folder: more files, as with `--config-dir`.
+    """
     hydra = GlobalHydra.instance()
     if hydra.is_initialized():
         yield hydra.config_loader()
         return
     register_schemas()
     with initialize_config_dir(str(find_folder("conf").resolve()), version_base="1.3"):
-        yield GlobalHydra.instance().config_loader()
-
-
-@cache
-def load_scenario(name: str, field: str = "scenario") -> Scenario:
-    """Return the scenario of a file in `conf/scenario/` or in `scenario/` of `--config-dir`.
-
-    Args:
-        name: name of the file.
-        field: name of the setting that holds `name`, for error messages.
-
-    Raises:
-        ConfigurationError: there is no such scenario.
-    """
-    with _hydra() as loader:
-        choices = sorted(set(loader.get_group_options("scenario")) - {"schema"})
-        if name not in choices:
-            raise ConfigurationError(
-                f"{field}: there is no scenario {name!r}; {choice_hint(name, choices)}"
-            )
-        return scenario_in(compose("config", [f"scenario={name}"]))
-
-
-def read_scenario(path: Path) -> Scenario:
-    """Return the scenario in any YAML file, in the form of `conf/scenario/`."""
-    with _as_choice(path, "scenario") as (name, search_path), _hydra():
-        return scenario_in(compose("config", [f"scenario={name}", *search_path]))
+        loader = GlobalHydra.instance().config_loader()
+        if folder is not None:
+            path = loader.get_search_path()
+            anchor = SearchPathQuery(provider="schema")
+            path.prepend("command-line", f"file://{folder.resolve()}", anchor)
+            loader.repository.initialize_sources(path)
+        yield loader
 
 
 def scenario_of(column: Any, field: str = "columns") -> Scenario:

@@ -63,9 +63,11 @@ def copies(number: int, module: str, arguments: Sequence[str]) -> Iterator[None]
         "MASTER_ADDR": "127.0.0.1",
         "MASTER_PORT": str(port),
         COPIES: str(number),
+        "PYTHONPATH": os.pathsep.join(filter(None, sys.path)),  # for the same plugins
     }
     command = [sys.executable, "-m", module, *arguments]
     own = {**shared, "RANK": "0", "LOCAL_RANK": "0"}
+    del own["PYTHONPATH"]
     before = {name: os.environ.get(name) for name in own}
     started = [
         subprocess.Popen(

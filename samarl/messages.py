@@ -1,131 +1,115 @@
-"""Error messages for settings, which name the field, its value and what it must be."""
+"""One-line messages for errors of Hydra, OmegaConf and YAML."""
 
 from __future__ import annotations
 
-import dataclasses
 import re
-from collections.abc import Iterable
-from typing import Any, get_type_hints
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
 
+from hydra.errors import HydraException, MissingConfigException
 from omegaconf import DictConfig
 from omegaconf.errors import (
     ConfigAttributeError,
     ConfigKeyError,
-    GrammarParseError,
-    InterpolationResolutionError,
     MissingMandatoryValue,
     OmegaConfBaseException,
 )
+from yaml import MarkedYAMLError
 
 from mrsan import ConfigurationError
-from mrsan.fields import check_numbers
 from mrsan.suggestions import choice_hint, closest_names, renamed
 
-_LIST, _MAPPING = "a list such as [a,b]", "a mapping such as {name: value}"
-# Patterns in OmegaConf's messages about wrong types, and what the value must be.
-_REQUIREMENTS = (
-    (r"converted to Integer", "a whole number"),
-    (r"converted to Float", "a number"),
-    (r"valid bool", "true or false"),
-    (r"to string", "a string"),
-    (r"is not Optional", "other than null"),
-    (r"not a ListConfig", _LIST),
-    (r"not a subclass|to Dict\[", _MAPPING),
-    (r"^Key .* is incompatible", "a mapping whose names are strings"),
-)
+_JARGON = re.compile(r"(full_key|object_type|reference_type)\b|See https://hydra\.cc|\^$")
 
 
-def unknown_field(path: str, key: str, fields: Iterable[str]) -> str:
-    """Return the message for an unknown field `key` at `path`, with the one probably meant."""
+def unknown_field(path: str, key: str, fields: Iterable[str] | Mapping[str, str]) -> str:
+    """Return the message for an unknown field `key` at `path`, with the one probably meant.
+
+    Args:
+        path: prefix of the field, such as `scenario.`.
+        key: its name.
+        fields: the known names at this path, as a mapping with the path of each.
+    """
     names = [name for name in fields if not name.startswith("_")]
+    paths = fields if isinstance(fields, Mapping) else {name: name for name in names}
     prefix = path.rpartition(": ")[2]
     if new := renamed(key, names):
-        return f"{path}{key} is not known; it is now {prefix}{new}"
-    if close := closest_names(key, names, 1):
-        return f"{path}{key} is not known; did you mean {prefix}{close[0]}?"
-    return f"{path}{key} is not known; {choice_hint(key, names, 'see --help for all fields')}"
+        name, equals, value = new.partition("=")
+        hint = f"it is now {prefix}{paths[name]}{equals}{value}"
+    elif close := closest_names(key, names, 1):
+        hint = f"did you mean {prefix}{paths[close[0]]}?"
+    else:
+        hint = choice_hint(key, names, "see --help for all fields")
+    return f"{path}{key} is not known; {hint}"
 
 
-def describe(error: OmegaConfBaseException, path: str = "", value: Any = None) -> str:
-    """Describe an error of OmegaConf.
+def describe(error: OmegaConfBaseException, path: str = "") -> str:
+    """Return one line for an error of OmegaConf, with the field.
 
     Args:
         error: the error.
-        path: prefix of the fields, such as `agent.`.
-        value: value of the setting, for errors that do not contain it.
-
-    Returns:
-        One line that names the field, its value and what it must be.
+        path: prefix of the field, such as `agent.`.
     """
     name = f"{path}{error.full_key or ''}".removesuffix(".")
     if isinstance(error, ConfigKeyError | ConfigAttributeError):
-        return _unknown_field(error, name)
+        return _describe_unknown(error, name)
     if isinstance(error, MissingMandatoryValue):
         return f"{name} has no value; set it with {name}=..."
-    reason = (error.msg or str(error)).splitlines()[0]
-    if isinstance(error, InterpolationResolutionError | GrammarParseError):
-        return f"{name} refers to a value that cannot be resolved ({reason})"
-    if "not Optional" in reason:
-        return f"{name} is null; {_range_of(error, None) or 'it must have a value'}"
-    value = value if error.value is None else error.value
-    if match := re.match(r"Merge error: \w+ is not a subclass of (\w+)\. value: (.*)", reason):
-        separator = "" if not name or name.endswith(" ") else "."
-        name, value = f"{name}{separator}{_field_of_type(error.object_type, match[1])}", match[2]
-    if reason.startswith("Cannot merge"):  # a list with a mapping, or the reverse
-        requirement = f"it must be {_LIST if error.object_type is list else _MAPPING}"
-    else:
-        requirement = _range_of(error, value) or _requirement(reason)
-    return f"{name} is {value!r:.60}; {requirement}"
+    reason = (error.msg or str(error)).splitlines()[0].rstrip(":")
+    return f"{name.rstrip(': ')}: {reason}"
 
 
-def _field_of_type(owner: Any, type_name: str) -> str:
-    """Return the name of the field of a dataclass that holds a dataclass."""
-    hints = get_type_hints(owner)
-    return next(name for name in hints if getattr(hints[name], "__name__", "") == type_name)
-
-
-def _unknown_field(error: OmegaConfBaseException, name: str) -> str:
+def _describe_unknown(error: OmegaConfBaseException, name: str) -> str:
     key, parent = str(error.key), error.parent_node
     where = name.removesuffix(key)
     if not isinstance(parent, DictConfig):
-        return unknown_field(where, key, [])
-    fields = [str(other) for other in parent if other != "hydra"]
-    if not where and not closest_names(key, fields):  # it may be a field of a group
-        paths: dict[str, str] = {}
-        for group in fields:
+        return f"{name} is not known; {where.removesuffix('.')} has a single value"
+    paths = {str(field): str(field) for field in parent if field != "hydra"}
+    if not where:  # it may be a field of a group
+        for group in list(paths):
             node = parent._get_node(group)
             if isinstance(node, DictConfig) and not node._is_none() and not node._is_missing():
-                paths |= {str(other): f"{group}.{other!s}" for other in node}
-        if new := renamed(key, paths):
-            name, equals, content = new.partition("=")
-            return f"{key} is not known; it is now {paths[name]}{equals}{content}"
-        if close := closest_names(key, paths, 1):
-            return f"{key} is not known; did you mean {paths[close[0]]}?"
-    return unknown_field(where, key, fields)
+                paths |= {str(f): f"{group}.{f!s}" for f in node if f not in paths}
+    return unknown_field(where, key, paths)
 
 
-def _range_of(error: OmegaConfBaseException, value: Any) -> str | None:
-    """Return the range that `check_numbers` requires, if it refuses the value."""
-    owner, key = error.object_type, str(error.key)
-    if not (isinstance(owner, type) and dataclasses.is_dataclass(owner)):
-        return None
-    metadata = {field.name: field.metadata for field in dataclasses.fields(owner)}
-    if key not in metadata:
-        return None
-    field = dataclasses.field(metadata=metadata[key])
-    single = dataclasses.make_dataclass("Single", [(key, get_type_hints(owner)[key], field)])
-    try:
-        check_numbers(single(value), "")
-    except ConfigurationError as refusal:
-        return str(refusal).partition("; ")[2]
-    return None
+def explain(error: BaseException, folder: Path | None = None) -> str:
+    """Return one line for an error of a command, or of composing its configuration.
+
+    Args:
+        error: the error.
+        folder: the folder of `--config-dir`, whose files may be the cause.
+    """
+    if isinstance(error, MissingConfigException) and error.missing_cfg_file:
+        group, _, name = error.missing_cfg_file.partition("/")
+        names = [option for option in error.options or () if not option.endswith("schema")]
+        file = re.match(r"In '(.+/.+)':", str(error))
+        where = f"{file[1]}.yaml: " if file else ""
+        hint = "-m runs each of several" if "," in name else choice_hint(name, names)
+        return f"{where}{group} is {name!r}, which does not exist; {hint}"
+    if isinstance(error, MarkedYAMLError) and error.problem_mark:
+        mark = error.problem_mark
+        return f"{mark.name} is not YAML: line {mark.line + 1}: {error.problem}"
+    if isinstance(error, UnicodeDecodeError):
+        files = folder.rglob("*.yaml") if folder else ()
+        names = [str(p) for p in files if p.is_file() and error.object in p.read_bytes()]
+        name = names[0] if names else "a configuration file"
+        return f"{name} is not UTF-8 text ({error.reason}); save it as UTF-8"
+    if isinstance(error, HydraException | OmegaConfBaseException):
+        for cause in _causes(error):
+            if isinstance(cause, OmegaConfBaseException) and cause.full_key:
+                file = re.match(r"In '([^']+)':", str(error))
+                return describe(cause, f"{file[1]}.yaml: " if file else "")
+    message = str(error).split("Config search path:")[0] or type(error).__name__
+    if isinstance(error, OSError) and error.errno and error.filename is None:  # from Hydra
+        message = f"a file below {Path.cwd()} cannot be written ({error.strerror})"
+    if error.__cause__ and not isinstance(error, ConfigurationError):
+        message += f"\n{error.__cause__}"
+    lines = [line.strip().removesuffix(":") for line in message.splitlines()]
+    return "; ".join(line for line in lines if line and not _JARGON.match(line))
 
 
-def _requirement(reason: str) -> str:
-    """Return the requirement behind OmegaConf's reason, or the reason itself."""
-    if choices := re.search(r"expected one of \[(.*)\]", reason):
-        return f"it must be one of {choices[1]}"
-    for pattern, requirement in _REQUIREMENTS:
-        if re.search(pattern, reason):
-            return f"it must be {requirement}"
-    return reason
+def _causes(error: BaseException | None) -> Iterator[BaseException]:
+    while error is not None:
+        yield error
+        error = error.__cause__ or error.__context__

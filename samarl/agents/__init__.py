@@ -1,7 +1,7 @@
 """Agents: planners and trained policies behind one interface."""
 
-from samarl.agents.agent import Agent
+from samarl.agents.agent import Agent, ScopeWarning
 from samarl.agents.build import build_agent
 from samarl.policies.explanation import Explanation
 
-__all__ = ["Agent", "Explanation", "build_agent"]
+__all__ = ["Agent", "Explanation", "ScopeWarning", "build_agent"]

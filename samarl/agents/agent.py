@@ -17,6 +17,10 @@ from mrsan.fields import check_numbers, short_repr
 from samarl.policies.explanation import Explanation
 
 
+class ScopeWarning(UserWarning):
+    """An agent is used in a scenario outside of those of its training."""
+
+
 @dataclass
 class Agent(ABC):
     """Controller of all robots of E worlds; each robot acts on its own observations only.

@@ -15,7 +15,8 @@ from mrsan.fields import setting
 from mrsan.parameters import kernel_parameters
 from samarl.agents.agent import Agent
 from samarl.planning.velocity_control import retarget_actions
-from samarl.policies.checkpoint import find_policy, load_policy
+from samarl.policies.card import find_policy
+from samarl.policies.checkpoint import load_policy
 from samarl.policies.explanation import Explanation
 from samarl.policies.hierarchical import HierarchicalPolicy
 from samarl.policies.macro_actions import Waypoints

@@ -1,84 +1,38 @@
-"""The agent selected on the command line."""
+"""The agent and the scenario that a command line selects."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from hydra.core.hydra_config import HydraConfig
-from omegaconf import DictConfig
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from omegaconf import DictConfig, OmegaConf
 
 from mrsan import ConfigurationError, Scenario
-from mrsan.compile_ahead import compile_ahead
 from samarl.agents import Agent, build_agent
-from samarl.configuration import load_agent_config, scenario_in
-from samarl.evaluation.runner import warm_up
-
-AGENT_OF_POLICY = {  # the shipped agent that uses each kind of policy
-    "flat": "samarl_flat",
-    "hierarchical": "samarl",
-    "lookahead": "cadrl",
-    "squashed": "msa3cpred",
-}
+from samarl.api import scenario_of_training
+from samarl.configuration import is_own_policy, load_agent_config, scenario_in, training_scenario
+from samarl.policies.card import find_policy, read_card
+from samarl.user_files import AGENT_OF_POLICY, label_of
 
 
-def selected_agent(config: DictConfig) -> DictConfig:
-    """Return the configuration of the agent with the checkpoint named on the command line.
+def agent_in(config: DictConfig) -> Agent:
+    """Build the agent for its scenario; print notes on its training.
 
     Raises:
-        ConfigurationError: the agent uses no checkpoint, or the checkpoint holds another kind of
-            policy.
+        ConfigurationError: a setting is not valid, or the checkpoint holds another kind of policy.
     """
-    agent: DictConfig = config.agent
-    if config.checkpoint is not None:
-        if "checkpoint" not in agent:
-            raise ConfigurationError(
-                f"checkpoint is {config.checkpoint!r}; it must be null for agents without a policy "
-                "(agent=samarl has one)"
-            )
-        agent.checkpoint = config.checkpoint
-    overrides = HydraConfig.get().overrides.task
-    if config.checkpoint is not None or any("agent.checkpoint=" in word for word in overrides):
-        _check_policy_kind(str(HydraConfig.get().runtime.choices.agent), str(agent.checkpoint))
+    if policy := _policy_with_scenario(config):
+        scenario_of_training(policy)
+    return with_notes(_build(config))
+
+
+def with_notes(agent: Agent) -> Agent:
+    """Return an agent; print how the scenario differs from those of its training."""
+    if warning := agent.scope_warning():
+        print(f"note: {warning}", file=sys.stderr)
     return agent
-
-
-def compile_for(agent: Mapping[str, Any], scenario: Scenario) -> None:
-    """Compile what evaluating an agent needs, side by side, unless it is cached."""
-    with compile_ahead(scenario) as compiles:
-        if compiles:
-            warm_up(build_agent(agent, scenario), scenario)
-
-
-def _check_policy_kind(name: str, checkpoint: str) -> None:
-    """Refuse a checkpoint with another kind of policy than the agent's own.
-
-    Its results would otherwise carry the name of another method.
-
-    Args:
-        name: name of the agent.
-        checkpoint: a file or the name of a shipped policy.
-
-    Raises:
-        ConfigurationError: the kinds differ.
-    """
-    from samarl.policies.checkpoint import (  # imports torch, which planners do not need
-        find_policy,
-        read_card,
-    )
-
-    own = str(load_agent_config(name).get("checkpoint"))
-    if own in (checkpoint, "???"):
-        return
-    kind, own_kind = (read_card(find_policy(policy)).policy for policy in (checkpoint, own))
-    if kind != own_kind:
-        other = AGENT_OF_POLICY.get(kind, "NAME, defined by your own conf/agent/NAME.yaml")
-        raise ConfigurationError(
-            f"checkpoint is {checkpoint!r}, a {kind} policy; it must be a {own_kind} policy for "
-            f"agent={name}, or use agent={other}"
-        )
 
 
 def check_agent(config: DictConfig) -> tuple[str, Path] | None:
@@ -90,13 +44,81 @@ def check_agent(config: DictConfig) -> tuple[str, Path] | None:
     Raises:
         ConfigurationError: one of them is not valid.
     """
-    scenario = scenario_in(config)
-    scenario.load_recording()
-    build_agent(selected_agent(config), scenario)
+    _build(config).scenario.load_recording()
     return ("output", Path(config.output)) if "output" in config else None
 
 
-def print_scope_warning(agent: Agent) -> None:
-    """Print the scope warning of an agent, if there is one."""
-    if warning := agent.scope_warning():
-        print(f"note: {warning}", file=sys.stderr)
+def _build(config: DictConfig) -> Agent:
+    settings = config.agent
+    if config.checkpoint is not None:
+        if "checkpoint" not in settings:
+            raise ConfigurationError(
+                f"checkpoint is {config.checkpoint!r}; it must be null for agents without a policy "
+                "(agent=samarl has one)"
+            )
+        settings.checkpoint = config.checkpoint
+    name = str(HydraConfig.get().runtime.choices.agent)
+    if _given_checkpoint(config):
+        _check_policy_kind(name, str(settings.checkpoint))
+    agent = build_agent(settings, _scenario(config))
+    agent.label = label_of(name)
+    return agent
+
+
+def _scenario(config: DictConfig) -> Scenario:
+    """Return the scenario: for a policy of the user that of its training, with explicit changes."""
+    policy = _policy_with_scenario(config)
+    if policy is None:
+        return scenario_in(config)
+    scenario = OmegaConf.structured(training_scenario(policy))
+    OmegaConf.set_struct(scenario, False)
+    for override in OverridesParser.create().parse_overrides(_overrides()):
+        group, _, field = override.key_or_group.partition(".")
+        if group == "scenario":
+            OmegaConf.update(scenario, field, override.value(), merge=True)
+    config.scenario = scenario
+    return scenario_in(config)
+
+
+def _policy_with_scenario(config: DictConfig) -> str | None:
+    """Return the policy whose training determines the scenario, or None.
+
+    It is one that is selected by `agent=PATH` or `checkpoint=PATH`, unless `scenario=NAME` is set.
+    """
+    if any(word.partition("=")[0] == "scenario" for word in _overrides()):
+        return None
+    name = str(HydraConfig.get().runtime.choices.agent)
+    return _given_checkpoint(config) or (name if is_own_policy(name) else None)
+
+
+def _given_checkpoint(config: DictConfig) -> str | None:
+    """Return the checkpoint of the command line, which replaces that of the agent, or None."""
+    is_set = any(word.startswith("agent.checkpoint=") for word in _overrides())
+    return config.checkpoint or (str(config.agent.checkpoint) if is_set else None)
+
+
+def _overrides() -> list[str]:
+    return list(HydraConfig.get().overrides.task)
+
+
+def _check_policy_kind(name: str, checkpoint: str) -> None:
+    """Refuse a checkpoint with another kind of policy than the agent's own.
+
+    Its results would otherwise carry the name of another method.
+
+    Args:
+        name: name of the agent.
+        checkpoint: a file or the name of an included policy.
+
+    Raises:
+        ConfigurationError: the kinds differ.
+    """
+    own = str(load_agent_config(name).get("checkpoint"))
+    if own in (checkpoint, "???"):
+        return
+    kind, own_kind = (read_card(find_policy(policy)).policy for policy in (checkpoint, own))
+    if kind != own_kind:
+        raise ConfigurationError(
+            f"checkpoint is {checkpoint!r}, a {kind} policy; it must be a {own_kind} policy for "
+            f"agent={name}, or use agent={AGENT_OF_POLICY.get(kind, checkpoint)}"
+        )

@@ -52,7 +52,9 @@ from samarl.files import (
     write_json,
     write_text,
 )
+from samarl.policies.card import find_policy
 from samarl.progress import progress_bar, shared_counts, shared_progress
+from samarl.user_files import label_of
 
 STATUS = """\
 (same: equal to the committed row; close: within its 95 % intervals, since processors round
@@ -166,7 +168,7 @@ def _scenarios(config: DictConfig) -> list[Scenario]:
 class _Task(NamedTuple):
     """The evaluation of one row."""
 
-    method: str
+    agent: str  # name or path, see `load_agent_config`
     variants: list[dict[str, Any]]  # configurations of the agent, one per training seed
     scenario: Scenario
     evaluation: Evaluation
@@ -183,7 +185,10 @@ def _tasks(config: DictConfig, scenarios: Sequence[Scenario]) -> tuple[list[_Tas
     evaluation = evaluation_in(config)
     cases = evaluation.cases if config.learned_cases is None else config.learned_cases
     learned_evaluation = replace(evaluation, cases=min(cases, evaluation.cases))
-    agents = {str(name): load_agent_config(str(name), "agents") for name in _agent_names(config)}
+    names = [str(name) for name in _agent_names(config)]
+    if len({*map(label_of, names)}) < len(names):
+        raise ConfigurationError(f"agents is {names!r:.200}; their names in the table must differ")
+    agents = {name: load_agent_config(name, "agents") for name in names}
     tasks: list[_Task] = []
     scope_warnings: dict[str, str] = {}
     for scenario in scenarios:
@@ -290,18 +295,19 @@ def _row(
     The row is that of the first variant; the others differ in their training seed.
     """
     import_plugins(plugins)
-    method, variants, scenario, evaluation = task
+    name, variants, scenario, evaluation = task
     cases = evaluation.case_numbers()
-    command = _command(method, scenario, named, evaluation, plugins)
+    command = _command(name, scenario, named, evaluation, plugins)
     rows = []
-    for agent in variants:
-        episodes = run_cases(
-            build_agent(agent, scenario), scenario, cases, evaluation.batch, advance
-        )
-        rows.append(summarise(episodes, scenario, method, command, commit, int(cases[0]), named))
+    for variant in variants:
+        agent = build_agent(variant, scenario)
+        episodes = run_cases(agent, scenario, cases, evaluation.batch, advance)
+        first = int(cases[0])
+        rows.append(summarise(episodes, scenario, label_of(name), command, commit, first, named))
     if "checkpoint" not in variants[0]:
         return rows[0]
-    row = rows[0] | _from_training([str(agent["checkpoint"]) for agent in variants], command)
+    checkpoints = [str(variant["checkpoint"]) for variant in variants]
+    row = rows[0] | _from_training(checkpoints, command)
     return row | across_seeds(rows) if len(rows) > 1 else row
 
 
@@ -315,17 +321,16 @@ def _from_training(checkpoints: Sequence[str], command: str) -> Row:
     Returns:
         A command that trains and evaluates, the commit of the training, and the training command
         of each seed; nothing for policies that continue another training, whose card has the
-        commands.
+        commands, or were not trained by `samarl-train`.
     """
-    from samarl.policies.checkpoint import find_policy  # imports torch, which --help does not need
-
     trainings = []
     for name in checkpoints:
         path = find_policy(name)
         provenance = read_json(path.with_suffix(".json"))["provenance"]
-        if "command" not in provenance or "init_from" in provenance:
+        words = shlex.split(provenance.get("command", ""))
+        if "samarl-train" not in words or "init_from" in provenance:
             return {}
-        words = [w for w in shlex.split(provenance["command"]) if not w.startswith("run_dir=")]
+        words = [word for word in words if not word.startswith("run_dir=")]
         folder = f"outputs/{path.stem}"
         trainings.append((shlex.join([*words, f"run_dir={folder}"]), folder, provenance["commit"]))
     train, folder, commit = trainings[0]
@@ -348,7 +353,9 @@ def _earlier_rows(config: DictConfig, path: Path, tasks: Sequence[_Task]) -> lis
     earlier = read_rows(path)
     if earlier is None:
         raise ConfigurationError(f"merge is true; {path} must be a table, or be removed")
-    cases = {(task.method, _column(task.scenario)): task.evaluation.cases for task in tasks}
+    cases = {
+        (label_of(task.agent), _column(task.scenario)): task.evaluation.cases for task in tasks
+    }
     for row in earlier:
         new_cases = cases.get((row["method"], column_of(row)))
         if new_cases is None:
@@ -388,8 +395,7 @@ def _command(
     words = ["samarl-evaluate", f"agent={name}"]
     if plugins:
         words.append(f"plugins=[{','.join(plugins)}]")
-    if scenario.name != Scenario.name:
-        words.append(f"scenario={scenario.name}")
+    words.append(f"scenario={scenario.name}")  # not that of the training of a policy
     column = ("fov_degrees", "humans", "robots")
     words += [f"scenario.{name}={getattr(scenario, name):g}" for name in column]
     excluded = {

@@ -1,9 +1,9 @@
-"""Common parts of all commands: composing the configuration and reporting errors."""
+"""What all commands share: composing their configuration with Hydra, and errors in one line."""
 
 from __future__ import annotations
 
 import contextlib
-import dataclasses
+import copy
 import functools
 import hashlib
 import io
@@ -13,32 +13,29 @@ import shlex
 import signal
 import sys
 import time
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
 import hydra
 import numba
-from hydra.core.config_store import ConfigStore
 from hydra.core.hydra_config import HydraConfig
-from hydra.errors import HydraException
 from hydra.types import RunMode
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig, open_dict
 from omegaconf.errors import OmegaConfBaseException
-from yaml import YAMLError
 
 import samarl
 from mrsan import ActionError, ConfigurationError, PluginError
 from mrsan.kernels import kernel
-from samarl.commands.composition import COMPOSITION_ERRORS, compose_cells, unreadable
-from samarl.commands.errors import explain
-from samarl.commands.help import help_text
+from samarl.agents import ScopeWarning
 from samarl.commands.overrides import CommandLine
-from samarl.configuration import first, import_plugins, register_schemas, reject_alias_bombs
+from samarl.configuration import composed, hydra_tree, import_plugins, register_schemas
 from samarl.errors import TrainingError
 from samarl.files import find_folder
 from samarl.launch import launcher, rank
-from samarl.messages import unknown_field
+from samarl.messages import explain
+from samarl.user_files import reject_alias_bomb
 
 # Settings that a sweep may change when it is resumed: they do not affect results, or let runs grow.
 _SAME_SWEEP = ("evaluation.batch", "trainer.steps", "trainer.threads", "trainer.wandb")
@@ -53,12 +50,13 @@ _USER_ERRORS = (
     OSError,
     MemoryError,
 )
+Check = Callable[[DictConfig], tuple[str, Path] | None]
 
 
 def run_command(
     task: Callable[[DictConfig], Any],
     config_name: str,
-    check: Callable[[DictConfig], tuple[str, Path] | None] | None = None,
+    check: Check | None = None,
     **schemas: Any,
 ) -> None:
     """Run a Hydra task; user errors are reported in one line with exit code 2.
@@ -76,47 +74,51 @@ def run_command(
         print(f"samarl {samarl.__version__}")
         return
     _prepare_process(words)
-    kernel.always_parallel = True  # commands that simulate one world use the version of the others
-    prepare_hydra(**schemas)
-    folder = None
+    register_schemas(**schemas)
+    folder, in_hydra = None, False
+
+    @functools.wraps(task)
+    def run(config: DictConfig) -> Any:
+        # Errors are reported here, since Hydra would print a second line about the failed job.
+        nonlocal in_hydra
+        in_hydra = False
+        try:
+            _limit_threads()
+            import_plugins(config.plugins)
+            result = task(config)
+            sys.stdout.flush()
+            return result
+        except (*_USER_ERRORS, KeyboardInterrupt) as error:
+            _remove_empty_folder()
+            if isinstance(error, KeyboardInterrupt):
+                raise
+            _fail(error)
+
     try:
         command = CommandLine.parse(words)
         folder = command.folder
         _check_folder(folder)
         command = command.quoted()
         if {"--help", "-h"} & set(words):
+            from samarl.commands.help import help_text  # imports what is only described
+
             print(help_text(config_name, command))
             return
         if command.is_sweep:
-            _check_cells(compose_cells(config_name, command), check)
-    except KeyboardInterrupt:
-        _stop("interrupted")
-    except (*_USER_ERRORS, *COMPOSITION_ERRORS) as error:
+            _check_cells(config_name, command, check)
+        sys.argv = [sys.argv[0], *command.words()]
+        in_hydra = True
+        conf = str(find_folder("conf"))
+        hydra.main(version_base="1.3", config_path=conf, config_name=config_name)(run)()
+    except KeyboardInterrupt as interruption:
+        if rank() == 0:
+            print("; ".join(["interrupted", *map(str, interruption.args)]), file=sys.stderr)
+        sys.exit(130)
+    except Exception as error:
+        is_of_cell = type(error).__module__.startswith("submitit")
+        if not (in_hydra or is_of_cell or isinstance(error, _USER_ERRORS)):
+            raise
         _fail(error, folder)
-    sys.argv = [sys.argv[0], *command.words()]
-    _run_hydra(task, config_name, folder)
-
-
-def _check_cells(
-    cells: Iterator[DictConfig], check: Callable[[DictConfig], tuple[str, Path] | None] | None
-) -> None:
-    """Check every cell of a sweep, see `run_command`.
-
-    Raises:
-        ConfigurationError: a cell is not valid, or two of them would write the same file.
-    """
-    outputs: set[Path] = set()
-    for config in cells:
-        check_plugins_and_keys(config)
-        if check is None or (output := check(config)) is None:
-            continue
-        name, path = output
-        if path.resolve() in outputs:
-            raise ConfigurationError(
-                f"{name} is {str(path)!r} in several cells of the sweep; it must differ, as in "
-                f"'{name}=outputs/${{hydra:job.override_dirname}}{path.suffix}'"
-            )
-        outputs.add(path.resolve())
 
 
 def _prepare_process(words: Sequence[str]) -> None:
@@ -127,19 +129,8 @@ def _prepare_process(words: Sequence[str]) -> None:
     os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra raises instead of printing; see `_fail`
     if os.getcwd() not in sys.path:
         sys.path.append(os.getcwd())  # so that plugins in the current folder can be imported
-
-
-def prepare_hydra(**schemas: Any) -> None:
-    """Register what the files of `conf/` refer to.
-
-    Args:
-        **schemas: dataclasses used as schemas in the defaults list of a configuration, or their
-            structured configurations.
-    """
-    OmegaConf.register_new_resolver("first", first, replace=True)
-    register_schemas()
-    for name, schema in schemas.items():
-        ConfigStore.instance().store(name=name, node=schema)
+    kernel.always_parallel = True  # commands that simulate one world use the version of the others
+    warnings.simplefilter("ignore", ScopeWarning)  # commands print a note instead
 
 
 def _check_folder(folder: Path | None) -> None:
@@ -151,62 +142,48 @@ def _check_folder(folder: Path | None) -> None:
     if folder is not None:
         if not folder.is_dir():
             raise ConfigurationError(f"--config-dir is {str(folder)!r}; it must be a folder")
-        reject_alias_bombs(folder)
+        for path in sorted(folder.rglob("*.yaml")):
+            reject_alias_bomb(path)
 
 
-def _run_hydra(task: Callable[[DictConfig], Any], config_name: str, folder: Path | None) -> None:
-    """Let Hydra compose the configuration from `sys.argv` and run `task` with it."""
-    has_started = False
-    decorate = hydra.main(
-        version_base="1.3", config_path=str(find_folder("conf")), config_name=config_name
-    )
-
-    @functools.wraps(task)
-    def checked(config: DictConfig) -> Any:
-        # Reported here, since Hydra would print a second line about the failed job.
-        nonlocal has_started
-        has_started = True
-        try:
-            _limit_threads()
-            check_plugins_and_keys(config)
-            result = task(config)
-            sys.stdout.flush()
-            return result
-        except BrokenPipeError:
-            _exit_on_broken_pipe()
-        except (*_USER_ERRORS, HydraException, YAMLError) as error:  # files may be composed here
-            _remove_empty_folder()
-            _fail(error, folder)
-        except KeyboardInterrupt:
-            _remove_empty_folder()
-            raise
-
-    try:
-        decorate(checked)()
-    except BrokenPipeError:
-        _exit_on_broken_pipe()
-    except KeyboardInterrupt as interruption:
-        _stop("; ".join(["interrupted", *map(str, interruption.args)]))
-    except COMPOSITION_ERRORS as error:
-        if has_started and isinstance(error, UnicodeError):
-            raise
-        _fail(error, folder)
-    except Exception as error:
-        if type(error).__module__.startswith("submitit"):  # raised in a cell
-            _fail(error)
-        if has_started:
-            raise
-        _fail(unreadable(error))
-
-
-def check_plugins_and_keys(config: DictConfig) -> None:
-    """Reject unknown settings and import the plugins.
+def _check_cells(config_name: str, command: CommandLine, check: Check | None) -> None:
+    """Check every cell of a sweep, see `run_command`.
 
     Raises:
-        ConfigurationError: a setting is unknown, or a plugin cannot be imported.
+        ConfigurationError: a cell is not valid, or two of them would write the same file.
     """
-    _reject_unknown_keys(config, "")
-    import_plugins(config.plugins)
+    outputs: set[Path] = set()
+    for config in compose_cells(config_name, command):
+        import_plugins(config.plugins)
+        if check is None or (output := check(config)) is None:
+            continue
+        name, path = output
+        if path.resolve() in outputs:
+            raise ConfigurationError(
+                f"{name} is {str(path)!r} in several cells of the sweep; it must differ, as in "
+                f"'{name}=outputs/${{hydra:job.override_dirname}}{path.suffix}'"
+            )
+        outputs.add(path.resolve())
+
+
+def compose_cells(config_name: str, command: CommandLine) -> Iterator[DictConfig]:
+    """Compose the configuration of every cell of a sweep.
+
+    `HydraConfig` holds the choices of the cell yielded last.
+
+    Args:
+        config_name: name of the primary file in `conf/`.
+        command: the sweep.
+    """
+    with hydra_tree(command.folder) as loader:
+        for cell in command.cells(loader):
+            config = composed(config_name, cell, command.folder)
+            config.hydra.mode = RunMode.MULTIRUN if command.is_sweep else RunMode.RUN
+            HydraConfig.instance().set_config(config)
+            cell_config = copy.deepcopy(config)
+            with open_dict(cell_config):
+                del cell_config["hydra"]
+            yield cell_config
 
 
 def _limit_threads() -> None:
@@ -240,41 +217,12 @@ def command_line(program: str) -> str:
     return shlex.join([*words, *hydra_config.overrides.task])
 
 
-def _reject_unknown_keys(config: DictConfig, path: str) -> None:
-    """Reject keys that are not in the schema, which `+key=value` can add.
-
-    Raises:
-        ConfigurationError: a key is unknown.
-    """
-    kind = OmegaConf.get_type(config)
-    fields = {f.name for f in dataclasses.fields(kind)} if dataclasses.is_dataclass(kind) else None
-    for key in map(str, config):
-        if fields is not None and key not in fields:
-            raise ConfigurationError(unknown_field(path, key, fields))
-        node = config._get_node(key)
-        if isinstance(node, DictConfig) and not node._is_none():
-            _reject_unknown_keys(node, f"{path}{key}.")
-
-
 def _remove_empty_folder() -> None:
     """Remove the output folder of this run if it is empty."""
     folder = HydraConfig.get().runtime.output_dir
     if os.path.realpath(folder) != os.getcwd():  # the current folder existed before
         with contextlib.suppress(OSError):
             os.rmdir(folder)
-
-
-def _exit_on_broken_pipe() -> NoReturn:
-    """Exit silently because the reader of the output, such as `head`, has closed it."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    sys.exit(1)
-
-
-def _stop(message: str) -> NoReturn:
-    """Exit an interrupted command; only rank 0 prints the message."""
-    if rank() == 0:
-        print(message, file=sys.stderr)
-    sys.exit(130)
 
 
 def _fail(error: Exception, folder: Path | None = None) -> NoReturn:
@@ -287,6 +235,9 @@ def _fail(error: Exception, folder: Path | None = None) -> NoReturn:
         error: the user error.
         folder: the folder of `--config-dir`.
     """
+    if isinstance(error, BrokenPipeError):  # the reader of the output, such as `head`, closed it
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(1)
     if rank() > 0:
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
         time.sleep(_RANK0_REPORT_SECONDS)

@@ -12,17 +12,14 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
 from mrsan import Episodes, Outcome, social_score
-from samarl.agents import Agent, build_agent
-from samarl.commands.agents import check_agent, compile_for, print_scope_warning, selected_agent
+from samarl import api
+from samarl.commands.agents import agent_in, check_agent
 from samarl.commands.cli import command_line, run_command
-from samarl.configuration import engine_in, evaluation_in, load_scenario, scenario_in
-from samarl.evaluation.runner import Evaluation, run_cases
-from samarl.evaluation.summary import Row, summarise
+from samarl.configuration import engine_in, evaluation_in, scenario_in
+from samarl.evaluation.summary import Row
 from samarl.evaluation.sweep import read_cell
 from samarl.evaluation.table import rows_as_markdown
 from samarl.files import code_version, write_json, write_text
-from samarl.physics.engine import Engine, MrsanEngine
-from samarl.progress import progress_bar
 
 _PER_EPISODE = ("case", "episode", "duration", "outcome", "steps", "deadlock")
 _PER_ROBOT = [name for name in Episodes._fields if name not in _PER_EPISODE]
@@ -38,25 +35,25 @@ def evaluate(config: DictConfig) -> Row:
 
     Cells of a sweep that were finished with the same configuration and code are not run again.
     """
-    scenario, evaluation = scenario_in(config), evaluation_in(config)
-    hydra = HydraConfig.get()
+    hydra, evaluation, engine = HydraConfig.get(), evaluation_in(config), engine_in(config)
     folder = Path(hydra.runtime.output_dir)
     row_path = folder / "row.json"
-    engine = engine_in(config)
-    agent = build_agent(selected_agent(config), scenario)
+    agent = agent_in(config)
     marker = {"config": _plain(config), "commit": code_version(), "agent": agent.version()}
     cell = read_cell(row_path) if hydra.mode == RunMode.MULTIRUN else None
     if cell and {key: cell.get(key) for key in marker} == marker:
         print(f"already finished: {folder}")
         finished_row: Row = cell["row"]
         return finished_row
-    print_scope_warning(agent)
-    name = str(hydra.runtime.choices.agent)
-    command = command_line("samarl-evaluate")
-    if isinstance(engine, MrsanEngine):
-        compile_for(config.agent, scenario)
-    episodes, row = evaluate_agent(agent, name, engine, evaluation, command, marker["commit"])
-    write_text(folder / "episodes.jsonl", episodes_as_jsonl(episodes))
+    result = api.evaluate(
+        agent,
+        cases=evaluation.case_numbers(),
+        batch=evaluation.batch,
+        engine=engine,
+        command=command_line("samarl-evaluate"),
+    )
+    row = result.row
+    write_text(folder / "episodes.jsonl", episodes_as_jsonl(result.episodes))
     write_json(row_path, {"row": row, **marker})  # last: it marks the cell as finished
     print(rows_as_markdown([row]))
     if "tracking_error" in row:
@@ -67,44 +64,11 @@ def evaluate(config: DictConfig) -> Row:
     return row
 
 
-def evaluate_agent(
-    agent: Agent, name: str, engine: Engine, evaluation: Evaluation, command: str, commit: str
-) -> tuple[Episodes, Row]:
-    """Run the cases in an engine and return their records and the row of the table.
-
-    Args:
-        agent: built for the scenario.
-        name: of the agent in `conf/agent/`.
-        engine: what moves the robots.
-        evaluation: the cases.
-        command: the command that reproduces the row.
-        commit: the version of the code.
-
-    Raises:
-        ConfigurationError: the engine cannot play the scenario or drive the agent.
-    """
-    engine.check(agent.scenario)
-    scenario, cases = agent.scenario, evaluation.case_numbers()
-    named = load_scenario(scenario.name)
-    further_fields: Row = {}
-    with progress_bar(total=len(cases), desc=name, unit="case", leave=False) as bar:
-        if isinstance(engine, MrsanEngine):
-            episodes = run_cases(agent, scenario, cases, evaluation.batch, bar.update)
-        else:
-            from samarl.physics.runner import run_physics_cases  # imports MuJoCo
-
-            episodes, error = run_physics_cases(agent, engine, cases, name, bar.update)
-            further_fields["tracking_error"] = round(error, 4)
-    row = summarise(episodes, scenario, name, command, commit, int(cases[0]), named)
-    row["changes"] = " ".join(filter(None, [row["changes"], *engine.changes()]))
-    return episodes, row | further_fields
-
-
 def check_cell(config: DictConfig) -> None:
     """Check the configuration of a cell of a sweep without running it."""
     evaluation_in(config)
-    engine_in(config).check(scenario_in(config))
     check_agent(config)
+    engine_in(config).check(scenario_in(config))
 
 
 def episodes_as_jsonl(episodes: Episodes) -> str:

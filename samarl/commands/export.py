@@ -7,14 +7,12 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from hydra.core.hydra_config import HydraConfig
 from omegaconf import MISSING, DictConfig
 
 from mrsan import ConfigurationError
-from samarl.agents import build_agent
-from samarl.commands.agents import check_agent, print_scope_warning, selected_agent
+from samarl.commands.agents import agent_in, check_agent
 from samarl.commands.cli import run_command
-from samarl.configuration import open_mapping, scenario_in
+from samarl.configuration import open_mapping
 from samarl.files import check_writable
 
 
@@ -36,7 +34,6 @@ def main() -> None:
 
 def export(config: DictConfig) -> None:
     """Export the policy."""
-    scenario = scenario_in(config)
     path = Path(config.output)
     if path.suffix.lower() != ".onnx":
         raise ConfigurationError(f"output is {config.output!r}; it must end in .onnx")
@@ -45,9 +42,8 @@ def export(config: DictConfig) -> None:
     from samarl.export import export_agent
 
     check_writable(path, "output")
-    agent = build_agent(selected_agent(config), scenario)
-    print_scope_warning(agent)
-    export_agent(path, agent, str(HydraConfig.get().runtime.choices.agent))
+    agent = agent_in(config)
+    export_agent(path, agent, agent.label)
     print(f"written to {path}")
 
 

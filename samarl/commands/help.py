@@ -15,12 +15,11 @@ from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
-from mrsan import Groups, Place, Reactions, Reward, Scenario
+from mrsan import Scenario
 from mrsan.fields import permitted_range
 from samarl.agents.build import find_class
-from samarl.commands.composition import composed, config_loader
 from samarl.commands.overrides import CommandLine
-from samarl.evaluation.runner import Evaluation
+from samarl.configuration import composed, hydra_tree
 from samarl.files import find_folder
 from samarl.prediction.training import Training
 
@@ -36,34 +35,26 @@ def help_text(config_name: str, command: CommandLine) -> str:
         config_name: name of the primary file in `conf/`.
         command: the command line; its settings are composed, so that the help describes them.
     """
-    folder = find_folder("conf").resolve()
-    with config_loader(command.folder) as (loader, search_path):
-        settings = [*command.settings, *search_path]
-        config = composed(config_name, settings)
-        choices = {
-            group: str(choice)
-            for group, choice in config.hydra.runtime.choices.items()
-            if not group.startswith("hydra/")
-        }
+    with hydra_tree(command.folder) as loader:
+        config = composed(config_name, command.settings, command.folder)
+        chosen = config.hydra.runtime.choices.items()
+        choices = {group: str(name) for group, name in chosen if not group.startswith("hydra/")}
         options = {group: loader.get_group_options(group) for group in choices}
-    template = OmegaConf.to_container(config.hydra.help)
-    assert isinstance(template, dict)
+    header, footer = config.hydra.help.header, config.hydra.help.footer
     config = OmegaConf.masked_copy(config, [str(key) for key in config if key != "hydra"])
-    meanings = _meanings(config, folder / f"{config_name}.yaml", choices)
     groups = [
         f"{group}: {', '.join(name for name in names if not name.endswith('schema'))}"
         for group, names in options.items()
     ]
-    return "\n".join(
-        [
-            template["header"].strip(),
-            "",
-            *([_GROUPS, *groups, ""] if groups else []),
-            "Settings (change with path.of.setting=value; see the examples):",
-            annotated(_plain(config), meanings),
-            template["footer"].strip(),
-        ]
-    )
+    plain = OmegaConf.to_yaml(OmegaConf.create(OmegaConf.to_container(config, enum_to_str=True)))
+    lines = []
+    meanings = _meanings(config, find_folder("conf") / f"{config_name}.yaml", choices)
+    for line, path in _lines_with_paths(plain):
+        meaning = meanings.get(path)
+        lines.append(f"{line:<{_WIDTH}}  # {meaning}" if meaning else line)
+    settings = "Settings (change with path.of.setting=value; see the examples):"
+    groups = [_GROUPS, *groups, ""] if groups else []
+    return "\n".join([header.strip(), "", *groups, settings, *lines, footer.strip()])
 
 
 def _meanings(config: DictConfig, primary: Path, choices: dict[str, str]) -> Meanings:
@@ -78,25 +69,11 @@ def _meanings(config: DictConfig, primary: Path, choices: dict[str, str]) -> Mea
     for group, choice in choices.items():
         comments = _comments_of_choice(primary.parent / group, choice)
         meanings |= {f"{group}.{path}": text for path, text in comments.items()}
-    for path, cls in _classes(config).items():
+    for path, cls in [*_typed_nodes(config, ""), *_further_classes(config)]:
         for name, (comment, limits) in meanings_in_class(cls).items():
-            key = f"{path}.{name}"
+            key = f"{path}{name}"
             meanings[key] = " ".join(filter(None, [meanings.get(key, comment), limits]))
     return meanings
-
-
-def _plain(config: DictConfig) -> str:
-    """Return the settings as YAML, choices by name."""
-    return OmegaConf.to_yaml(OmegaConf.create(OmegaConf.to_container(config, enum_to_str=True)))
-
-
-def annotated(yaml: str, meanings: Meanings) -> str:
-    """Return a YAML document with the meaning of its setting behind each line."""
-    lines = []
-    for line, path in _lines_with_paths(yaml):
-        meaning = meanings.get(path, "")
-        lines.append(f"{line:<{_WIDTH}}  # {meaning}" if meaning else line)
-    return "\n".join(lines)
 
 
 def comments_in_yaml(path: Path) -> Meanings:
@@ -107,6 +84,19 @@ def comments_in_yaml(path: Path) -> Meanings:
         if match:
             comments[key] = match[1]
     return comments
+
+
+def _comments_of_choice(folder: Path, choice: str) -> Meanings:
+    """Return the comments of a file of a group and of the files in its defaults list."""
+    path = folder / f"{choice}.yaml"
+    if not path.is_file():
+        return {}
+    content: Any = OmegaConf.load(path)
+    comments: Meanings = {}
+    for base in content.get("defaults", []):
+        if isinstance(base, str) and base != "_self_":
+            comments |= _comments_of_choice(folder, base)
+    return comments | comments_in_yaml(path)
 
 
 def _lines_with_paths(yaml: str) -> Iterator[tuple[str, str]]:
@@ -136,52 +126,34 @@ def meanings_in_class(cls: type) -> dict[str, tuple[str, str]]:
     return meanings
 
 
-def _comments_of_choice(folder: Path, choice: str) -> Meanings:
-    """Return the comments of a file of a group and of the files in its defaults list."""
-    path = folder / f"{choice}.yaml"
-    if not path.is_file():
-        return {}
-    content: Any = OmegaConf.load(path)
-    comments: Meanings = {}
-    for base in content.get("defaults", []):
-        if isinstance(base, str) and base != "_self_":
-            comments |= _comments_of_choice(folder, base)
-    return comments | comments_in_yaml(path)
+def _typed_nodes(node: DictConfig, path: str) -> Iterator[tuple[str, type]]:
+    """Yield the dataclasses in a configuration with the prefix of their fields."""
+    kind = OmegaConf.get_type(node)
+    if dataclasses.is_dataclass(kind):
+        yield path, kind
+    for key in map(str, node):
+        child = node._get_node(key)
+        if isinstance(child, DictConfig) and not child._is_none():
+            yield from _typed_nodes(child, f"{path}{key}.")
 
 
-def _scenario_classes(path: str) -> dict[str, Any]:
-    """Return the dataclasses of a scenario at a path of the configuration."""
-    parts = {"reward": Reward, "place": Place, "reactions": Reactions, "groups": Groups}
-    return {path: Scenario, **{f"{path}.{name}": cls for name, cls in parts.items()}}
-
-
-def _classes(config: DictConfig) -> dict[str, Any]:
-    """Return the dataclasses of the settings, by path."""
-    classes: dict[str, Any] = {}
-    if "scenario" in config:
-        classes |= _scenario_classes("scenario")
-    if "evaluation" in config:
-        classes["evaluation"] = Evaluation
-    if "engine" in config:
-        classes["engine"] = OmegaConf.get_type(config.engine)
+def _further_classes(config: DictConfig) -> Iterator[tuple[str, Any]]:
+    """Yield the dataclasses that check settings later, with the prefix of their fields."""
     if "agent" in config:
-        classes["agent"] = find_class(config.agent._target_)
+        yield "agent.", find_class(config.agent._target_)
     if "training" in config:
-        classes["training"] = Training
+        yield "training.", Training
     if "trainer" in config:
         # Imported here because they take seconds, which the help of other commands does not need.
         from samarl.algorithms import ALGORITHMS
         from samarl.encoders import ENCODERS
-        from samarl.policies.policy import POLICIES
+        from samarl.policies.checkpoint import POLICIES
         from samarl.training.config import TrainerConfig
         from samarl.training.curriculum import CurriculumStage
 
-        classes |= {
-            "trainer": TrainerConfig,
-            "curriculum.stages": CurriculumStage,
-            **_scenario_classes("curriculum.stages.scenario"),
-            "algorithm": ALGORITHMS[config.algorithm.name].config,
-            "policy": POLICIES[config.policy.name].config,
-            "encoder": ENCODERS[config.encoder.name].config,
-        }
-    return classes
+        yield "trainer.", TrainerConfig
+        yield "curriculum.stages.", CurriculumStage
+        yield from _typed_nodes(OmegaConf.structured(Scenario), "curriculum.stages.scenario.")
+        yield "algorithm.", ALGORITHMS[config.algorithm.name].config
+        yield "policy.", POLICIES[config.policy.name].config
+        yield "encoder.", ENCODERS[config.encoder.name].config

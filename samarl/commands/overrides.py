@@ -1,78 +1,33 @@
 """Command lines in the form that Hydra's grammar accepts.
 
-Parentheses, commas, quotes, `=` and non-ASCII letters are special in that grammar. Therefore paths
-are quoted before Hydra parses them. Other values that it cannot parse are either quoted as strings,
-so that the check of the field reports them, or rejected here.
+Parentheses, commas, quotes, `=` and non-ASCII letters are special in that grammar, but common in
+paths. Values that Hydra could not parse are therefore quoted: they are taken as text.
 """
 
 from __future__ import annotations
 
 import itertools
 import re
-import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from enum import Enum
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 from hydra.core.config_loader import ConfigLoader
 from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.core.override_parser.types import Override, Quote, QuotedString, ValueType
+from hydra.core.override_parser.types import Override
 from hydra.errors import HydraException
 
 from mrsan import ConfigurationError
+from samarl.configuration import in_quotes
 from samarl.files import find_folder
 
-PATH_FIELDS = frozenset(
-    {
-        "checkpoint",
-        "init_from",
-        "lookahead_predictor",
-        "map",
-        "output",
-        "predictor",
-        "recording",
-        "recordings",
-        "results",
-        "resume",
-        "run_dir",
-    }
-)
-PATH_SETTINGS = frozenset({"hydra.run.dir", "hydra.sweep.dir", "hydra.sweep.subdir"})
-_FLAGS = frozenset(
-    {
-        "--help",
-        "-h",
-        "--hydra-help",
-        "--version",
-        "--run",
-        "-r",
-        "--multirun",
-        "-m",
-        "--resolve",
-        "--shell-completion",
-        "-sc",
-    }
-)
-_OPTIONS = frozenset(
-    {
-        "--config-dir",
-        "-cd",
-        "--config-name",
-        "-cn",
-        "--config-path",
-        "-cp",
-        "--cfg",
-        "-c",
-        "--package",
-        "-p",
-        "--info",
-        "-i",
-        "--experimental-rerun",
-    }
-)
+# fmt: off
+_FLAGS = {"--help", "-h", "--hydra-help", "--version", "--run", "-r", "--multirun", "-m",
+          "--resolve", "--shell-completion", "-sc"}
+_OPTIONS = {"--config-dir", "-cd", "--config-name", "-cn", "--config-path", "-cp", "--cfg", "-c",
+            "--package", "-p", "--info", "-i", "--experimental-rerun"}
+# fmt: on
 _EXCLUDED_FROM_NAMES = "hydra.job.config.override_dirname.exclude_keys"
 # One of several values, in quotes or up to the next comma.
 _ELEMENT = re.compile(r"""\s*('(?:[^'\\]|\\.)*'|"(?:[^"\\]|\\.)*"|[^,]*?)\s*,""", re.DOTALL)
@@ -82,7 +37,7 @@ _ELEMENT = re.compile(r"""\s*('(?:[^'\\]|\\.)*'|"(?:[^"\\]|\\.)*"|[^,]*?)\s*,"""
 class CommandLine:
     """The options and settings of a command."""
 
-    options: list[str]  # for example --config-dir, with their values
+    options: list[str]  # for example --config-dir=FOLDER
     settings: list[str]  # name=value
     folder: Path | None = None  # of --config-dir
 
@@ -101,15 +56,15 @@ class CommandLine:
             name, equals, value = word.partition("=")
             if not word.startswith("-"):
                 settings.append(word)
-            elif name in _OPTIONS:
-                following = [] if equals else list(itertools.islice(remaining, 1))
-                if not equals and not following:
-                    raise ConfigurationError(f"{word} has no value; write {word}=VALUE")
-                options += [word, *following]
-                if name in ("--config-dir", "-cd"):
-                    folder = Path(value if equals else following[0])
             elif word in _FLAGS:
                 options.append(word)
+            elif name in _OPTIONS:
+                value = value if equals else next(remaining, "")
+                if not value:
+                    raise ConfigurationError(f"{name} has no value; write {name}=VALUE")
+                options.append(f"{name}={value}")
+                if name in ("--config-dir", "-cd"):
+                    folder = Path(value)
             else:
                 raise ConfigurationError(
                     f"{word!r:.60} is not an option; settings are written without dashes, as in "
@@ -128,10 +83,10 @@ class CommandLine:
         """Quote the values that Hydra could not parse otherwise.
 
         Raises:
-            ConfigurationError: a setting cannot be parsed.
+            ConfigurationError: a word is not a setting.
         """
         parser = OverridesParser.create()
-        settings = [_quoted_setting(word, self.is_sweep, parser) for word in self.settings]
+        settings = [_quoted(word, self.is_sweep, parser) for word in self.settings]
         if self.is_sweep:  # cells are named by the settings in which they differ
             overrides = [parser.parse_override(word) for word in settings]
             fixed = [o.key_or_group for o in overrides if not o.is_sweep_override()]
@@ -150,102 +105,38 @@ class CommandLine:
             yield list(cell)
 
 
-def as_override(name: str, value: Any) -> str:
-    """Return the setting of a command line that assigns a value of Python.
-
-    Args:
-        name: path of the setting.
-        value: a string, number, bool, enum, path or None, or a list or mapping of them.
-    """
-    return f"{name}={value if isinstance(value, str) else _in_grammar(value)}"
-
-
-def _in_grammar(value: Any) -> str:
-    """Return a value as Hydra's grammar writes it."""
-    if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{key}: {_in_grammar(item)}" for key, item in value.items()) + "}"
-    if isinstance(value, list | tuple):
-        return "[" + ", ".join(map(_in_grammar, value)) + "]"
-    if isinstance(value, Enum):
-        return value.name
-    if isinstance(value, bool) or value is None:
-        return str(value).lower().replace("none", "null")
-    return _in_quotes(str(value)) if isinstance(value, str | Path) else str(value)
-
-
 def _choices(override: Override) -> list[str]:
     """Return the single-valued settings that an override expands to."""
-    key = override.get_key_element()
     if override.is_sweep_override():
+        key = override.get_key_element()
         return [f"{key}={value}" for value in override.sweep_string_iterator()]
     return [str(override.input_line)]
 
 
-def _quoted_setting(word: str, is_sweep: bool, parser: OverridesParser) -> str:
+def _quoted(word: str, is_sweep: bool, parser: OverridesParser) -> str:
+    """Quote the value of a setting if Hydra could not parse it.
+
+    Raises:
+        ConfigurationError: the word is not a setting.
+    """
     key, equals, value = word.partition("=")
-    name = key.lstrip("+").partition("@")[0]
-    is_complete = bool(name.strip("~")) and (equals or key.startswith("~"))
-    if not is_complete or _parsed(f"{key}{equals}", parser) is None:
+    if not (key and equals and _parsed(f"{key}=", parser)) or key.startswith(("+", "~")):
         raise ConfigurationError(
-            f"{word!r:.60} is not a setting; write name=value, as in scenario.robots=5 (see --help)"
+            f"{word!r:.60} is not a setting; write name=value, as in scenario.robots=5, without "
+            "+ or ~ (see --help)"
         )
-    if name.rpartition(".")[2] in PATH_FIELDS or name in PATH_SETTINGS:
-        return f"{key}={_quoted_paths(value, is_sweep, parser)}"
     override = _parsed(word, parser)
-    if override is None:
-        if value.startswith(("[", "{")):
-            raise ConfigurationError(
-                f"{name} is {value!r:.60}; it must be a list [a,b] or a mapping {{a: 1, b: 2}}, "
-                "with quotes around strings such as 'a (1)'"
-            )
-        return f"{key}={_in_quotes(value)}"
-    if override.is_sweep_override() and not is_sweep:
-        raise ConfigurationError(
-            f"{name} is {value!r:.60}; it must be a single value (add -m to run each of them, or "
-            "write [a,b] for a list)"
-        )
-    content = override.value()
-    is_group = (find_folder("conf") / name).is_dir()
-    if is_group and isinstance(content, list):
-        raise ConfigurationError(f"{name} is {value!r:.60}; it must be a single name")
-    if is_group and (content is None or isinstance(content, int | float)):
-        return f"{key}={_in_quotes(value)}"  # the name of a file
-    if isinstance(content, int) and abs(content) > sys.float_info.max:
-        return f"{key}={_in_quotes(value)}"  # too large for a float
-    return word
-
-
-def _quoted_paths(value: str, is_sweep: bool, parser: OverridesParser) -> str:
-    """Quote the value of a path field; in a sweep it may be several values."""
-    if not is_sweep:
-        return _quoted_path(value, parser)
-    override = _parsed(f"x={value}", parser)
-    if override is not None and override.value_type in (
-        ValueType.CHOICE_SWEEP,
-        ValueType.GLOB_CHOICE_SWEEP,
-    ):
-        return value
-    paths = [match[1] for match in _ELEMENT.finditer(f"{value},")]
-    return ",".join(_quoted_path(path, parser) or "''" for path in paths)
-
-
-def _quoted_path(text: str, parser: OverridesParser) -> str:
-    """Quote a path unless it is null or already quoted."""
-    if not text or text.lower() == "null":
-        return text
-    override = _parsed(f"x={text}", parser)
+    if override is not None and is_sweep:
+        return word
     if override is not None and not override.is_sweep_override():
-        if isinstance(override._value, QuotedString):
-            return text
-        if override.value() == text and not text.endswith(
-            "\\"
-        ):  # a trailing backslash would escape a comma
-            return text
-    return _in_quotes(text)
-
-
-def _in_quotes(text: str) -> str:
-    return QuotedString(text, Quote.single).with_quotes()
+        is_group = (find_folder("conf") / key).is_dir()  # its value is the name of a file
+        if not is_group or isinstance(override.value(), str):
+            return word
+    if not is_sweep:
+        return f"{key}={in_quotes(value)}"
+    elements = [match[1] for match in _ELEMENT.finditer(f"{value},")]
+    texts = [e if _parsed(f"x={e}", parser) else in_quotes(e) for e in elements]
+    return f"{key}={','.join(texts)}"
 
 
 def _parsed(word: str, parser: OverridesParser) -> Override | None:

@@ -9,19 +9,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
-from hydra.core.hydra_config import HydraConfig
 from numpy.typing import NDArray
 from omegaconf import MISSING, DictConfig
 
 from mrsan import ConfigurationError, Split
 from mrsan.cases import CASES_PER_SPLIT
 from mrsan.fields import check_numbers, number
-from samarl.agents import Agent, build_agent
-from samarl.commands.agents import check_agent, print_scope_warning, selected_agent
+from samarl import api
+from samarl.agents import Agent
+from samarl.commands.agents import agent_in, check_agent
 from samarl.commands.cli import command_line, run_command
-from samarl.configuration import scenario_in
 from samarl.evaluation.minari_dataset import check_dataset_id, write_dataset
-from samarl.evaluation.trajectory import Trajectory, as_table, record_episode
+from samarl.evaluation.trajectory import Trajectory, record_episode
 from samarl.evaluation.trajnet import trajnet_lines
 from samarl.files import atomic_write, check_writable
 from samarl.progress import progress_bar
@@ -60,26 +59,25 @@ def main() -> None:
 
 def record(config: DictConfig) -> None:
     """Run the cases and write what `format` names."""
-    scenario = scenario_in(config)
     settings = Record(config.case, config.cases, config.split, config.format, config.output)
     check_numbers(settings, "")
     check_output(settings)
-    agent = build_agent(selected_agent(config), scenario)
-    print_scope_warning(agent)
-    name = str(HydraConfig.get().runtime.choices.agent)
+    agent, target = agent_in(config), settings.output
     cases = settings.split.number(settings.case) + np.arange(settings.cases, dtype=np.int64)
-    with progress_bar(total=len(cases), desc=name, unit="case", leave=False) as bar:
+    if settings.format is Format.table:
+        table = api.record(agent, case=int(cases[0]))
+        with atomic_write(Path(target)) as temporary, temporary.open("wb") as file:
+            table_writer(Path(target))(table, file)
+        print(f"written to {target}")
+        return
+    with progress_bar(total=len(cases), desc=agent.label, unit="case", leave=False) as bar:
         if settings.format is Format.minari:
             command = command_line("samarl-record")
-            target = write_dataset(settings.output, agent, cases, name, command, bar.update)
+            target = write_dataset(target, agent, cases, agent.label, command, bar.update)
         else:
-            target = settings.output
-            trajectories = _trajectories(agent, cases, bar.update)
+            lines = trajnet_lines(_trajectories(agent, cases, bar.update))
             with atomic_write(Path(target)) as temporary, temporary.open("wb") as file:
-                if settings.format is Format.trajnet:
-                    file.writelines(line.encode() for line in trajnet_lines(trajectories))
-                else:
-                    table_writer(Path(target))(as_table(next(trajectories)), file)
+                file.writelines(line.encode() for line in lines)
     print(f"written to {target}")
 
 

@@ -12,7 +12,7 @@ import hashlib
 import json
 import os
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, TypeGuard
 
@@ -23,8 +23,7 @@ from torch.nn.modules.module import register_module_parameter_registration_hook
 
 from mrsan import ConfigurationError
 from mrsan.choices import ACTION_SIZE
-from mrsan.suggestions import choice_hint
-from samarl.files import atomic_write, find_folder, read_json, write_json
+from samarl.files import atomic_write, write_json
 from samarl.observations.frames import FeatureSizes
 from samarl.policies import (  # noqa: F401 (registers them)
     flat,
@@ -32,63 +31,40 @@ from samarl.policies import (  # noqa: F401 (registers them)
     lookahead,
     squashed,
 )
+from samarl.policies.card import FORMAT, PolicyCard, find_policy, read_card
 from samarl.policies.policy import POLICIES, Policy
 
-FORMAT = 3
 LARGEST_SIZE = 4096  # of a group of features
 
 
-@dataclass
-class PolicyCard:
-    """The JSON file of a policy."""
+def feature_sizes(card: PolicyCard) -> FeatureSizes | None:
+    """Return what a policy observes; None: people and robots.
 
-    policy: str  # a name in POLICIES
-    action_size: int
-    config: dict[str, Any]  # of the policy, with its encoder
-    provenance: dict[str, Any]  # command, commit, configuration, steps ... of the training
-    sha256: str  # digest of the weights file
-    # Fields of `FeatureSizes`; empty in older files, whose policies observe people and robots.
-    sizes: dict[str, Any] = field(default_factory=dict)
-
-    def feature_sizes(self) -> FeatureSizes | None:
-        """Return what the policy observes; None: people and robots.
-
-        Raises:
-            ConfigurationError: the card holds something else.
-        """
-        if not self.sizes:
-            return None
-        ego, entities, sensors = (self.sizes.get(part) for part in ("ego", "entities", "sensors"))
-        if (
-            _is_size(ego)
-            and isinstance(entities, dict)
-            and isinstance(sensors, dict)
-            and {"humans", "robots"} <= entities.keys()
-            and all(map(_is_size, entities.values()))
-            and all(
-                isinstance(shape, list) and all(map(_is_size, shape)) for shape in sensors.values()
-            )
-        ):
-            shapes = {name: tuple(shape) for name, shape in sensors.items()}
-            return FeatureSizes(ego, entities, shapes)
-        raise ConfigurationError(
-            f"sizes is {self.sizes!r:.100}; it must have `ego`, `entities` with humans and robots, "
-            f"and `sensors`, with sizes from 1 to {LARGEST_SIZE}"
-        )
+    Raises:
+        ConfigurationError: the card holds something else.
+    """
+    sizes = card.sizes
+    if not sizes:
+        return None
+    ego, entities, sensors = (sizes.get(part) for part in ("ego", "entities", "sensors"))
+    if (
+        _is_size(ego)
+        and isinstance(entities, dict)
+        and isinstance(sensors, dict)
+        and {"humans", "robots"} <= entities.keys()
+        and all(map(_is_size, entities.values()))
+        and all(isinstance(shape, list) and all(map(_is_size, shape)) for shape in sensors.values())
+    ):
+        shapes = {name: tuple(shape) for name, shape in sensors.items()}
+        return FeatureSizes(ego, entities, shapes)
+    raise ConfigurationError(
+        f"sizes is {sizes!r:.100}; it must have `ego`, `entities` with humans and robots, "
+        f"and `sensors`, with sizes from 1 to {LARGEST_SIZE}"
+    )
 
 
 def _is_size(value: Any) -> TypeGuard[int]:
     return type(value) is int and 1 <= value <= LARGEST_SIZE
-
-
-_CARD_TYPES = {
-    "policy": str,
-    "action_size": int,
-    "config": dict,
-    "provenance": dict,
-    "sha256": str,
-    "sizes": dict,
-}
 
 
 def write_tensors(path: Path, tensors: dict[str, Tensor], metadata: dict[str, str]) -> str:
@@ -136,28 +112,6 @@ def make_policy(
     return POLICIES[name].cls(POLICIES.config({**config, "name": name}), action_size, sizes)
 
 
-def find_policy(name: str, field: str = "checkpoint") -> Path:
-    """Return the file of a policy.
-
-    Args:
-        name: a path, or the name of a shipped policy.
-        field: name of the setting, for error messages.
-
-    Raises:
-        ConfigurationError: there is no such file and no such shipped policy.
-    """
-    shipped = find_folder("results") / "checkpoints"
-    for path in (Path(name), shipped / f"{name}.safetensors"):
-        if path.is_file():
-            return path
-    names = [path.stem for path in shipped.glob("*.safetensors")]
-    raise ConfigurationError(
-        f"{field} is {name!r}, which does not exist; it must be a .safetensors file or the name of "
-        f"a shipped policy in {shipped}, such as samarl"
-        + (f"; {suggestion}" if (suggestion := choice_hint(name, names, "")) else "")
-    )
-
-
 def load_policy(path: Path | str) -> tuple[Policy, PolicyCard]:
     """Read a policy and its card.
 
@@ -174,7 +128,7 @@ def load_policy(path: Path | str) -> tuple[Policy, PolicyCard]:
         raise ConfigurationError(f"{path} is damaged: its digest is not that in {card_path}")
     try:
         with _limit_parameters(path):
-            policy = make_policy(card.policy, card.config, card.action_size, card.feature_sizes())
+            policy = make_policy(card.policy, card.config, card.action_size, feature_sizes(card))
     except ConfigurationError as error:
         raise ConfigurationError(f"{card_path}: {error}") from error
     with attribute_errors_to(path, "does not fit its card"):
@@ -218,36 +172,6 @@ def check_finite(path: Path, tensors: Mapping[str, Tensor]) -> None:
             raise ConfigurationError(
                 f"{path} has {name} with NaN or infinity in it; weights must be finite"
             )
-
-
-def read_card(weights: Path) -> PolicyCard:
-    """Read the card next to a weights file.
-
-    Raises:
-        ConfigurationError: one of the files is missing, or the card is damaged or has another
-            format.
-    """
-    path = weights.with_suffix(".json")
-    for file in (weights, path):
-        if not file.is_file():
-            raise ConfigurationError(
-                f"there is no file {file}; a policy is a .safetensors file with a .json file of "
-                "the same name next to it"
-            )
-    try:
-        content = read_json(path)
-        version = content.pop("format")
-        card = PolicyCard(**content)
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise ConfigurationError(f"{path} is not the card of a policy ({error})") from error
-    if version != FORMAT:
-        raise ConfigurationError(f"{path} has format {version!r}; it must be {FORMAT}")
-    for name, type_ in _CARD_TYPES.items():
-        if not isinstance(getattr(card, name), type_):
-            raise ConfigurationError(
-                f"{path} has {name} {getattr(card, name)!r:.60}; it must be a {type_.__name__}"
-            )
-    return card
 
 
 @contextlib.contextmanager

@@ -20,7 +20,6 @@ from samarl.launch import rank
 from samarl.policies.checkpoint import attribute_errors_to, write_tensors
 
 STATE = "state.safetensors"
-LAST, BEST = "last.safetensors", "best.safetensors"  # policies
 FORMAT = 5  # of STATE
 
 

@@ -18,6 +18,7 @@ from samarl import distributed
 from samarl.errors import TrainingError
 from samarl.files import code_version, machine
 from samarl.launch import local_device, rank, world_size
+from samarl.policies.card import BEST, LAST
 from samarl.policies.checkpoint import attribute_errors_to, check_finite, save_policy
 from samarl.policies.policy import Policy
 from samarl.rollout import Rollout
@@ -28,7 +29,7 @@ from samarl.training.health import Health
 from samarl.training.logging import Logger
 from samarl.training.progress import Progress
 from samarl.training.resume import check_same_run
-from samarl.training.run_dir import BEST, LAST, STATE, RunDir
+from samarl.training.run_dir import STATE, RunDir
 from samarl.training.setup import (
     build_algorithm,
     build_collectors,

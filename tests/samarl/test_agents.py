@@ -12,7 +12,8 @@ from mrsan.fields import required
 from samarl.agents import Agent, build_agent
 from samarl.configuration import available_agents, load_agent_config
 from samarl.evaluation.runner import run_cases
-from samarl.policies.checkpoint import find_policy, load_policy, save_policy
+from samarl.policies.card import find_policy
+from samarl.policies.checkpoint import load_policy, save_policy
 
 CONFIGS = {name: load_agent_config(name) for name in available_agents()}
 NAMES = list(CONFIGS)

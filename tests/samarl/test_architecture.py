@@ -23,11 +23,13 @@ ROOMS = [
     "samarl.physics",
     "samarl.evaluation",
     "samarl.prediction",
+    "samarl.user_files",
     "samarl.configuration",
     "samarl.training",
     "samarl.report",
-    "samarl.commands",
     "samarl.api",
+    "samarl.run",
+    "samarl.commands",
 ]
 
 

@@ -18,7 +18,8 @@ from samarl.evaluation.seeds import improvements
 from samarl.evaluation.summary import Row, case_successes, column_of, first_cases, read_rows
 from samarl.evaluation.table import grids_as_markdown
 from samarl.files import find_folder, write_json
-from samarl.policies.checkpoint import find_policy, load_policy, save_policy
+from samarl.policies.card import find_policy
+from samarl.policies.checkpoint import load_policy, save_policy
 from samarl.report.improvement import draw_improvements
 
 

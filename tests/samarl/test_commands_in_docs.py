@@ -11,15 +11,15 @@ from hydra.core.config_store import ConfigStore
 from omegaconf import OmegaConf
 
 from samarl.commands.bench import Bench
-from samarl.commands.composition import compose_cells
+from samarl.commands.cli import compose_cells
 from samarl.commands.export import Export
 from samarl.commands.overrides import CommandLine
 from samarl.commands.predictor import Predictor
 from samarl.commands.record import Record
 from samarl.commands.render import Render
 from samarl.commands.report import Report
-from samarl.commands.train import train_schema
-from samarl.configuration import first, register_schemas
+from samarl.training.settings import train_schema
+from samarl.configuration import register_schemas
 
 ROOT = Path(__file__).parents[2]
 # `test_docs.py` runs those of extending.md.
@@ -59,7 +59,6 @@ def my_conf(tmp_path_factory: pytest.TempPathFactory) -> Path:
     shutil.copytree(ROOT / "examples/other_policies/agent", folder / "agent")
     agent = other_policies.split("```yaml\n")[1].split("```")[0]
     (folder / "agent/sarl_transfer.yaml").write_text(agent)
-    OmegaConf.register_new_resolver("first", first, replace=True)
     register_schemas()
     for name, schema in SCHEMAS.items():
         ConfigStore.instance().store(name=f"{name}_schema", node=schema)

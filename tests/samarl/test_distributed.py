@@ -27,10 +27,11 @@ from samarl.distributed import (
     init_process_group,
 )
 from samarl.launch import launcher, per_process, rank
+from samarl.policies.card import LAST
 from samarl.rollout import Rollout
 from samarl.training.config import TrainerConfig
 from samarl.training.curriculum import CurriculumStage
-from samarl.training.run_dir import LAST, STATE, read_progress
+from samarl.training.run_dir import STATE, read_progress
 from samarl.training.trainer import Trainer
 from tests.commands import run_module
 from tests.learning import (

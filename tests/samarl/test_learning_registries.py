@@ -19,14 +19,16 @@ from mrsan import ConfigurationError, Scenario, World
 from mrsan.recording import SAMPLE
 from samarl.agents.learned import DeployedPolicy
 from samarl.algorithms import ALGORITHMS
-from samarl.commands.train import build_trainer, train_schema
-from samarl.configuration import first, register_schemas
+from samarl.commands.train import settings_in
+from samarl.configuration import register_schemas
 from samarl.encoders import ENCODERS
 from samarl.files import find_folder
+from samarl.policies.card import LAST
 from samarl.policies.checkpoint import load_policy
 from samarl.policies.policy import POLICIES
 from samarl.registry import Registry
-from samarl.training.run_dir import LAST
+from samarl.training.run import build_trainer
+from samarl.training.settings import train_schema
 
 KINDS: dict[str, Registry[Any]] = {"encoder": ENCODERS, "policy": POLICIES, "algorithm": ALGORITHMS}
 STAGES = (
@@ -63,7 +65,6 @@ VARIANTS = {"goal_hidden": "hierarchical"}
 def conf(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """The folder of YAML files, and no command line left by a command in this process."""
     monkeypatch.setattr(HydraConfig.instance(), "cfg", None)
-    OmegaConf.register_new_resolver("first", first, replace=True)
     register_schemas()
     ConfigStore.instance().store(name="train_schema", node=train_schema())
     with initialize_config_dir(str(find_folder("conf")), version_base="1.3"):
@@ -93,7 +94,7 @@ def test_every_experiment_begins(
         shutil.copy(SAMPLE, tmp_path / f"{recording}.txt")
     monkeypatch.setenv("RECORDINGS", str(tmp_path))
     overrides = [f"experiment={name}", f"run_dir={tmp_path}/run", "trainer.device=cpu"]
-    trainer = build_trainer(compose("train", overrides), "test")
+    trainer = build_trainer(settings_in(compose("train", overrides)), "test")
     assert trainer.steps_done == 0
 
 
@@ -116,7 +117,7 @@ def test_every_name_trains_and_its_checkpoint_drives_as_before(choice: str, tmp_
     alone = choice if SOFT in choice else f"{choice} {PPO}"
     choices = TOGETHER.get(choice, alone).split()
     overrides = [*SMALL, *choices, f"run_dir={tmp_path}/run"]
-    trainer = build_trainer(compose("train", overrides), "test")
+    trainer = build_trainer(settings_in(compose("train", overrides)), "test")
     before = {key: value.clone() for key, value in trainer.policy.state_dict().items()}
     trainer.algorithm.set_progress(0.0)
     for _ in range(2):

@@ -13,9 +13,10 @@ import torch
 
 from mrsan import ConfigurationError, Scenario
 from samarl.encoders import ENCODERS
+from samarl.policies.card import LAST
 from samarl.training.config import MAX_SEEDS, TrainerConfig
 from samarl.training.curriculum import CurriculumStage
-from samarl.training.run_dir import LAST, STATE, RunDir
+from samarl.training.run_dir import STATE, RunDir
 from samarl.training.trainer import Trainer
 from tests.learning import PPO_NUMBERS, crowded, policy_numbers
 

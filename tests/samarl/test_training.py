@@ -21,7 +21,8 @@ from samarl.agents import build_agent
 from samarl.algorithms.ppo import PPO
 from samarl.commands.train import main
 from samarl.evaluation.runner import Evaluation, run_cases
-from samarl.policies.checkpoint import FORMAT, load_policy, save_policy
+from samarl.policies.card import FORMAT
+from samarl.policies.checkpoint import load_policy, save_policy
 from samarl.policies.policy import LOCAL
 from samarl.training.setup import load_initial_weights
 from samarl.training.trainer import Trainer

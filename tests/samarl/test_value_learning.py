@@ -23,6 +23,7 @@ from samarl.encoders import ENCODERS, Encoder
 from samarl.observations.features import frames_of
 from samarl.observations.frames import FeatureSizes, Frames
 from samarl.planning.one_step import command_set
+from samarl.policies.card import LAST
 from samarl.policies.checkpoint import make_policy
 from samarl.policies.lookahead import LookaheadPolicy
 from samarl.registry import Entry
@@ -30,7 +31,6 @@ from samarl.reward_shaping import RewardShaping
 from samarl.rollout import Rollout
 from samarl.training.config import TrainerConfig
 from samarl.training.curriculum import CurriculumStage
-from samarl.training.run_dir import LAST
 from samarl.training.trainer import Trainer
 from tests.learning import VALUE_NUMBERS, policy_numbers
 from tests.learning import algorithm as ppo
