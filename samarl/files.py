@@ -86,7 +86,7 @@ def read_json(path: Path) -> Any:
 
 
 def find_folder(name: str) -> Path:
-    """Return the folder `conf` or `results`, in the installed package or next to the source."""
+    """Return `conf`, `examples` or `results`, in the installed package or next to the source."""
     installed = Path(samarl.__file__).parent / name
     return installed if installed.is_dir() else Path(samarl.__file__).parents[1] / name
 

@@ -27,6 +27,7 @@ COMMANDS = [
     ["samarl-evaluate", "agent=orca", "evaluation.cases=5"],
     ["samarl-record", "agent=samarl", "case=28", "output=case.csv"],
     ["samarl-predictor", "predictor=recurrent", "validation_cases=5"],
+    ["samarl-examples", "examples"],
     ["samarl-bench", "agents=[straight]", "evaluation.cases=5", "output=bench"],
 ]
 SAMPLE = "lib/python*/site-packages/mrsan/recording/synthetic.txt"

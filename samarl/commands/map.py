@@ -10,12 +10,12 @@ import numpy as np
 from mrsan.fixed_map import centre_of
 from mrsan.maps import MOST_SEGMENTS, MapFile, read_map
 from mrsan.maps.polygons import signed_area
-from samarl.commands.console import PICTURES, FileParser, check_output, run, table
+from samarl.commands.console import PICTURES, Parser, check_output, run, table
 
 
 def main() -> None:
     """Entry point."""
-    parser = FileParser(
+    parser = Parser(
         "samarl-map",
         "Show what is understood of a map file: its floor, walls and cells. It is used with "
         "scenario.layout=map scenario.map=FILE.",

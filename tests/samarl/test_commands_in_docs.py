@@ -34,7 +34,7 @@ SCHEMAS = {
     "train": train_schema(),
 }
 # Placeholders; options instead of settings.
-OTHER_SYNTAX = r"\.\.\.|NAME|RECORDINGS=|--help|samarl-recording|samarl-map"
+OTHER_SYNTAX = r"\.\.\.|NAME|RECORDINGS=|--help|samarl-(?:recording|map|curves|examples)"
 
 
 def command_lines() -> Iterator[tuple[str, str]]:
