@@ -106,7 +106,7 @@ def trace_free_area(
     """Return the outline of the largest free area of a grid, clockwise, and of its obstacles.
 
     Outlines are simplified by at least half a cell, and by more until there are at most `most`
-    segments.
+    segments. Obstacles that are smaller than that become thin walls.
 
     Args:
         free: which cells are free, [rows, columns], the top row first.
@@ -118,7 +118,7 @@ def trace_free_area(
         MapError: no cell is free, or the map has too many details.
     """
     try:
-        from skimage.measure import approximate_polygon, find_contours, label
+        from skimage.measure import find_contours, label
     except ModuleNotFoundError:
         raise MapError("needs scikit-image: pip install 'samarl[maps]'") from None
     areas = label(free, connectivity=1)
@@ -129,8 +129,11 @@ def trace_free_area(
     contours = find_contours(padded, 0.5, fully_connected="low")
     tolerance = 0.5
     while tolerance * resolution <= max(_COARSEST, 0.5 * resolution):
-        outlines = [approximate_polygon(contour, tolerance)[:-1] for contour in contours]
-        outlines = [outline for outline in outlines if len(outline) >= 3]
+        outlines = [_simplified(contour, tolerance) for contour in contours]
+        if max(map(len, outlines)) < 3:
+            raise MapError(
+                f"has no free area wider than {tolerance * resolution:g} m; it must have one"
+            )
         if sum(map(len, outlines)) <= most:
             return _in_metres(outlines, len(free), resolution, origin)
         tolerance *= 2
@@ -138,6 +141,17 @@ def trace_free_area(
         f"has {sum(map(len, outlines))} wall segments when simplified by {_COARSEST} m; it must "
         f"have at most {most}"
     )
+
+
+def _simplified(contour: NDArray[np.float64], tolerance: float) -> NDArray[np.float64]:
+    """Return fewer vertices of a closed contour, two for one that is smaller than the tolerance."""
+    from skimage.measure import approximate_polygon
+
+    outline: NDArray[np.float64] = approximate_polygon(contour, tolerance)[:-1]
+    if len(outline) >= 3:
+        return outline
+    farthest = int(np.linalg.norm(contour - contour[0], axis=-1).argmax())
+    return contour[[0, farthest]]
 
 
 def _origin(value: Any) -> tuple[tuple[float, float, float], tuple[str, ...]]:
