@@ -34,6 +34,9 @@ if TYPE_CHECKING:
     from mrsan.maps import Polygon
 
 
+_DECIMALS = 6  # of local coordinates, m
+
+
 class FixedMap(NamedTuple):
     """The same place for all cases; the arrays are those of `State`, of one world."""
 
@@ -69,8 +72,8 @@ def fixed_map(map_file: str | None, clearance: float) -> FixedMap:
 def map_centre(map_file: str | None) -> tuple[float, float]:
     """Return the point of the file's coordinates that is the origin of the world, m.
 
-    It is the middle of the map in whole metres: coordinates far from their own origin, such as
-    those of surveyed sites, would lose centimetres in float32.
+    It is the middle of the map: coordinates far from their own origin, such as those of surveyed
+    sites, would lose centimetres in float32.
 
     Args:
         map_file: `Scenario.map`; without one (0, 0).
@@ -82,9 +85,9 @@ def map_centre(map_file: str | None) -> tuple[float, float]:
 
 
 def centre_of(polygons: Sequence[Polygon]) -> NDArray[np.float64]:
-    """Return the middle of polygons [2] in whole metres, m."""
+    """Return the middle of polygons [2], m."""
     points = np.concatenate(polygons)
-    return np.rint((points.min(0) + points.max(0)) / 2)
+    return (points.min(0) + points.max(0)) / 2
 
 
 def _from_file(map_file: str, clearance: float) -> tuple[FixedMap, tuple[float, float]]:
@@ -105,8 +108,9 @@ def _load(path: str, changed: int, clearance: float) -> tuple[FixedMap, tuple[fl
     except MapError as error:
         raise ConfigurationError(f"scenario.map: {error}") from None
     centre = centre_of(polygons)
-    local = map_of_polygons([polygon - centre for polygon in polygons], clearance)
-    return local, (float(centre[0]), float(centre[1]))
+    # Rounded, so that a world is the same to the last bit wherever its map's origin is.
+    local = [(polygon - centre).round(_DECIMALS) for polygon in polygons]
+    return map_of_polygons(local, clearance), (float(centre[0]), float(centre[1]))
 
 
 def map_of_polygons(polygons: Sequence[Polygon], clearance: float) -> FixedMap:

@@ -10,6 +10,9 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import NoReturn
 
+import numpy as np
+from numpy.typing import NDArray
+
 import samarl
 from mrsan import ConfigurationError
 from samarl.files import check_writable
@@ -96,6 +99,12 @@ def check_output(option: str, path: Path | None, file: Path, pictures: bool = Fa
             f"{option} is {str(path)!r}, which is the file that is read; it must be another file"
         )
     check_writable(path, option)
+
+
+def origin_of_world(point: NDArray[np.float64]) -> str:
+    """Return the words for where the origin of the simulated world is in a file, m."""
+    x, y = (point.round(2) + 0.0).tolist()  # without a negative zero
+    return f"of the simulated world: ({x:.2f}, {y:.2f}) in the file"
 
 
 def table(rows: list[tuple[str, str]]) -> str:

@@ -78,7 +78,7 @@ def test_geojson(tmp_path: Path) -> None:
         ({"bounds": U_SHAPE, "walls": [[[-2, 3], [2, 3]]]}, "[-2.0, 3.0] to [2.0, 3.0]"),
         ({"bounds": U_SHAPE, "walls": [[[-2, -2], [3, 5]]]}, "[-2.0, -2.0] to [3.0, 5.0]"),
         ({"bounds": U_SHAPE, "obstacles": [[[-3, 0], [0, -3], [3, 0]]]}, "to [0.0, -3.0]"),
-        ({"scale": -1, "obstacles": [SQUARE]}, "scale is -1"),
+        ({"scale": -1, "obstacles": [SQUARE]}, "scale is '-1'"),
         ({}, "no polygon"),
         ({"walls": [[[k, 0], [k, 1]] for k in range(129)]}, "258"),
         ({"image": "none.png", "origin": [0, 0, 0]}, "resolution is None"),
