@@ -3,7 +3,6 @@
 import math
 
 import numpy as np
-from numba import prange
 
 from mrsan.kernels import function, kernel, rng
 from mrsan.kernels.habits import NEVER, entry_of, place_beside, walking_speed, walks_along
@@ -281,12 +280,13 @@ place_human = place_on_floor
 
 @kernel
 def begin_episodes(
-    chunks, worlds, state, p, place_parameters, fixed_map, recording, social, problem
+    first, last, worlds, state, p, place_parameters, fixed_map, recording, social, problem
 ):
     """Begin an episode in each world of a mask: write its state at step 0.
 
     Args:
-        chunks: number of pieces the loop over worlds is cut into.
+        first: the first world.
+        last: the world after the last one.
         worlds: [E] bool.
         state: the worlds.
         p: the scenario's parameters.
@@ -296,27 +296,25 @@ def begin_episodes(
         social: how people react to robots and form groups, see `mrsan.kernels.society`.
         problem: [E] int8, written: 0, or `NO_ROOM_FOR_*` in a world that could not begin.
     """
-    total = worlds.shape[0]
-    for chunk in prange(chunks):
-        occupied = np.empty((_CELLS, _CELLS), np.bool_)
-        candidates = np.empty((2, _BATCH), np.float32).T
-        for e in range(chunk * total // chunks, (chunk + 1) * total // chunks):
-            if worlds[e]:
-                for attempt in range(most_places):
-                    draw_walls(state, e, attempt, p, place_parameters, fixed_map)
-                    problem[e] = _begin(
-                        state,
-                        e,
-                        p,
-                        recording,
-                        social,
-                        occupied,
-                        candidates,
-                        draw_route,
-                        route_length,
-                        place_human,
-                    )
-                    if problem[e] == 0:
-                        break
-                if problem[e] != 0:
+    occupied = np.empty((_CELLS, _CELLS), np.bool_)
+    candidates = np.empty((2, _BATCH), np.float32).T
+    for e in range(first, last):
+        if worlds[e]:
+            for attempt in range(most_places):
+                draw_walls(state, e, attempt, p, place_parameters, fixed_map)
+                problem[e] = _begin(
+                    state,
+                    e,
+                    p,
+                    recording,
+                    social,
+                    occupied,
+                    candidates,
+                    draw_route,
+                    route_length,
+                    place_human,
+                )
+                if problem[e] == 0:
                     break
+            if problem[e] != 0:
+                break
