@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrsan import ConfigurationError, Scenario, Split
-from mrsan.kernels import kernel
 from mrsan.scenario import overridden
 from mrsan.suggestions import choice_hint
 from samarl import configuration
@@ -125,10 +124,7 @@ def evaluate(
     driver = _agent_for(agent, scenario)
     title = name or _name_of(driver)
     numbers = _case_numbers(cases, split)
-    with (
-        progress_bar(total=len(numbers), desc=title, unit="case", leave=False) as bar,
-        _one_kernel_version(),
-    ):
+    with progress_bar(total=len(numbers), desc=title, unit="case", leave=False) as bar:
         episodes = run_cases(driver, driver.scenario, numbers, batch, bar.update)
     named = None
     with contextlib.suppress(ConfigurationError):  # the name of a scenario may be the user's own
@@ -172,8 +168,7 @@ def record(
     """
     driver = _agent_for(agent, scenario)
     (number,) = _case_numbers([case], split)
-    with _one_kernel_version():
-        return as_table(record_episode(driver, driver.scenario, int(number)))
+    return as_table(record_episode(driver, driver.scenario, int(number)))
 
 
 def train(*overrides: str | Sequence[str], **settings: Any) -> Path:
@@ -207,7 +202,7 @@ def train(*overrides: str | Sequence[str], **settings: Any) -> Path:
         words += [override] if isinstance(override, str) else override
     for name, value in settings.items():
         words += _words(name, value)
-    with _one_line_errors(), _one_kernel_version():
+    with _one_line_errors():
         return train_in_process(words)
 
 
@@ -243,8 +238,7 @@ def render(
     if against is not None:
         drivers.append(_agent_for(against, drivers[0].scenario))
     (number,) = _case_numbers([case], split)
-    with _one_kernel_version():
-        trajectories = [record_episode(driver, driver.scenario, int(number)) for driver in drivers]
+    trajectories = [record_episode(driver, driver.scenario, int(number)) for driver in drivers]
     titles = [title_of(*pair) for pair in zip(map(_name_of, drivers), trajectories, strict=True)]
     save(list(zip(trajectories, titles, strict=True)), path)
     return path
@@ -358,18 +352,3 @@ def _one_line_errors() -> Iterator[None]:
         raise
     except COMPOSITION_ERRORS as error:
         raise ConfigurationError(explain(error)) from error
-
-
-@contextlib.contextmanager
-def _one_kernel_version() -> Iterator[None]:
-    """Simulate one world with the version of the kernels that simulates many.
-
-    A user who evaluates and records then waits for one compilation only, as with the commands.
-    Elsewhere in the process one world keeps its own version, which is faster.
-    """
-    before = kernel.always_parallel
-    kernel.always_parallel = True
-    try:
-        yield
-    finally:
-        kernel.always_parallel = before

@@ -18,14 +18,22 @@ from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
 from types import FunctionType, ModuleType
-from typing import Any
+from typing import Any, TypeVar
 
 import numba
 import numpy as np
 from numba.core import config
 from numba.core.compiler import CompileResult
+from numba.core.registry import cpu_target
 from numba.core.serialize import dumps
 from numba.misc.appdirs import user_cache_dir
+
+try:
+    import fcntl
+except ModuleNotFoundError:  # on Windows
+    fcntl = None  # type: ignore[assignment]
+
+D = TypeVar("D")
 
 _MOST_BYTES = 512 * 2**20
 _MOST_SECONDS = 90 * 24 * 3600.0  # without use
@@ -94,14 +102,24 @@ class KernelCache:
         """The folder."""
         return str(cache_folder())
 
-    def holds(self, signature: Any, target_context: Any) -> bool:
+    def holds(self, signature: Any) -> bool:
         """Return whether a version for a signature was compiled before."""
-        return self._file(signature, target_context).exists()
+        return self._file(signature).exists()
+
+    @contextlib.contextmanager
+    def lock(self) -> Iterator[None]:
+        """Let one process at a time compile the function, so that others need not do it as well."""
+        if fcntl is None:
+            yield
+            return
+        with open(cache_folder() / f"{self._name}.lock", "w") as file:
+            fcntl.flock(file, fcntl.LOCK_EX)  # which ends with the process
+            yield
 
     def load_overload(self, signature: Any, target_context: Any) -> CompileResult | None:
         """Return the version for a signature; None if it must be compiled."""
         target_context.refresh()
-        file = self._file(signature, target_context)
+        file = self._file(signature)
         try:
             content = file.read_bytes()
             os.utime(file)  # its last use
@@ -116,7 +134,7 @@ class KernelCache:
     def save_overload(self, signature: Any, result: CompileResult) -> None:
         """Save a version; where that fails, the next process compiles it again."""
         data = dumps(result._reduce())
-        file = self._file(signature, result.target_context)
+        file = self._file(signature)
         with contextlib.suppress(OSError):
             _remove_old_files(file.parent)
             handle, new = tempfile.mkstemp(dir=file.parent)
@@ -124,10 +142,18 @@ class KernelCache:
                 stream.write(hashlib.sha256(data).digest() + data)
             os.replace(new, file)
 
-    def _file(self, signature: Any, target_context: Any) -> Path:
-        machine = target_context.codegen().magic_tuple()
+    def _file(self, signature: Any) -> Path:
+        machine = cpu_target.target_context.codegen().magic_tuple()
         content = repr((_COMPILER, _function_digest(self._source), signature, machine))
         return cache_folder() / f"{self._name}-{hashlib.sha256(content.encode()).hexdigest()[:32]}"
+
+
+def cached(dispatcher: D) -> D:
+    """Let a function compiled by `numba.njit` use this cache."""
+    if hasattr(dispatcher, "py_func"):  # not with NUMBA_DISABLE_JIT
+        source = dispatcher.py_func
+        dispatcher._cache = KernelCache(f"{source.__module__}.{source.__qualname__}", source)
+    return dispatcher
 
 
 def _remove_old_files(folder: Path) -> None:

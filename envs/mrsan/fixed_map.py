@@ -7,11 +7,11 @@ from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from mrsan.fields import ConfigurationError
+from mrsan.kernels import kernel
 from mrsan.kernels.layout import MAP
 from mrsan.kernels.routes import CORNER_ROWS, build_corners, find_route
 from mrsan.kernels.walls import (
@@ -135,7 +135,7 @@ def map_of_polygons(polygons: Sequence[Polygon], clearance: float) -> FixedMap:
     loaded.place[WINDING] = -1 if any(_is_clockwise(polygon) for polygon in polygons) else 0
     loaded.place[FAMILY], loaded.place[CROSSING_SHARE] = MAP, 1.0
     loaded.place[CLEARANCE] = clearance
-    _complete(loaded, ends, np.empty(room, np.float32))
+    _complete(1, loaded, ends, np.empty(room, np.float32))
     corners = int(loaded.place[CORNERS])
     return loaded._replace(
         corners=np.ascontiguousarray(loaded.corners[:, :corners]),
@@ -147,27 +147,28 @@ def next_corner(
     place: FixedMap, start: tuple[float, float], goal: tuple[float, float]
 ) -> tuple[float, float]:
     """Return the next corner of the shortest route from a start, or the goal, m."""
-    here, there = np.array(start, np.float32), np.array(goal, np.float32)
-    corner = _first_corner(place, here, there, np.empty(place.corners.shape[1], np.float32))
+    ends = np.array([start, goal], np.float32)
+    found, cost = np.empty(1, np.int32), np.empty(place.corners.shape[1], np.float32)
+    _find_first_corner(1, place, ends, cost, found)
+    corner = int(found[0])
     if corner < 0:
         return goal
     return float(place.corners[0, corner]), float(place.corners[1, corner])
 
 
-@numba.njit(cache=True, error_model="numpy")
-def _first_corner(place, start, goal, cost):  # type: ignore[no-untyped-def]
-    corner, _ = find_route(
+@kernel
+def _find_first_corner(first, last, place, ends, cost, corner):  # type: ignore[no-untyped-def]
+    corner[0], _ = find_route(
         place.walls,
         place.place,
         place.corners,
         place.corner_distance,
-        start[0],
-        start[1],
-        goal[0],
-        goal[1],
+        ends[0, 0],
+        ends[0, 1],
+        ends[1, 0],
+        ends[1, 1],
         cost,
     )
-    return corner
 
 
 def _is_clockwise(polygon: Polygon) -> bool:
@@ -176,11 +177,11 @@ def _is_clockwise(polygon: Polygon) -> bool:
     return len(polygon) > 2 and signed_area(polygon) < 0.0
 
 
-@numba.njit(cache=True, error_model="numpy")
-def _complete(loaded, ends, row):  # type: ignore[no-untyped-def]
-    first = 0
-    for last in ends:
-        close_polygon(loaded.walls, first, last)
-        first = last
+@kernel
+def _complete(first, last, loaded, ends, row):  # type: ignore[no-untyped-def]
+    start = 0
+    for end in ends:
+        close_polygon(loaded.walls, start, end)
+        start = end
     fill_up(loaded.walls, loaded.place)
     build_corners(loaded.walls, loaded.place, loaded.corners, loaded.corner_distance, row)

@@ -10,7 +10,7 @@ from typing import Any
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-from mrsan import ConfigurationError, Scenario
+from mrsan import ConfigurationError, Scenario, World
 from mrsan.compile_ahead import compile_ahead
 from samarl.agents import Agent, build_agent
 from samarl.configuration import load_agent_config, scenario_in
@@ -47,7 +47,7 @@ def selected_agent(config: DictConfig) -> DictConfig:
 
 def compile_for(agent: Mapping[str, Any], scenario: Scenario) -> None:
     """Compile what evaluating an agent needs, side by side, unless it is cached."""
-    with compile_ahead(scenario) as compiles:
+    with compile_ahead(World(scenario)) as compiles:
         if compiles:
             warm_up(build_agent(agent, scenario), scenario)
 

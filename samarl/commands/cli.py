@@ -29,7 +29,6 @@ from yaml import YAMLError
 
 import samarl
 from mrsan import ActionError, ConfigurationError, PluginError
-from mrsan.kernels import kernel
 from samarl.commands.composition import COMPOSITION_ERRORS, compose_cells, unreadable
 from samarl.commands.errors import explain
 from samarl.commands.help import help_text
@@ -76,7 +75,6 @@ def run_command(
         print(f"samarl {samarl.__version__}")
         return
     _prepare_process(words)
-    kernel.always_parallel = True  # commands that simulate one world use the version of the others
     prepare_hydra(**schemas)
     folder = None
     try:

@@ -15,7 +15,7 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import MISSING, DictConfig, OmegaConf
 
-from mrsan import ConfigurationError, Scenario
+from mrsan import ConfigurationError, Scenario, World
 from mrsan.compile_ahead import compile_ahead
 from mrsan.fields import check_numbers, number
 from samarl.commands.cli import check_plugins_and_keys, command_line, prepare_hydra, run_command
@@ -130,7 +130,7 @@ def _run(config: DictConfig, command: str) -> Path:
     """Train in this process, of possibly several; return the folder of the run."""
     trainer = build_trainer(config, command)
     if rank() == 0:
-        with compile_ahead(trainer.stages[0].scenario):
+        with compile_ahead(World(trainer.stages[0].scenario)):
             pass
     logging.getLogger("torchrl").setLevel(logging.WARNING)  # it logs every replay buffer
     resume_command = shlex.join([*launcher(), "samarl-train", f"resume={trainer.run_dir.folder}"])

@@ -17,18 +17,19 @@ import contextlib
 import ctypes
 import inspect
 import types
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextvars import ContextVar
 from functools import partial
 from typing import Any
 
 import numba
 from llvmlite import ir
-from numba import prange
+from numba import config, prange
 from numba.core.ccallback import CFunc
 from numba.core.registry import CPUDispatcher
 from numba.extending import intrinsic
 
-from mrsan.compile_cache import KernelCache
+from mrsan.compile_cache import KernelCache, cached
 from mrsan.compile_progress import compile_progress
 from mrsan.kernels.inlining import InlineCompiler
 from mrsan.kernels.structs import Struct, StructType
@@ -88,40 +89,28 @@ class kernel:
 
     def __init__(self, source: Callable[..., Any]) -> None:
         self.__doc__ = source.__doc__
-        self.name = f"{source.__module__}.{source.__qualname__}"
         self._source = source
         self._names = list(inspect.signature(source).parameters)[2:]
-        self._compiled: dict[StructType, _Function] = {}
-        if not numba.config.DISABLE_JIT:
-            self._entry = _copy(_entry, self.name, compute=allocating(source))
-            self._cache = KernelCache(self.name, self._entry)
+        self._versions: dict[StructType, Version] = {}
+        if not config.DISABLE_JIT:
+            name = f"{source.__module__}.{source.__qualname__}"
+            self._entry = _copy(_entry, name, compute=allocating(source))
+            self._cache = KernelCache(name, self._entry)
 
     def __call__(self, rows: int, *arguments: Any) -> None:
         """Run over `rows` rows, the other arguments as the kernel's source declares them."""
-        if numba.config.DISABLE_JIT:
+        if config.DISABLE_JIT:
             self._source(0, rows, *arguments)
             return
         struct = Struct(self._names, arguments)
-        compiled = self._compiled.get(struct.type) or self._compile(struct.type)
-        lock = None if rows == 1 else parallel_kernels()
-        if lock is None:
-            compiled.run(0, rows, struct.address)
-            return
-        with lock:
-            chunks = min(rows, 8 * kernel_threads())
-            _run_chunks(compiled.address, chunks, rows, struct.address)
-
-    def _compile(self, struct_type: StructType) -> _Function:
-        """Load the version for a type of arguments from the cache, or compile it."""
-        intp = numba.types.intp
-        signature = (intp, intp, struct_type), numba.types.void
-        callback = CFunc(self._entry, signature, {}, {"error_model": "numpy"})
-        callback._cache = self._cache
-        is_cached = self._cache.holds(callback._sig, callback._targetdescr.target_context)
-        with contextlib.nullcontext() if is_cached else compile_progress():
-            callback.compile()
-        self._compiled[struct_type] = compiled = _Function(callback)
-        return compiled
+        version = self._versions.get(struct.type)
+        if version is None:
+            version = Version(self._entry, self._cache, struct.type)
+            self._versions[struct.type] = version
+        if (stand_in := _STAND_IN.get()) is not None:
+            stand_in(version)
+        else:
+            version.run(rows, struct)
 
     def variant(self, name: str, **functions: Any) -> kernel:
         """Return this kernel with other functions in the place of globals that it calls.
@@ -136,14 +125,55 @@ class kernel:
         return kernel(_copy(source, f"{source.__qualname__}_{name}", **functions))
 
 
-class _Function:
-    """A compiled kernel in memory."""
+class Version:
+    """A kernel for one type of arguments."""
 
-    def __init__(self, callback: CFunc) -> None:
-        self._callback = callback  # owns the machine code
-        self.address = callback.address
+    def __init__(self, entry: Callable[..., Any], cache: KernelCache, struct_type: StructType):
+        number = numba.types.intp
+        signature = (number, number, struct_type), numba.types.void
+        self.name = entry.__qualname__
+        self._callback = CFunc(entry, signature, {}, {"error_model": "numpy"})
+        self._callback._cache = self._cache = cache
+        self._run: Callable[[int, int, int], None] | None = None
+
+    def is_cached(self) -> bool:
+        """Return whether it was compiled before, by this or another process."""
+        return self._run is not None or self._cache.holds(self._callback._sig)
+
+    def load(self) -> None:
+        """Load it from the cache, or compile it."""
+        if self._run is not None:
+            return
+        with contextlib.nullcontext() if self.is_cached() else compile_progress():
+            with self._cache.lock():  # another process may compile it
+                self._callback.compile()
         number = ctypes.c_ssize_t
-        self.run = ctypes.PYFUNCTYPE(None, number, number, number)(callback.address)
+        self._run = ctypes.PYFUNCTYPE(None, number, number, number)(self._callback.address)
+
+    def run(self, rows: int, arguments: Struct) -> None:
+        """Run over `rows` rows."""
+        if self._run is None:
+            self.load()
+        lock = None if rows == 1 else parallel_kernels()
+        if lock is None:
+            self._run(0, rows, arguments.address)
+            return
+        with lock:
+            chunks = min(rows, 8 * kernel_threads())
+            _run_chunks(self._callback.address, chunks, rows, arguments.address)
+
+
+_STAND_IN: ContextVar[Callable[[Version], None] | None] = ContextVar("stand_in", default=None)
+
+
+@contextlib.contextmanager
+def replace_runs(stand_in: Callable[[Version], None]) -> Iterator[None]:
+    """Let kernels that the body calls be passed to a function instead of being run."""
+    token = _STAND_IN.set(stand_in)
+    try:
+        yield
+    finally:
+        _STAND_IN.reset(token)
 
 
 def _copy(source: Callable[..., Any], name: str, **replaced: Any) -> Callable[..., Any]:
@@ -158,6 +188,7 @@ def _entry(first, last, arguments):  # type: ignore[no-untyped-def]
     compute(first, last, *arguments.all_fields)  # type: ignore[name-defined]  # noqa: F821
 
 
+@cached
 @numba.njit(parallel=True)
 def _run_chunks(function, chunks, rows, arguments):  # type: ignore[no-untyped-def]
     """Run a compiled kernel, of which the address is given, on all threads."""
@@ -178,6 +209,3 @@ def _call(typing_context, function, first, last, arguments):  # type: ignore[no-
 
     return numba.types.void(intp, intp, intp, intp), generate
 
-
-if not numba.config.DISABLE_JIT:
-    _run_chunks._cache = KernelCache("mrsan.kernels.run_chunks", _run_chunks.py_func)

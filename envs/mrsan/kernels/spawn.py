@@ -49,10 +49,16 @@ NOT_PLACED = -1
 def draw_open_route(state, e, i, key, attempt, layout, recording, p):
     """Draw start and goal of robot `i`; return whether this attempt is permitted."""
     start, goal = state.robot_position[e, i], state.robot_goal[e, i]
-    if p.people_recorded:
-        begin = state.record_step[e]
-        return draw_recorded_route(start, goal, key, i, attempt, begin, recording, p)
     return draw_robot_route(start, goal, key, i, attempt, layout, p)
+
+
+@function
+def draw_route_among_recorded(state, e, i, key, attempt, layout, recording, p):
+    """Draw the same among recorded people, and where the recording begins, which is one number."""
+    start, goal = state.robot_position[e, i], state.robot_goal[e, i]
+    begin_recording(state, e, key, recording, p)
+    begin = state.record_step[e]
+    return draw_recorded_route(start, goal, key, i, attempt, begin, recording, p)
 
 
 @function
@@ -68,7 +74,17 @@ def no_walls(state, e, attempt, p, place_parameters, fixed_map):
 
 @function
 def _begin(
-    state, e, p, recording, social, occupied, candidates, draw_route, route_length, place_human
+    state,
+    e,
+    p,
+    recording,
+    social,
+    occupied,
+    candidates,
+    draw_route,
+    route_length,
+    place_people,
+    place_human,
 ):
     """Begin the episode of world `e`; return 0, or `NO_ROOM_FOR_*`."""
     key = rng.episode_key(state.case[e], state.episode[e])
@@ -77,16 +93,30 @@ def _begin(
     state.terminated[e] = False
     state.truncated[e] = False
     layout = layout_of(key, p)
-    if p.people_recorded:
-        begin_recording(state, e, key, recording, p)
     for i in range(state.robot_heading.shape[1]):
         if not _place_robot(state, e, i, key, layout, recording, p, draw_route, route_length):
             return NO_ROOM_FOR_ROBOTS
-    if p.people_recorded:
-        state.human_present[e, :], state.human_track[e, :] = False, NOT_ASSIGNED
-        state.human_entry[e, :] = 0
-        follow(state, e, recording, p)
-        return 0
+    return place_people(
+        state, e, key, layout, p, recording, social, occupied, candidates, place_human
+    )
+
+
+@function
+def place_recorded_people(
+    state, e, key, layout, p, recording, social, occupied, candidates, place_human
+):
+    """Assign slots to the people of a recording; return 0."""
+    state.human_present[e, :], state.human_track[e, :] = False, NOT_ASSIGNED
+    state.human_entry[e, :] = 0
+    follow(state, e, recording, p)
+    return 0
+
+
+@function
+def place_simulated_people(
+    state, e, key, layout, p, recording, social, occupied, candidates, place_human
+):
+    """Draw which people there are, and their starts; return 0, or `NO_ROOM_FOR_PEOPLE`."""
     low, high = p.humans_min, state.human_radius.shape[1]
     share = rng.uniform(key, rng.HUMAN_COUNT, 0, 0, 0)
     count = min(low + int(share * np.float32(high - low + 1)), high)
@@ -270,11 +300,13 @@ def _distance(a, b):
 
 
 # `begin_episodes.variant` replaces these in places with walls, see `mrsan.kernels.walled_spawn`,
-# and for people who react to robots or walk in groups, see `mrsan.kernels.society`.
+# for people who react to robots or walk in groups, see `mrsan.kernels.society`, and for recorded
+# people.
 most_places = 1
 draw_walls = no_walls
 draw_route = draw_open_route
 route_length = straight_length
+place_people = place_simulated_people
 place_human = place_on_floor
 
 
@@ -312,6 +344,7 @@ def begin_episodes(
                     candidates,
                     draw_route,
                     route_length,
+                    place_people,
                     place_human,
                 )
                 if problem[e] == 0:

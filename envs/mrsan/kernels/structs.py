@@ -56,7 +56,7 @@ class Struct:
         Raises:
             TypeError: a value is none of these.
         """
-        content = [_as_struct(value) if isinstance(value, tuple) else value for value in values]
+        content = [by_reference(value) if isinstance(value, tuple) else value for value in values]
         kinds, words = [], []
         for value in content:
             kind, *numbers = _words_of(value)
@@ -68,16 +68,29 @@ class Struct:
         self.address = ctypes.addressof(self._memory)
 
 
-def _as_struct(values: tuple[Any, ...]) -> Struct | tuple[()]:
-    """Return a named tuple as a struct, which an instance with `__dict__` keeps."""
+class KeepsStruct:
+    """Mixin of named tuples that are passed to kernels again and again: they keep their struct."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle and copy the fields only."""
+        return type(self), tuple(self)  # type: ignore[arg-type]
+
+
+def by_reference(values: tuple[Any, ...]) -> Struct | tuple[()]:
+    """Return a named tuple as a struct; `()`, which stands for settings that there are not, as is.
+
+    Raises:
+        TypeError: the tuple is another one, or has a value that compiled code cannot read.
+    """
     if not values:
         return ()
     if not hasattr(values, "_fields"):
         raise TypeError(f"{values!r:.60} is a tuple; kernels take only tuples with named fields")
-    kept: dict[str, Any] = getattr(values, "__dict__", {})
-    if "_struct" not in kept:
-        kept["_struct"] = Struct(values._fields, values)
-    return kept["_struct"]  # type: ignore[no-any-return]
+    if not isinstance(values, KeepsStruct):
+        return Struct(values._fields, values)
+    if "_struct" not in vars(values):
+        vars(values)["_struct"] = Struct(values._fields, values)
+    return vars(values)["_struct"]  # type: ignore[no-any-return]
 
 
 def _words_of(value: Any) -> tuple[Any, ...]:

@@ -9,6 +9,7 @@ import numpy as np
 from mrsan.choices import TeamPerception
 from mrsan.features import EGO_FEATURES, OTHER_FEATURES
 from mrsan.kernels.sensing import observe
+from mrsan.kernels.structs import by_reference
 from mrsan.kernels.team import share_tracks
 from mrsan.kernels.walled import observe_past_walls
 from mrsan.observation import Entities, Observation
@@ -32,7 +33,7 @@ class SensorSuite:
         """
         self.scenario = _without_limits(scenario) if all_seeing else scenario
         self._parameters = kernel_parameters(self.scenario)
-        self._view = SensorParameters.of(self._parameters)
+        self._view = by_reference(SensorParameters.of(self._parameters))
         walls_hide = self.scenario.has_walls and self.scenario.walls_hide
         self._observe = observe_past_walls() if walls_hide else observe
         self._sensors = wall_sensors(self.scenario, all_seeing) | make_sensors(self.scenario)
