@@ -127,7 +127,6 @@ else:
         """The numbers of a scenario by their names."""
 
 
-
 def kernel_parameters(scenario: Scenario) -> Parameters:
     """Return the numbers of a scenario as a named tuple, the form that Numba takes."""
     return Parameters(**_numbers(scenario))

@@ -183,7 +183,9 @@ class World:
     def call_kernels(self) -> None:
         """Call the kernels of an episode, for `mrsan.compile_ahead`, which lets none of them run."""
         nowhere = np.zeros(self.worlds, np.bool_)
-        actions = np.zeros((self.worlds, self.scenario.robots, self.scenario.action_size), np.float32)
+        actions = np.zeros(
+            (self.worlds, self.scenario.robots, self.scenario.action_size), np.float32
+        )
         self._place_agents(nowhere)
         self._move(self._advance, actions)
         self._sensors.observe(self.state, nowhere, self._sensors.empty(self.worlds))

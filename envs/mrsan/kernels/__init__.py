@@ -208,4 +208,3 @@ def _call(typing_context, function, first, last, arguments):  # type: ignore[no-
         return context.get_dummy_value()
 
     return numba.types.void(intp, intp, intp, intp), generate
-
