@@ -66,7 +66,7 @@ def fixed_map(map_file: str | None, clearance: float) -> FixedMap:
     Raises:
         ConfigurationError: the file cannot be used.
     """
-    return _NONE if map_file is None else _from_file(map_file, clearance)[0]
+    return _NONE if map_file is None else _walls(*_version_of(map_file), clearance)
 
 
 def map_centre(map_file: str | None) -> tuple[float, float]:
@@ -81,7 +81,10 @@ def map_centre(map_file: str | None) -> tuple[float, float]:
     Raises:
         ConfigurationError: the file cannot be used.
     """
-    return (0.0, 0.0) if map_file is None else _from_file(map_file, 0.0)[1]
+    if map_file is None:
+        return 0.0, 0.0
+    x, y = centre_of(_polygons(*_version_of(map_file))).tolist()
+    return x, y
 
 
 def centre_of(polygons: Sequence[Polygon]) -> NDArray[np.float64]:
@@ -90,27 +93,34 @@ def centre_of(polygons: Sequence[Polygon]) -> NDArray[np.float64]:
     return (points.min(0) + points.max(0)) / 2
 
 
-def _from_file(map_file: str, clearance: float) -> tuple[FixedMap, tuple[float, float]]:
+def _version_of(map_file: str) -> tuple[str, int]:
+    """Return the absolute path of a file and when it was changed."""
     path = Path(map_file)
     try:
         changed = path.stat().st_mtime_ns
     except OSError as error:
         raise ConfigurationError(f"scenario.map is {map_file!r}; {error.strerror}") from None
-    return _load(str(path.absolute()), changed, clearance)
+    return str(path.absolute()), changed
 
 
 @lru_cache(maxsize=16)
-def _load(path: str, changed: int, clearance: float) -> tuple[FixedMap, tuple[float, float]]:
+def _polygons(path: str, changed: int) -> list[Polygon]:
+    """Return the polygons of a version of a file, in its coordinates."""
     from mrsan.maps import MapError, load_map  # here because only maps from files need it
 
     try:
-        polygons = load_map(path)
+        return load_map(path)
     except MapError as error:
         raise ConfigurationError(f"scenario.map: {error}") from None
+
+
+@lru_cache(maxsize=16)
+def _walls(path: str, changed: int, clearance: float) -> FixedMap:
+    """Return the walls of a version of a file about its centre."""
+    polygons = _polygons(path, changed)
     centre = centre_of(polygons)
     # Rounded, so that a world is the same to the last bit wherever its map's origin is.
-    local = [(polygon - centre).round(_DECIMALS) for polygon in polygons]
-    return map_of_polygons(local, clearance), (float(centre[0]), float(centre[1]))
+    return map_of_polygons([(p - centre).round(_DECIMALS) for p in polygons], clearance)
 
 
 def map_of_polygons(polygons: Sequence[Polygon], clearance: float) -> FixedMap:

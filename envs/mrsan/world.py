@@ -40,12 +40,17 @@ from mrsan.scenario import Scenario
 from mrsan.sensors.suite import SensorSuite
 from mrsan.state import Bools, Floats, State
 
-# Of snapshots, which must be finite.
-_AGENT_ARRAYS = {
-    f"{agent}_{name}"
-    for agent in ("robot", "human")
-    for name in ("position", "velocity", "heading", "goal", "radius", "speed")
-}
+_FINITE = (  # arrays of a snapshot
+    "robot_position",
+    "robot_velocity",
+    "robot_heading",
+    "robot_goal",
+    "human_position",
+    "human_velocity",
+    "human_goal",
+    "human_radius",
+    "human_speed",
+)
 _RESET_BATCH = 128  # worlds that begin an episode between two chances to stop with Ctrl-C
 
 
@@ -223,7 +228,7 @@ class World:
                 raise ValueError(
                     f"snapshot.{name} has type {saved.dtype}; it must have {array.dtype}"
                 )
-            if name in _AGENT_ARRAYS and not np.isfinite(saved[mask]).all():
+            if name in _FINITE and not np.isfinite(saved[mask]).all():
                 raise ValueError(f"snapshot.{name} is NaN or infinite; it must be finite")
         for name, array in self.state._asdict().items():
             array[mask] = getattr(snapshot, name)[mask]

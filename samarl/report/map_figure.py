@@ -17,7 +17,7 @@ from matplotlib.transforms import Affine2D
 from mrsan.maps import MapFile
 from mrsan.maps.polygons import signed_area
 from mrsan.maps.ros import RosMap
-from samarl.report.style import INK, STYLE, save_figure
+from samarl.report.style import INK, STYLE, save_figure, show_floor
 
 _FLOOR, _SOLID, _UNKNOWN = "#ffffff", "#c9ced6", "#eaecef"
 _WIDTH = 7.0  # inches
@@ -55,13 +55,7 @@ def save_map(file: MapFile, title: str, path: Path) -> None:
                 fill = _FLOOR if is_bounded and number == 0 else _SOLID
                 patch = Patch(polygon, facecolor=fill, edgecolor=INK, linewidth=1.2, fill=is_filled)
                 axes.add_patch(patch)
-        axes.set(
-            xlim=(low[0] - margin, high[0] + margin),
-            ylim=(low[1] - margin, high[1] + margin),
-            xlabel="x (m)",
-            ylabel="y (m)",
-            aspect="equal",
-        )
+        show_floor(axes, low, high, margin)
         axes.ticklabel_format(useOffset=False, style="plain")
         axes.grid(False)
         axes.set_title(title, parse_math=False)

@@ -75,7 +75,7 @@ def _is_refuted(places: NDArray[np.float64], scan: Scan) -> NDArray[np.bool_]:
     if len(scan.angle) == 0:
         return np.zeros(len(places), np.bool_)
     distance = np.linalg.norm(places, axis=-1)
-    angle = np.arctan2(places[:, 1], places[:, 0]) % (2.0 * math.pi)
+    angle = np.array([math.atan2(y, x) for x, y in places.tolist()]) % (2.0 * math.pi)
     following = np.searchsorted(scan.angle, angle) % len(scan.angle)
     away, passes = [], []
     for ray in (following - 1, following):

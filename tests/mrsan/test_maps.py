@@ -192,9 +192,9 @@ def test_no_obstacle_of_a_grid_is_too_small() -> None:
             marked[row : row + size[0], column : column + size[1]] = False
         _, *obstacles = trace_free_area(marked, 0.05, (0.0, 0.0, 0.0))
         places = shapely.MultiPoint([(0.05 * c, 0.05 * (200 - r)) for r, c in cells])
-        found = shapely.MultiLineString([polygon.tolist() for polygon in obstacles])
+        outlines = shapely.MultiLineString([polygon.tolist() for polygon in obstacles])
         assert len(obstacles) == len(cells)
-        assert places.hausdorff_distance(found) < 0.25
+        assert places.hausdorff_distance(outlines) < 0.25
     single = ~free
     single[5, 5] = True
     with pytest.raises(MapError, match=r"free area"):

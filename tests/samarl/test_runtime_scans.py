@@ -7,13 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mrsan import Scenario
-from samarl.agents.learned import Learned
-from samarl.agents.shielded import Shielded
-from samarl.export import export_agent
 from samarl.observations.tracker import Tracks
 from samarl.planning.shield import Shield
-from samarl.policies.checkpoint import save_policy
 from samarl.runtime import (
     Command,
     Detection,
@@ -24,7 +19,7 @@ from samarl.runtime import (
     walls_of_scan,
 )
 from samarl.runtime.scan_memory import ScanMemory
-from tests import learning
+from tests.driving import driver_without_walls
 
 OWN = OwnState(0.0, 0.0, 0.0, 0.0, 0.0, 4.0, 0.0)
 INF, NAN = math.inf, math.nan
@@ -151,12 +146,7 @@ def test_ranges_that_a_lidar_cannot_have_are_named(largest: Any, least: Any, fie
 
 @pytest.fixture(scope="module")
 def loaded(tmp_path_factory: pytest.TempPathFactory) -> Driver:
-    folder = tmp_path_factory.mktemp("scans")
-    save_policy(folder / "policy.safetensors", learning.policy("flat", gain=100.0), "flat", {})
-    scenario = Scenario(humans=3, robots=2)
-    agent = Learned(scenario, str(folder / "policy.safetensors"))
-    export_agent(folder / "policy.onnx", Shielded(scenario, agent, Shield(track_time=2.0)), "mine")
-    return Driver.load(folder / "policy.onnx")
+    return driver_without_walls(tmp_path_factory.mktemp("scans"), Shield(track_time=2.0))
 
 
 @pytest.fixture

@@ -10,14 +10,10 @@ import shapely
 
 from mrsan import Scenario, World
 from mrsan.place_shapes import polygons_of
-from samarl.agents.learned import Learned
-from samarl.agents.shielded import Shielded
-from samarl.export import export_agent
 from samarl.planning.shield import Shield
-from samarl.policies.checkpoint import save_policy
 from samarl.runtime import Detection, Driver, InputError, KnownMap, OwnState, walls_of_scan
 from samarl.runtime.simulation import as_seen, walls_in_view
-from tests import learning
+from tests.driving import driver_without_walls
 
 BOUNDS = np.array([(-6, -4), (-6, 4), (6, 4), (6, -4)], float)  # clockwise
 PARTITION = np.array([(0, -4), (0, 2)], float)  # a way round at the top
@@ -84,12 +80,7 @@ def test_walls_of_a_map_face_the_robot_as_in_the_simulator(layout: str) -> None:
 @pytest.fixture(scope="module")
 def driver(tmp_path_factory: pytest.TempPathFactory) -> Driver:
     """A policy that was trained without walls and drives towards its goal, with the shield."""
-    folder = tmp_path_factory.mktemp("walls")
-    save_policy(folder / "policy.safetensors", learning.policy("flat", gain=100.0), "flat", {})
-    scenario = Scenario(humans=3, robots=2)
-    agent = Learned(scenario, str(folder / "policy.safetensors"))
-    export_agent(folder / "policy.onnx", Shielded(scenario, agent, Shield()), "mine")
-    return Driver.load(folder / "policy.onnx")
+    return driver_without_walls(tmp_path_factory.mktemp("walls"), Shield())
 
 
 def test_the_shield_stops_the_robot_before_a_wall(driver: Driver) -> None:
@@ -152,10 +143,7 @@ def test_obstacles_that_are_not_on_the_map_are_kept_clear_of(driver: Driver) -> 
 
 def test_walls_that_nobody_would_avoid_are_refused(tmp_path: Path) -> None:
     """Neither does this policy observe walls, nor has it a shield."""
-    save_policy(tmp_path / "policy.safetensors", learning.policy("flat"), "flat", {})
-    agent = Learned(Scenario(humans=3, robots=2), str(tmp_path / "policy.safetensors"))
-    export_agent(tmp_path / "policy.onnx", agent, "mine")
-    unshielded = Driver.load(tmp_path / "policy.onnx")
+    unshielded = driver_without_walls(tmp_path, None, gain=1.0)
     assert not unshielded.avoids_walls
     for name in ("walls", "obstacles"):
         with pytest.raises(InputError, match=rf"{name} has 1 .*shield"):

@@ -13,7 +13,7 @@ from mrsan.recording.rows import Floats, RecordingError, Rows
 from mrsan.recording.table import Table, is_number, read_table
 from mrsan.recording.text import read_lines
 
-MAX_FRAME, MAX_POSITION = 1e9, 1e12  # largest magnitudes; positions may be in mm
+MAX_FRAME, MAX_POSITION = 1e9, 1e11  # largest magnitudes; positions may be in mm
 PLAIN = "plain table (frame id x y)"
 _FRAME_RATE = re.compile(r"(?:frame ?rate|fps)\s*[:=]?\s*(\d+\.?\d*)", re.IGNORECASE)
 _SECONDS = {"s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3}

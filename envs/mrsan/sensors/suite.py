@@ -18,7 +18,7 @@ from mrsan.plugin_values import check_finite
 from mrsan.scenario import Scenario
 from mrsan.sensors.sensor import EntitySensor, make_sensors
 from mrsan.sensors.walls import wall_sensors
-from mrsan.state import Bools, State
+from mrsan.state import Bools, Floats, State
 
 
 class SensorSuite:
@@ -47,11 +47,10 @@ class SensorSuite:
             if isinstance(sensor, EntitySensor):
                 slots[name] = sensor.slots, sensor.features
             else:
-                # A value that a sensor does not write is found as not finite.
-                sensors[name] = np.full((worlds, s.robots, *sensor.shape), np.nan, np.float32)
+                sensors[name] = self._room(name, worlds, *sensor.shape)
         entities = {
             name: Entities(
-                np.full((worlds, s.robots, number, features), np.nan, np.float32),
+                self._room(name, worlds, number, features),
                 np.zeros((worlds, s.robots, number), np.bool_),
             )
             for name, (number, features) in slots.items()
@@ -62,6 +61,16 @@ class SensorSuite:
                 reported[name] = np.empty(entities[name].mask.shape, np.bool_)
         ego = np.empty((worlds, s.robots, len(EGO_FEATURES)), np.float32)
         return Observation(ego, entities, sensors, reported)
+
+    def _room(self, name: str, worlds: int, *shape: int) -> Floats:
+        """Return room for values of all robots; NaN for a registered sensor, which may forget some.
+
+        `observe` then finds those that it did not write.
+        """
+        room = np.empty((worlds, self.scenario.robots, *shape), np.float32)
+        if name in self.scenario.sensors:
+            room.fill(np.nan)
+        return room
 
     def observe(self, state: State, worlds: Bools, observation: Observation) -> None:
         """Write the observations of some worlds [E]."""
