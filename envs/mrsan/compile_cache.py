@@ -14,11 +14,11 @@ import stat
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 from types import FunctionType, ModuleType
-from typing import Any, TypeVar
+from typing import Any
 
 import numba
 import numpy as np
@@ -32,8 +32,6 @@ try:
     import fcntl
 except ModuleNotFoundError:  # on Windows
     fcntl = None  # type: ignore[assignment]
-
-D = TypeVar("D")
 
 _MOST_BYTES = 512 * 2**20
 _MOST_SECONDS = 90 * 24 * 3600.0  # without use
@@ -92,7 +90,7 @@ def _is_private(folder: Path) -> bool:
 class KernelCache:
     """The compiled versions of one function, in the form that Numba's compilers use."""
 
-    def __init__(self, name: str, source: Callable[..., Any]) -> None:
+    def __init__(self, name: str, source: Any) -> None:
         """Set the name of the files, and the function whose code is compiled."""
         self._name, self._source = name, source
         self.hits = 0
@@ -148,7 +146,7 @@ class KernelCache:
         return cache_folder() / f"{self._name}-{hashlib.sha256(content.encode()).hexdigest()[:32]}"
 
 
-def cached(dispatcher: D) -> D:
+def cached(dispatcher: Any) -> Any:
     """Let a function compiled by `numba.njit` use this cache."""
     if hasattr(dispatcher, "py_func"):  # not with NUMBA_DISABLE_JIT
         source = dispatcher.py_func

@@ -186,7 +186,7 @@ class World:
             )
 
     def call_kernels(self) -> None:
-        """Call the kernels of an episode, for `mrsan.compile_ahead`, which lets none of them run."""
+        """Call the kernels of an episode; `mrsan.compile_ahead` lets none of them run."""
         nowhere = np.zeros(self.worlds, np.bool_)
         actions = np.zeros(
             (self.worlds, self.scenario.robots, self.scenario.action_size), np.float32

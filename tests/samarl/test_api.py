@@ -13,7 +13,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from PIL import Image
 
 import samarl
-from mrsan import ConfigurationError, Kinematics, Observation, Reward, Scenario, Split
+from mrsan import ConfigurationError, Kinematics, Reward, Scenario, Split
 from samarl.agents import build_agent
 from samarl.agents.learned import Learned
 from samarl.agents.planners.orca import Orca

@@ -31,7 +31,6 @@ from numba.extending import intrinsic
 
 from mrsan.compile_cache import KernelCache, cached
 from mrsan.compile_progress import compile_progress
-from mrsan.kernels.inlining import InlineCompiler
 from mrsan.kernels.structs import Struct, StructType
 from mrsan.threads import kernel_threads, parallel_kernels
 
@@ -60,7 +59,6 @@ def _inlined(**settings: Any) -> Callable[[Callable[..., Any]], Any]:
         forceinline=True,
         no_cpython_wrapper=True,
         no_cfunc_wrapper=True,
-        pipeline_class=InlineCompiler,
         **settings,
     )
 
@@ -132,8 +130,9 @@ class Version:
         number = numba.types.intp
         signature = (number, number, struct_type), numba.types.void
         self.name = entry.__qualname__
-        self._callback = CFunc(entry, signature, {}, {"error_model": "numpy"})
-        self._callback._cache = self._cache = cache
+        self._callback: Any = CFunc(entry, signature, {}, {"error_model": "numpy"})
+        setattr(self._callback, "_cache", cache)  # noqa: B010
+        self._cache = cache
         self._run: Callable[[int, int, int], None] | None = None
 
     def is_cached(self) -> bool:
@@ -144,16 +143,16 @@ class Version:
         """Load it from the cache, or compile it."""
         if self._run is not None:
             return
-        with contextlib.nullcontext() if self.is_cached() else compile_progress():
-            with self._cache.lock():  # another process may compile it
-                self._callback.compile()
+        progress = contextlib.nullcontext() if self.is_cached() else compile_progress()
+        with progress, self._cache.lock():  # another process may compile it
+            self._callback.compile()
         number = ctypes.c_ssize_t
         self._run = ctypes.PYFUNCTYPE(None, number, number, number)(self._callback.address)
 
     def run(self, rows: int, arguments: Struct) -> None:
         """Run over `rows` rows."""
-        if self._run is None:
-            self.load()
+        self.load()
+        assert self._run is not None
         lock = None if rows == 1 else parallel_kernels()
         if lock is None:
             self._run(0, rows, arguments.address)
@@ -184,24 +183,24 @@ def _copy(source: Callable[..., Any], name: str, **replaced: Any) -> Callable[..
     return copy
 
 
-def _entry(first, last, arguments):  # type: ignore[no-untyped-def]
-    compute(first, last, *arguments.all_fields)  # type: ignore[name-defined]  # noqa: F821
+def _entry(first, last, arguments):
+    compute(first, last, *arguments.all_fields)  # noqa: F821
 
 
 @cached
 @numba.njit(parallel=True)
-def _run_chunks(function, chunks, rows, arguments):  # type: ignore[no-untyped-def]
+def _run_chunks(function, chunks, rows, arguments):
     """Run a compiled kernel, of which the address is given, on all threads."""
     for chunk in prange(chunks):
         _call(function, chunk * rows // chunks, (chunk + 1) * rows // chunks, arguments)
 
 
 @intrinsic
-def _call(typing_context, function, first, last, arguments):  # type: ignore[no-untyped-def]
+def _call(typing_context, function, first, last, arguments):
     """Call the function at an address."""
     intp = numba.types.intp
 
-    def generate(context, builder, signature, values):  # type: ignore[no-untyped-def]
+    def generate(context, builder, signature, values):
         number = context.get_value_type(intp)
         kind = ir.FunctionType(ir.VoidType(), [number] * 3)
         builder.call(builder.inttoptr(values[0], kind.as_pointer()), values[1:])

@@ -90,7 +90,7 @@ def by_reference(values: tuple[Any, ...]) -> Struct | tuple[()]:
         return Struct(values._fields, values)
     if "_struct" not in vars(values):
         vars(values)["_struct"] = Struct(values._fields, values)
-    return vars(values)["_struct"]  # type: ignore[no-any-return]
+    return vars(values)["_struct"]
 
 
 def _words_of(value: Any) -> tuple[Any, ...]:
@@ -98,7 +98,7 @@ def _words_of(value: Any) -> tuple[Any, ...]:
     if type(value) is np.ndarray:
         flags = value.flags
         if flags.carray and value.size:
-            pointer = ctypes.addressof(ctypes.c_char.from_buffer(value))
+            pointer = ctypes.addressof(ctypes.c_char.from_buffer(value))  # type: ignore[arg-type]
         elif flags.c_contiguous and flags.aligned:
             pointer = value.ctypes.data
         else:
