@@ -112,7 +112,7 @@ class Training:
     def output(self) -> dict[str, Any]:
         """Return the bytes of the policies and the learning curve without times."""
         run = self.folder / "run"
-        with (run / "progress.csv").open(newline="") as file:
+        with (run / "progress.csv").open(newline="", encoding="utf-8") as file:
             rows = list(csv.DictReader(file))
         curve = [{key: row[key] for key in row if key not in TIMED} for row in rows]
         events = EventAccumulator(str(run / "tensorboard")).Reload().Scalars("charts/success")
@@ -150,7 +150,7 @@ class Sweep:
             if cells.get(path) != cell:
                 raise DataLossError(f"cell {path.parent.name} is missing or was evaluated again")
         for path in (*cells, *(self.folder / "sweep").glob("table.json")):
-            json.loads(path.read_text())
+            json.loads(path.read_text(encoding="utf-8"))
         self.cells = cells
 
     def output(self) -> dict[str, Any]:
@@ -199,12 +199,13 @@ def finishes_within(task: Training | Sweep, seconds: float) -> bool:
     finally:
         process.kill()
         process.wait()
-        task.check_saved_data(log.read_text(errors="replace"))
+        task.check_saved_data(log.read_text(encoding="utf-8", errors="replace"))
 
 
 def _check_exit_code(process: subprocess.Popen[bytes], log: Path) -> None:
     if process.returncode != 0:
-        raise DataLossError(f"exit code {process.returncode}: {log.read_text()[-1000:]}")
+        text = log.read_text(encoding="utf-8", errors="replace")
+        raise DataLossError(f"exit code {process.returncode}: {text[-1000:]}")
 
 
 def kill_repeatedly(

@@ -70,7 +70,7 @@ def train(recipe: str, seed: int, steps: int | None, folder: Path) -> Curve:
     command += [f"trainer.seed={seed}", f"trainer.steps={steps or usual_steps}", f"run_dir={run}"]
     print(f"{recipe}, seed {seed}", flush=True)
     subprocess.run(command, check=True)
-    with (run / "progress.csv").open() as file:
+    with (run / "progress.csv").open(encoding="utf-8") as file:
         rows = [row for row in csv.DictReader(file) if row.get(SUCCESS)]
     keys = ("steps", "seconds", SUCCESS, SUCCESS_OF_FIVE)
     return [{key: float(row[key]) for key in keys} for row in rows]

@@ -169,7 +169,7 @@ class ValidInputs:
         world = World(self.scenario)
         self.observation = world.reset([0])
         with composed("train", RUN) as config:
-            self.trainer = train.build_trainer(config, "test")
+            self.trainer = build_trainer(train.settings_in(config), "test")
         self.trainer.save()
         training = Training(4, 2, 1, 1, 1, 3, 1, 0.1, 1.0, 0.0, 0)
         self.learner = Learner(training, {"orca": Scenario()}, Path("training.safetensors"))

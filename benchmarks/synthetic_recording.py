@@ -57,7 +57,7 @@ def main() -> None:
     parser.add_argument("--output", type=Path, default=SAMPLE)
     output = parser.parse_args().output
     output.parent.mkdir(parents=True, exist_ok=True)
-    output.write_text(recording_text())
+    output.write_text(recording_text(), encoding="utf-8")
     print(f"written to {output}")
 
 

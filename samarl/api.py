@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import sys
 import warnings
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mrsan import ConfigurationError, Observation, Scenario, Split
+from mrsan import ConfigurationError, Observation, Scenario, Split, World
 from mrsan.compile_ahead import compile_ahead
-from mrsan.kernels import kernel
 from mrsan.scenario import overridden
 from samarl import configuration
 from samarl.agents import Agent, ScopeWarning, build_agent
@@ -149,17 +148,16 @@ def evaluate(
     engine = engine or MrsanEngine()
     engine.check(driver.scenario)
     task, further = driver.scenario, {}
-    with one_kernel_version():
+    if isinstance(engine, MrsanEngine):
+        _compile_for(driver)
+    with progress_bar(total=len(numbers), desc=title, unit="case", leave=False) as bar:
         if isinstance(engine, MrsanEngine):
-            _compile_for(driver)
-        with progress_bar(total=len(numbers), desc=title, unit="case", leave=False) as bar:
-            if isinstance(engine, MrsanEngine):
-                episodes = run_cases(driver, task, numbers, batch, bar.update)
-            else:
-                from samarl.physics.runner import run_physics_cases  # imports MuJoCo
+            episodes = run_cases(driver, task, numbers, batch, bar.update)
+        else:
+            from samarl.physics.runner import run_physics_cases  # imports MuJoCo
 
-                episodes, error = run_physics_cases(driver, engine, numbers, title, bar.update)
-                further["tracking_error"] = round(error, 4)
+            episodes, error = run_physics_cases(driver, engine, numbers, title, bar.update)
+            further["tracking_error"] = round(error, 4)
     named = None
     with contextlib.suppress(ConfigurationError):  # the name of a scenario may be the user's own
         named = configuration.load_scenario(task.name)
@@ -199,8 +197,7 @@ def record(
     """
     driver = _agent_for(agent, scenario)
     (number,) = _case_numbers([case], split)
-    with one_kernel_version():
-        return as_table(record_episode(driver, driver.scenario, int(number)))
+    return as_table(record_episode(driver, driver.scenario, int(number)))
 
 
 def render(
@@ -242,9 +239,8 @@ def render(
         return path
     if against is not None:
         drivers.append(_agent_for(against, drivers[0].scenario))
-    with one_kernel_version():
-        _compile_for(drivers[0])
-        trajectories = [record_episode(driver, driver.scenario, int(number)) for driver in drivers]
+    _compile_for(drivers[0])
+    trajectories = [record_episode(driver, driver.scenario, int(number)) for driver in drivers]
     titles = [title_of(*pair) for pair in zip(map(_name_of, drivers), trajectories, strict=True)]
     save(list(zip(trajectories, titles, strict=True)), path)
     return path
@@ -277,7 +273,7 @@ def _name_of(agent: Agent) -> str:
 
 def _compile_for(agent: Agent) -> None:
     """Compile what evaluating an agent needs, side by side, unless it is cached."""
-    with compile_ahead(agent.scenario) as compiles:
+    with compile_ahead(World(agent.scenario)) as compiles:
         if compiles and not isinstance(agent, Custom):
             warm_up(agent.for_scenario(agent.scenario), agent.scenario)
 
@@ -312,18 +308,3 @@ def _call(label: str, scenario: Scenario, named: Scenario, numbers: NDArray[np.i
 
 def _code(value: Any) -> str:
     return repr(value.name if isinstance(value, Enum) else value)
-
-
-@contextlib.contextmanager
-def one_kernel_version() -> Iterator[None]:
-    """Simulate one world with the version of the kernels that simulates many.
-
-    A user who evaluates and records then waits for one compilation only, as with the commands.
-    Elsewhere in the process one world keeps its own version, which is faster.
-    """
-    before = kernel.always_parallel
-    kernel.always_parallel = True
-    try:
-        yield
-    finally:
-        kernel.always_parallel = before

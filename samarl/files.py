@@ -80,13 +80,13 @@ def read_json(path: Path) -> Any:
         ConfigurationError: the file cannot be read or is not JSON.
     """
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
+        return json.loads(path.read_text(encoding="utf-8-sig"))
     except (OSError, ValueError, RecursionError) as error:
         raise ConfigurationError(f"{path} is not JSON ({error})") from error
 
 
 def find_folder(name: str) -> Path:
-    """Return the folder `conf` or `results`, in the installed package or next to the source."""
+    """Return `conf`, `examples` or `results`, in the installed package or next to the source."""
     installed = Path(samarl.__file__).parent / name
     return installed if installed.is_dir() else Path(samarl.__file__).parents[1] / name
 
@@ -117,7 +117,9 @@ def machine() -> str:
     """Return processor, number of cores and Python version of this machine."""
     name = platform.processor() or platform.machine()
     if Path("/proc/cpuinfo").exists():
-        for line in Path("/proc/cpuinfo").read_text().splitlines():
+        for line in (
+            Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
+        ):
             if line.startswith("model name"):
                 name = line.split(":", 1)[1].strip()
                 break
@@ -126,4 +128,5 @@ def machine() -> str:
 
 def _git(folder: Path, *arguments: str) -> str:
     command = ["git", "-C", str(folder), *arguments]
-    return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
+    output = subprocess.run(command, capture_output=True, check=True).stdout
+    return output.decode("utf-8", "replace").strip()

@@ -19,6 +19,8 @@ COMMANDS = {
     "export": "export a policy as an ONNX file that runs without torch",
     "recording": "summarise, check, draw and convert a recording of people",
     "map": "show what is understood of a map file",
+    "curves": "draw the learning curves of training runs",
+    "examples": "copy the examples to a folder",
 }
 
 
@@ -31,9 +33,7 @@ def run(command: str) -> None:
         sys.exit(130)
 
 
-evaluate, bench, render, record, train, report, predictor, export, recording, map = (
-    partial(run, command) for command in COMMANDS
-)
+globals().update({command: partial(run, command) for command in COMMANDS})  # entry points
 
 
 def main() -> None:

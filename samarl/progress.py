@@ -6,7 +6,7 @@ import contextlib
 import sys
 import tempfile
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, MutableMapping
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -16,7 +16,22 @@ from tqdm import tqdm
 
 LOG_SECONDS = 10.0  # between two lines of a bar that is written to a file
 _LOG_FORMAT = "{desc}: {n_fmt} of {total_fmt} {unit}s, {elapsed} elapsed, {remaining} left"
+_BAR_FORMAT = "{l_bar}{bar}| {n_fmt}/{total_fmt} [{elapsed}<{remaining}, {rate_fmt}{postfix}]"
+_FIRST_ESTIMATE = 0.05  # progress before which compiling makes estimates of the rest too large
 _POLL_SECONDS = 0.5
+
+
+class _Bar(tqdm):
+    """A bar that estimates the remaining time only when enough is done."""
+
+    @property
+    def format_dict(self) -> MutableMapping[str, Any]:
+        """What the bar is made of, see tqdm."""
+        parts = super().format_dict
+        if self.total and self.n < _FIRST_ESTIMATE * self.total:
+            form = parts["bar_format"] or _BAR_FORMAT
+            parts["bar_format"] = form.replace("<{remaining}", "").replace(", {remaining} left", "")
+        return parts
 
 
 class _Lines:
@@ -51,7 +66,7 @@ def progress_bar(iterable: Any = None, **settings: Any) -> tqdm:
             "delay": LOG_SECONDS,
             "bar_format": _LOG_FORMAT,
         }
-    return tqdm(iterable, **settings)
+    return _Bar(iterable, **settings)
 
 
 @contextlib.contextmanager

@@ -166,6 +166,5 @@ def _run(settings: RunSettings, command: str) -> Run:
     """Train in this process, and in others if the settings say so."""
     from samarl.training.run import run_training  # imports torch
 
-    with api.one_kernel_version():
-        run_training(settings, command)
+    run_training(settings, command)
     return Run(settings.folder)

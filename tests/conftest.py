@@ -1,8 +1,6 @@
 """Settings shared by all tests."""
 
 import os
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
 
 os.environ["NUMBA_NUM_THREADS"] = "2"  # on every machine: some tests compare one with two
 os.environ["OMP_NUM_THREADS"] = "1"  # PyTorch's: tests run side by side
@@ -11,7 +9,6 @@ import hypothesis
 import pytest
 
 from mrsan import Crowd, CrowdReaction, Layout, Scenario
-from mrsan.kernels import kernel
 from mrsan.threads import use_threads
 from tests.staging import step_once
 
@@ -25,10 +22,6 @@ hypothesis.settings.register_profile(
 )
 hypothesis.settings.load_profile("suite")
 
-# Most tests simulate one world. They use the version of the kernels that simulates many, because
-# compiling a second version of all kernels would take minutes.
-kernel.always_parallel = True
-
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_sessionstart(session: pytest.Session) -> None:
@@ -41,14 +34,8 @@ def pytest_sessionstart(session: pytest.Session) -> None:
         Scenario(crowd_reaction=CrowdReaction.mixed),
         Scenario(crowd=Crowd.social_force),
     ]
-    with ProcessPoolExecutor(mp_context=get_context("spawn")) as pool:
-        list(pool.map(step_once, scenarios, [2] * len(scenarios)))  # raises the first error
-
-
-@pytest.fixture
-def serial_kernels(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Simulate one world with the serial version of the kernels, as programs of users do."""
-    monkeypatch.setattr(kernel, "always_parallel", False)
+    for scenario in scenarios:
+        step_once(scenario, 2)
 
 
 @pytest.fixture(autouse=True)

@@ -27,6 +27,7 @@ COMMANDS = [
     ["samarl-evaluate", "agent=orca", "evaluation.cases=5"],
     ["samarl-record", "agent=samarl", "case=28", "output=case.csv"],
     ["samarl-predictor", "predictor=recurrent", "validation_cases=5"],
+    ["samarl-examples", "examples"],
     ["samarl-bench", "agents=[straight]", "evaluation.cases=5", "output=bench"],
 ]
 SAMPLE = "lib/python*/site-packages/mrsan/recording/synthetic.txt"
@@ -42,7 +43,7 @@ def check_wheel(root: Path, folder: Path) -> None:
     python = scripts / "python"
     constraints = root / "constraints.txt"
     run([sys.executable, "-m", "venv", str(folder / "venv")])
-    pip_install(python, pinned_requirement(constraints.read_text(), "torch"))
+    pip_install(python, pinned_requirement(constraints.read_text(encoding="utf-8"), "torch"))
     pip_install(python, "-c", str(constraints), str(wheels[-1]))
     env = {**os.environ, "PATH": f"{scripts}{os.pathsep}{os.environ['PATH']}"}
     env.pop("PYTHONPATH", None)  # it could hide a module that the wheel lacks

@@ -52,7 +52,8 @@ def main(folder: Path) -> None:
     (folder / "office.yaml").write_text(
         f"image: office.pgm\nresolution: {RESOLUTION}\n"
         f"origin: [{-WIDTH / 2}, {-HEIGHT / 2}, 0.0]\n"
-        "negate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n"
+        "negate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n",
+        encoding="utf-8",
     )
 
 

@@ -26,7 +26,9 @@ def described_targets(makefile: str) -> dict[str, str]:
 
 def main() -> None:
     """Print one line for each described target."""
-    for name, description in described_targets(Path(sys.argv[1]).read_text()).items():
+    for name, description in described_targets(
+        Path(sys.argv[1]).read_text(encoding="utf-8")
+    ).items():
         print(f"  make {name:12} {description}")
     print(_FOOTER)
 

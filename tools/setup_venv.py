@@ -50,14 +50,16 @@ def pinned_requirement(constraints: str, package: str) -> str:
 
 def stamp_text(root: Path, version: str) -> str:
     """Return what identifies an up-to-date `.venv`; the first line tells whether to keep it."""
-    files = [(root / name).read_text() for name in ("pyproject.toml", "constraints.txt")]
+    files = [
+        (root / name).read_text(encoding="utf-8") for name in ("pyproject.toml", "constraints.txt")
+    ]
     return "\n".join([f"{root} Python {version}", *files])
 
 
 def installed_stamp(root: Path) -> str | None:
     """Return the stamp of the last complete setup, or None if there is none."""
     stamp = root / STAMP
-    return stamp.read_text() if stamp.is_file() else None
+    return stamp.read_text(encoding="utf-8") if stamp.is_file() else None
 
 
 def venv_version(root: Path) -> str | None:
@@ -95,13 +97,13 @@ def set_up(root: Path, version: str) -> bool:
     if not (same_version and same_home):
         run([sys.executable, "-m", "venv", "--clear", VENV], cwd=root)
     # pip prefers another build of torch unless torch is installed first, at its exact version.
-    torch = pinned_requirement((root / "constraints.txt").read_text(), "torch")
+    torch = pinned_requirement((root / "constraints.txt").read_text(encoding="utf-8"), "torch")
     python = root / VENV / "bin/python"
     print(f"  {torch}")
     pip_install(python, torch)
     print("  all other packages, at the versions in constraints.txt")
     pip_install(python, "-c", "constraints.txt", "-e", ".[dev]", cwd=root)
-    (root / STAMP).write_text(stamp)
+    (root / STAMP).write_text(stamp, encoding="utf-8")
     print(f"Set up in {time.monotonic() - start:.0f} s.")
     return True
 

@@ -2,11 +2,9 @@
 
 from importlib.metadata import version
 
-from mrsan.compile_cache import ensure_compile_cache
 from mrsan.threads import let_threads_sleep
 
 let_threads_sleep()  # before anything loads OpenMP
-ensure_compile_cache()  # before anything is compiled
 
 from mrsan.cases import Split
 from mrsan.choices import (

@@ -1,9 +1,6 @@
-"""Compile the kernels of a scenario side by side, in processes of their own.
+"""Compile the kernels of a scenario side by side, in this process and in others.
 
-A first start spends nearly all of its time on two kernels: the one that begins episodes and the one
-that steps the worlds. Numba compiles one kernel at a time in each process, so this module starts a
-process for each, which leaves the result in the cache: `python -m mrsan.compile_ahead begin|step`
-reads the pickled scenario from its standard input.
+Numba compiles one function at a time in each process, and a first episode needs several kernels.
 """
 
 from __future__ import annotations
@@ -13,78 +10,98 @@ import os
 import pickle
 import subprocess
 import sys
-import threading
 from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
-import numpy as np
-
-from mrsan.compile_cache import print_compile_notice
+from mrsan.compile_progress import compile_progress
+from mrsan.kernels import Version, replace_runs
 from mrsan.scenario import Scenario
-from mrsan.world import World
 
-_WORLDS = 2  # one world may be simulated by another version of the kernels
-_USUAL_SECONDS = 40  # of a first start on two cores
-_PROGRESS_SECONDS = 10.0  # between two lines about the progress
+if TYPE_CHECKING:
+    from mrsan.world import World
 
 
 @contextlib.contextmanager
-def compile_ahead(scenario: Scenario) -> Iterator[bool]:
-    """Compile the kernels of a scenario while the body runs, unless they are cached.
+def compile_ahead(world: World) -> Iterator[bool]:
+    """Compile the kernels of worlds in other processes while the body runs, unless they are cached.
 
-    A line on stderr every 10 s tells how long it has taken. If a process fails, for example because
-    it does not know a plugin's crowd model, its kernel is compiled on first use, as without this
-    function.
+    A line on stderr every few seconds tells how many are compiled. If a process fails, for example
+    because it does not know a plugin's crowd model, its kernels are compiled when they are used, as
+    without this function.
 
     Args:
-        scenario: the scenario to be simulated, in any number of worlds above one.
+        world: worlds of the scenario to be simulated, in any number.
 
     Yields:
         Whether anything is compiled.
     """
-    world = World(scenario, _WORLDS)
-    parts = [name for name, kernel in world.kernels.items() if not kernel.is_cached]
-    if not parts:
+    missing = _missing_versions(world)
+    if not missing:
         yield False
         return
-    print_compile_notice()
-    processes = [_start(part, scenario) for part in parts]
-    with _progress_lines():
-        try:
-            yield True
-        except BaseException:
-            for process in processes:
-                process.kill()
-            raise
-        finally:
-            for process in processes:
-                process.wait()
+    with _progress(missing), _processes(world.scenario, _shares(missing)):
+        yield True
+
+
+def compile_missing(world: World) -> None:
+    """Compile the kernels of worlds, unless they are cached; likewise, and also in this process."""
+    missing = _missing_versions(world)
+    if not missing:
+        return
+    own, *others = _shares(missing)
+    with _progress(missing), _processes(world.scenario, others):
+        for version in own:
+            version.load()
+
+
+def _missing_versions(world: World) -> list[Version]:
+    """Return the versions of kernels that worlds use and that were never compiled."""
+    missing: list[Version] = []
+
+    def note(version: Version) -> None:
+        if not version.is_cached():
+            missing.append(version)
+
+    with replace_runs(note):
+        world.call_kernels()
+    return missing
+
+
+def _shares(missing: list[Version]) -> list[list[Version]]:
+    """Distribute kernels over processes, one for each core."""
+    has_affinity = hasattr(os, "sched_getaffinity")  # not on macOS
+    cores = len(os.sched_getaffinity(0)) if has_affinity else os.cpu_count() or 1
+    if getattr(sys, "frozen", False):  # `sys.executable` is the user's program
+        cores = 1
+    return [missing[k::cores] for k in range(min(cores, len(missing)))]
+
+
+def _progress(missing: list[Version]) -> contextlib.AbstractContextManager[None]:
+    def status() -> str:
+        done = sum(version.is_cached() for version in missing)
+        return f", {done} of {len(missing)} kernels"
+
+    return compile_progress(status)
 
 
 @contextlib.contextmanager
-def _progress_lines() -> Iterator[None]:
-    """Print the seconds since the start of the body, every `_PROGRESS_SECONDS` until its end."""
-    end = threading.Event()
-
-    def report() -> None:
-        seconds = 0.0
-        while not end.wait(_PROGRESS_SECONDS):
-            seconds += _PROGRESS_SECONDS
-            usual = f"about {_USUAL_SECONDS} s"
-            rest = f"of {usual}" if seconds < _USUAL_SECONDS else f"({usual} on an idle machine)"
-            print(f"compiling: {seconds:g} s {rest}", file=sys.stderr, flush=True)
-
-    thread = threading.Thread(target=report, daemon=True)
-    thread.start()
+def _processes(scenario: Scenario, shares: list[list[Version]]) -> Iterator[None]:
+    """Compile each share in a process while the body runs, and wait for them."""
+    processes = [_start(scenario, [version.name for version in share]) for share in shares]
     try:
         yield
+    except BaseException:
+        for process in processes:
+            process.kill()
+        raise
     finally:
-        end.set()
-        thread.join()
+        for process in processes:
+            process.wait()
 
 
-def _start(part: str, scenario: Scenario) -> subprocess.Popen[bytes]:
+def _start(scenario: Scenario, names: list[str]) -> subprocess.Popen[bytes]:
     process = subprocess.Popen(
-        [sys.executable, "-m", "mrsan.compile_ahead", part],
+        [sys.executable, "-m", "mrsan.compile_worker", *names],
         stdin=subprocess.PIPE,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
@@ -94,18 +111,3 @@ def _start(part: str, scenario: Scenario) -> subprocess.Popen[bytes]:
     with contextlib.suppress(BrokenPipeError), process.stdin as pipe:
         pickle.dump(scenario, pipe)
     return process
-
-
-def _compile(part: str, scenario: Scenario) -> None:
-    """Run one kernel on worlds whose arrays are empty, which compiles it."""
-    world = World(scenario, _WORLDS)
-    if part == "begin":
-        world._begin(np.ones(_WORLDS, np.bool_))
-    else:
-        world._move(
-            world._advance, np.zeros((_WORLDS, scenario.robots, scenario.action_size), np.float32)
-        )
-
-
-if __name__ == "__main__":
-    _compile(sys.argv[1], pickle.load(sys.stdin.buffer))

@@ -36,7 +36,11 @@ from mrsan.kernels.society import (
     walk_socially,
     walk_socially_past_walls,
 )
-from mrsan.kernels.spawn import begin_episodes
+from mrsan.kernels.spawn import (
+    begin_episodes,
+    draw_route_among_recorded,
+    place_recorded_people,
+)
 from mrsan.kernels.step import advance
 from mrsan.kernels.walled import (
     orca_crowd_past_walls,
@@ -315,8 +319,18 @@ def step_kernel(
 
 
 @cache
-def begin_kernel(walled: bool = False, social: bool = False) -> kernel:
-    """Return the kernel that begins episodes; arguments as of `step_kernel`."""
+def begin_kernel(walled: bool = False, social: bool = False, recorded: bool = False) -> kernel:
+    """Return the kernel that begins episodes.
+
+    Args:
+        walled: in places with walls.
+        social: people react to robots or walk in groups.
+        recorded: people follow a recording, without walls and reactions.
+    """
+    if recorded:
+        return begin_episodes.variant(
+            "recorded", draw_route=draw_route_among_recorded, place_people=place_recorded_people
+        )
     begin = walled_begin() if walled else begin_episodes
     if not social:
         return begin

@@ -56,22 +56,24 @@ def setting(default: Any, *, kw_only: bool = False, help: str = "") -> Any:
     return field(default=default, kw_only=kw_only, metadata={"help": help})
 
 
-def short_repr(settings: Any, omit: tuple[str, ...] = ()) -> str:
+def short_repr(settings: Any, others: Mapping[str, str | None] | None = None) -> str:
     """Return a dataclass as Python code with the fields that differ from their defaults.
 
     Args:
         settings: an instance.
-        omit: names of fields to leave out.
+        others: code for some of its fields, written at the end; None leaves a field out.
     """
+    others = others or {}
     shown = []
     for f in dataclasses.fields(settings):
         value = getattr(settings, f.name)
         factory = f.default_factory
         default = f.default if factory is dataclasses.MISSING else factory()
-        if f.name not in omit and f.init and value != default:
+        if f.name not in others and f.init and value != default:
             is_choice = isinstance(value, Enum)
             text = f"{type(value).__name__}.{value.name}" if is_choice else repr(value)
             shown.append(f"{f.name}={text}")
+    shown += [f"{name}={code}" for name, code in others.items() if code is not None]
     return f"{type(settings).__name__}({', '.join(shown)})"
 
 

@@ -7,11 +7,11 @@ from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from mrsan.fields import ConfigurationError
+from mrsan.kernels import kernel
 from mrsan.kernels.layout import MAP
 from mrsan.kernels.routes import CORNER_ROWS, build_corners, find_route
 from mrsan.kernels.walls import (
@@ -32,6 +32,9 @@ from mrsan.state import Floats
 
 if TYPE_CHECKING:
     from mrsan.maps import Polygon
+
+
+_DECIMALS = 6  # of local coordinates, m
 
 
 class FixedMap(NamedTuple):
@@ -63,14 +66,14 @@ def fixed_map(map_file: str | None, clearance: float) -> FixedMap:
     Raises:
         ConfigurationError: the file cannot be used.
     """
-    return _NONE if map_file is None else _from_file(map_file, clearance)[0]
+    return _NONE if map_file is None else _walls(*_version_of(map_file), clearance)
 
 
 def map_centre(map_file: str | None) -> tuple[float, float]:
     """Return the point of the file's coordinates that is the origin of the world, m.
 
-    It is the middle of the map in whole metres: coordinates far from their own origin, such as
-    those of surveyed sites, would lose centimetres in float32.
+    It is the middle of the map: coordinates far from their own origin, such as those of surveyed
+    sites, would lose centimetres in float32.
 
     Args:
         map_file: `Scenario.map`; without one (0, 0).
@@ -78,35 +81,46 @@ def map_centre(map_file: str | None) -> tuple[float, float]:
     Raises:
         ConfigurationError: the file cannot be used.
     """
-    return (0.0, 0.0) if map_file is None else _from_file(map_file, 0.0)[1]
+    if map_file is None:
+        return 0.0, 0.0
+    x, y = centre_of(_polygons(*_version_of(map_file))).tolist()
+    return x, y
 
 
 def centre_of(polygons: Sequence[Polygon]) -> NDArray[np.float64]:
-    """Return the middle of polygons [2] in whole metres, m."""
+    """Return the middle of polygons [2], m."""
     points = np.concatenate(polygons)
-    return np.rint((points.min(0) + points.max(0)) / 2)
+    return (points.min(0) + points.max(0)) / 2
 
 
-def _from_file(map_file: str, clearance: float) -> tuple[FixedMap, tuple[float, float]]:
+def _version_of(map_file: str) -> tuple[str, int]:
+    """Return the absolute path of a file and when it was changed."""
     path = Path(map_file)
     try:
         changed = path.stat().st_mtime_ns
     except OSError as error:
         raise ConfigurationError(f"scenario.map is {map_file!r}; {error.strerror}") from None
-    return _load(str(path.absolute()), changed, clearance)
+    return str(path.absolute()), changed
 
 
 @lru_cache(maxsize=16)
-def _load(path: str, changed: int, clearance: float) -> tuple[FixedMap, tuple[float, float]]:
+def _polygons(path: str, changed: int) -> list[Polygon]:
+    """Return the polygons of a version of a file, in its coordinates."""
     from mrsan.maps import MapError, load_map  # here because only maps from files need it
 
     try:
-        polygons = load_map(path)
+        return load_map(path)
     except MapError as error:
         raise ConfigurationError(f"scenario.map: {error}") from None
+
+
+@lru_cache(maxsize=16)
+def _walls(path: str, changed: int, clearance: float) -> FixedMap:
+    """Return the walls of a version of a file about its centre."""
+    polygons = _polygons(path, changed)
     centre = centre_of(polygons)
-    local = map_of_polygons([polygon - centre for polygon in polygons], clearance)
-    return local, (float(centre[0]), float(centre[1]))
+    # Rounded, so that a world is the same to the last bit wherever its map's origin is.
+    return map_of_polygons([(p - centre).round(_DECIMALS) for p in polygons], clearance)
 
 
 def map_of_polygons(polygons: Sequence[Polygon], clearance: float) -> FixedMap:
@@ -131,7 +145,7 @@ def map_of_polygons(polygons: Sequence[Polygon], clearance: float) -> FixedMap:
     loaded.place[WINDING] = -1 if any(_is_clockwise(polygon) for polygon in polygons) else 0
     loaded.place[FAMILY], loaded.place[CROSSING_SHARE] = MAP, 1.0
     loaded.place[CLEARANCE] = clearance
-    _complete(loaded, ends, np.empty(room, np.float32))
+    _complete(1, loaded, ends, np.empty(room, np.float32))
     corners = int(loaded.place[CORNERS])
     return loaded._replace(
         corners=np.ascontiguousarray(loaded.corners[:, :corners]),
@@ -143,27 +157,28 @@ def next_corner(
     place: FixedMap, start: tuple[float, float], goal: tuple[float, float]
 ) -> tuple[float, float]:
     """Return the next corner of the shortest route from a start, or the goal, m."""
-    here, there = np.array(start, np.float32), np.array(goal, np.float32)
-    corner = _first_corner(place, here, there, np.empty(place.corners.shape[1], np.float32))
+    ends = np.array([start, goal], np.float32)
+    found, cost = np.empty(1, np.int32), np.empty(place.corners.shape[1], np.float32)
+    _find_first_corner(1, place, ends, cost, found)
+    corner = int(found[0])
     if corner < 0:
         return goal
     return float(place.corners[0, corner]), float(place.corners[1, corner])
 
 
-@numba.njit(cache=True, error_model="numpy")
-def _first_corner(place, start, goal, cost):  # type: ignore[no-untyped-def]
-    corner, _ = find_route(
+@kernel
+def _find_first_corner(first, last, place, ends, cost, corner):  # type: ignore[no-untyped-def]
+    corner[0], _ = find_route(
         place.walls,
         place.place,
         place.corners,
         place.corner_distance,
-        start[0],
-        start[1],
-        goal[0],
-        goal[1],
+        ends[0, 0],
+        ends[0, 1],
+        ends[1, 0],
+        ends[1, 1],
         cost,
     )
-    return corner
 
 
 def _is_clockwise(polygon: Polygon) -> bool:
@@ -172,11 +187,11 @@ def _is_clockwise(polygon: Polygon) -> bool:
     return len(polygon) > 2 and signed_area(polygon) < 0.0
 
 
-@numba.njit(cache=True, error_model="numpy")
-def _complete(loaded, ends, row):  # type: ignore[no-untyped-def]
-    first = 0
-    for last in ends:
-        close_polygon(loaded.walls, first, last)
-        first = last
+@kernel
+def _complete(first, last, loaded, ends, row):  # type: ignore[no-untyped-def]
+    start = 0
+    for end in ends:
+        close_polygon(loaded.walls, start, end)
+        start = end
     fill_up(loaded.walls, loaded.place)
     build_corners(loaded.walls, loaded.place, loaded.corners, loaded.corner_distance, row)

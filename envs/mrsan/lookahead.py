@@ -6,8 +6,7 @@ import math
 
 import numpy as np
 
-from mrsan.plugin_values import check_finite, check_shape
-from mrsan.prediction import find_predictor
+from mrsan.prediction import checked_prediction, find_predictor
 from mrsan.scenario import Scenario
 from mrsan.state import Bools, Floats, State
 
@@ -27,7 +26,6 @@ class LookaheadReward:
         reward, self.radius = scenario.reward, scenario.robot_radius
         field = "scenario.reward.lookahead_predictor"
         self.predictor = find_predictor(reward.lookahead_predictor, scenario.time_step, field)
-        self._name = f"predictor {reward.lookahead_predictor}"
         self.distance = np.float32(reward.lookahead_distance)
         steps = range(1, reward.lookahead_steps + 1)
         self._penalty = np.array([-reward.lookahead * math.exp(-k) for k in steps], np.float32)
@@ -59,11 +57,14 @@ class LookaheadReward:
             state: after the step; k counts from there.
             visible: [E, N, M] the people that each robot sees.
         """
-        people = self.predictor.predict(
-            state.human_past, state.human_past_valid, state.human_velocity, len(self.steps)
+        people = checked_prediction(
+            self.predictor,
+            state.human_past,
+            state.human_past_valid,
+            state.human_velocity,
+            len(self.steps),
+            state,
         )  # [E, M, K, 2]
-        check_shape(self._name, people.shape, (*state.human_radius.shape, len(self.steps), 2))
-        check_finite(self._name, people, state, state.human_present)
         ahead = state.robot_velocity[..., None, :] * (self.steps * self.time_step)
         robots = state.robot_position[..., None, :] + ahead  # [E, N, K, 2]
         offset = people[:, None] - robots[:, :, None]  # [E, N, M, K, 2]

@@ -17,6 +17,7 @@ import numpy as np
 
 from mrsan.choices import Crowd, CrowdReaction, Kinematics
 from mrsan.fields import kernel_form
+from mrsan.kernels.structs import KeepsStruct
 from mrsan.reward import Reward
 from mrsan.scenario import Scenario
 
@@ -121,7 +122,9 @@ def _numbers(s: Scenario) -> dict[str, Any]:
 if TYPE_CHECKING:
     Parameters = Any  # its fields are those of `Scenario`, which type checkers cannot follow
 else:
-    Parameters = namedtuple("Parameters", _numbers(Scenario()))
+
+    class Parameters(namedtuple("Numbers", _numbers(Scenario())), KeepsStruct):
+        """The numbers of a scenario by their names."""
 
 
 def kernel_parameters(scenario: Scenario) -> Parameters:

@@ -45,15 +45,18 @@ def check_shape(plugin: str, shape: tuple[int, ...], expected: tuple[int, ...]) 
 
 
 def check_finite(
-    plugin: str, values: NDArray[Any], state: State, where: NDArray[np.bool_] | None = None
+    plugin: str,
+    values: NDArray[Any],
+    state: State | None = None,
+    where: NDArray[np.bool_] | None = None,
 ) -> None:
-    """Check that the values [E, K, ...] of a plugin for K agents are finite.
+    """Check that the values of a plugin are finite.
 
     Args:
         plugin: its kind and name; those of people begin with `crowd` or `predictor`.
-        values: checked.
-        state: the worlds, for the message.
-        where: [E] or [E, K] the values that count; None: all.
+        values: checked; [E, K, ...] for K agents if `state` is there.
+        state: the worlds, for the message; None: the message has only the index.
+        where: the values that count, by their leading axes; None: all.
 
     Raises:
         PluginError: a value is NaN or infinite.
@@ -65,7 +68,10 @@ def check_finite(
         fault &= where.reshape(where.shape + (1,) * (fault.ndim - where.ndim))
     if not fault.any():
         return
-    world, agent, *index = np.argwhere(fault)[0].tolist()
+    first = np.argwhere(fault)[0].tolist()
+    if state is None:
+        raise PluginError(f"{plugin} is {values[tuple(first)]} at index {first}; it must be finite")
+    world, agent, *index = first
     kind = "person" if plugin.startswith(("crowd", "predictor")) else "robot"
     at = f" at index {index}" if index else ""
     raise PluginError(

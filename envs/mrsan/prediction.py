@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 
 from mrsan.fields import ConfigurationError
 from mrsan.kernels.recurrent import predict_offsets
+from mrsan.plugin_values import as_numbers, check_finite, check_shape
 from mrsan.se2 import rotate_vectors, unrotate_vectors
-from mrsan.state import Bools, Floats
+from mrsan.state import Bools, Floats, State
 
 SHIPPED = Path(__file__).parent / "predictors"
 FORMAT = 1  # of a weights file and its card
@@ -147,6 +148,34 @@ def own_frame(
     )
     direction = np.where(moved.any(-1, keepdims=True), direction, np.float32(0.0))
     return unrotate_vectors(velocities, direction[..., None, :]), readable, direction
+
+
+def checked_prediction(
+    predictor: Predictor,
+    past: Floats,
+    valid: Bools,
+    velocity: Floats,
+    steps: int,
+    state: State | None = None,
+) -> Floats:
+    """Return what a predictor predicts for everybody whose present position is valid.
+
+    Args:
+        predictor: may be a plugin.
+        past: as of `Predictor.predict`, as the next three.
+        valid: likewise.
+        velocity: likewise.
+        steps: likewise.
+        state: the worlds, if people [E, M] are those of a state; for the message.
+
+    Raises:
+        PluginError: the prediction has another shape, or one for such a person is not finite.
+    """
+    name = f"predictor {type(predictor).__name__}"
+    predicted = as_numbers(name, predictor.predict(past, valid, velocity, steps))
+    check_shape(name, predicted.shape, (*velocity.shape[:-1], steps, 2))
+    check_finite(name, predicted, state, valid[..., -1])
+    return predicted
 
 
 def find_predictor(name: str, time_step: float, field: str = "predictor") -> Predictor:

@@ -73,7 +73,6 @@ class _Drawing:
 
     def __init__(self, scenario: Scenario) -> None:
         self.scenario = scenario
-        self.centre = np.array(scenario.centre)
         self.half = scenario.half_extent + _MARGIN
         self.scale = _OVERSAMPLING * _SIZE / (2 * self.half)
         self.image = Image.new("RGB", (_OVERSAMPLING * _SIZE, _OVERSAMPLING * _SIZE), "white")
@@ -123,14 +122,13 @@ class _Drawing:
         self.draw.line(outline, fill=colour, width=_OVERSAMPLING)
 
     def _grid(self) -> None:
-        (left, bottom), (right, top) = self.centre - self.half, self.centre + self.half
-        for x in np.arange(2.0 * np.ceil(left / 2.0), right, 2.0):
-            self._line(np.array([x, bottom]), np.array([x, top]), _GRID, 1)
-        for y in np.arange(2.0 * np.ceil(bottom / 2.0), top, 2.0):
-            self._line(np.array([left, y]), np.array([right, y]), _GRID, 1)
+        half = self.half
+        for at in np.arange(2.0 * np.ceil(-half / 2.0), half, 2.0):
+            self._line(np.array([at, -half]), np.array([at, half]), _GRID, 1)
+            self._line(np.array([-half, at]), np.array([half, at]), _GRID, 1)
 
     def _pixel(self, point: NDArray[Any]) -> tuple[float, float]:
-        x, y = float(point[0] - self.centre[0]), float(point[1] - self.centre[1])
+        x, y = float(point[0]), float(point[1])
         return (self.half + x) * self.scale, (self.half - y) * self.scale
 
     def _disc(

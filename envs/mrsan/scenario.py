@@ -347,13 +347,20 @@ class Scenario:
 
     @property
     def fixed_map(self) -> FixedMap:
-        """Return the walls of the map file about `map_centre`; empty arrays without one."""
+        """Return the walls of the map file about its middle; empty arrays without one."""
         return fixed_map(self.map, self.route_clearance)
 
     @property
-    def map_centre(self) -> tuple[float, float]:
-        """Return where the world's origin lies in the coordinates of the map file, m."""
-        return map_centre(self.map)
+    def file_origin(self) -> tuple[float, float]:
+        """Return the coordinates that the world's origin has in the file of its place, m.
+
+        The file is the map, whose middle is the origin, or the recording, whose floor's middle is;
+        other worlds have none, and (0, 0).
+        """
+        if self.layout is Layout.map:
+            return map_centre(self.map)
+        x, y = self.load_recording().centre.tolist()
+        return x, y
 
     @property
     def most_walls(self) -> int:
@@ -450,16 +457,8 @@ class Scenario:
         )
 
     @property
-    def centre(self) -> tuple[float, float]:
-        """The middle of the place, m: the origin, or less than a metre from it on a map."""
-        if self.layout is not Layout.map:
-            return 0.0, 0.0
-        left, bottom, right, top = map(float, self.fixed_map.zone)
-        return (left + right) / 2, (bottom + top) / 2
-
-    @property
     def half_extent(self) -> float:
-        """Return the largest distance of a start from the centre along an axis, m."""
+        """Return the largest distance of a start from the origin along an axis, m."""
         if self.crowd == Crowd.recorded:
             return float(self.load_recording().half_size.max())
         circle = self.circle_radius + self.spawn_jitter * max(

@@ -7,14 +7,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mrsan.kernels.structs import KeepsStruct
+
 Floats = NDArray[np.float32]
 Bools = NDArray[np.bool_]
 Ints = NDArray[np.integer]
 
 
-class State(NamedTuple):
-    """The complete state of E worlds, which kernels update in place."""
-
+class _Arrays(NamedTuple):
     case: NDArray[np.int64]  # [E]
     episode: NDArray[np.int64]  # [E] number of the episode of this case, from 0; -1: none yet
     key: NDArray[np.uint64]  # [E] key of the random numbers of the episode
@@ -60,6 +60,10 @@ class State(NamedTuple):
     route_next: NDArray[np.int32]  # [E, M + N] corner after that one; -1: its goal
     # The last reports of robots in the world frame, indexed by the clock modulo L:
     message_buffer: Floats  # [E, L, N, M + N, 5] OTHER_FEATURES; radius 0: not seen
+
+
+class State(_Arrays, KeepsStruct):
+    """The complete state of E worlds, which kernels update in place."""
 
     @property
     def done(self) -> Bools:

@@ -98,4 +98,4 @@ def _start_threads() -> None:
 def _openmp_is_loaded() -> bool:
     """Return whether this process has loaded GNU's OpenMP, which Numba uses only on Linux."""
     maps = Path("/proc/self/maps")
-    return maps.exists() and "libgomp" in maps.read_text()
+    return maps.exists() and b"libgomp" in maps.read_bytes()

@@ -15,6 +15,7 @@ from numba.core.errors import NumbaError
 from numpy.typing import ArrayLike
 
 from mrsan.choices import Crowd
+from mrsan.compile_ahead import compile_missing
 from mrsan.crowds import begin_kernel, crowd_model, social_settings, step_kernel
 from mrsan.features import OTHER_FEATURES
 from mrsan.fields import ConfigurationError
@@ -24,6 +25,7 @@ from mrsan.kernels.places import MOST_ZONES
 from mrsan.kernels.routes import CORNER_ROWS
 from mrsan.kernels.social_state import SOCIAL
 from mrsan.kernels.spawn import NO_ROOM_FOR_ROBOTS
+from mrsan.kernels.structs import by_reference
 from mrsan.kernels.tally import TALLY
 from mrsan.kernels.walls import PLACE_COLUMNS, WALL_ROWS, with_room_for_lanes
 from mrsan.lookahead import LookaheadReward
@@ -38,12 +40,17 @@ from mrsan.scenario import Scenario
 from mrsan.sensors.suite import SensorSuite
 from mrsan.state import Bools, Floats, State
 
-# Of snapshots, which must be finite.
-_AGENT_ARRAYS = {
-    f"{agent}_{name}"
-    for agent in ("robot", "human")
-    for name in ("position", "velocity", "heading", "goal", "radius", "speed")
-}
+_FINITE = (  # arrays of a snapshot
+    "robot_position",
+    "robot_velocity",
+    "robot_heading",
+    "robot_goal",
+    "human_position",
+    "human_velocity",
+    "human_goal",
+    "human_radius",
+    "human_speed",
+)
 _RESET_BATCH = 128  # worlds that begin an episode between two chances to stop with Ctrl-C
 
 
@@ -98,20 +105,22 @@ class World:
         self.auto_reset = auto_reset
         self._lookahead = LookaheadReward(scenario) if scenario.reward.lookahead else None
         history = self._lookahead.predictor.history if self._lookahead else 0
-        self._parameters = kernel_parameters(scenario)
-        self._place = place_parameters(scenario.place)
-        self._map = scenario.fixed_map
+        self._parameters = by_reference(kernel_parameters(scenario))
+        self._place = by_reference(place_parameters(scenario.place))
+        self._map = by_reference(scenario.fixed_map)
         self.state = _empty_state(worlds, scenario, history)
         crowd = crowd_model(scenario.crowd)
         walled, social = scenario.has_walls, scenario.is_social
         self._step_kernel = partial(step_kernel, crowd, walled, social)
         self._advance = self._step_kernel()
-        self._begin_episodes = begin_kernel(walled, social)
-        self._crowd_settings = crowd.kernel_settings(scenario)
-        self._social = social_settings(scenario, self._crowd_settings)
-        self._recording = scenario.load_recording()
+        self._begin_episodes = begin_kernel(walled, social, scenario.crowd == Crowd.recorded)
+        crowd_settings = crowd.kernel_settings(scenario)
+        self._social = by_reference(social_settings(scenario, crowd_settings))
+        self._crowd_settings = self._social or by_reference(crowd_settings)
+        self._recording = by_reference(scenario.load_recording())
         self._sensors = SensorSuite(scenario)
         self._all_seeing = SensorSuite(scenario, all_seeing=True)
+        self._is_compiled = False
 
     def reset(self, cases: ArrayLike | None = None, worlds: ArrayLike | None = None) -> Observation:
         """Begin an episode in all or some worlds.
@@ -126,6 +135,9 @@ class World:
         Raises:
             ConfigurationError: a case has no room for all robots or people of the scenario.
         """
+        if not self._is_compiled:
+            compile_missing(self)
+            self._is_compiled = True
         mask = self._mask(worlds)
         if cases is not None:
             numbers = np.asarray(cases)
@@ -173,10 +185,15 @@ class World:
                 self.scenario.describe_shortage(robots, int(self.state.case[world]))
             )
 
-    @property
-    def kernels(self) -> dict[str, kernel]:
-        """The kernels that take the longest to compile, see `mrsan.compile_ahead`."""
-        return {"begin": self._begin_episodes, "step": self._advance}
+    def call_kernels(self) -> None:
+        """Call the kernels of an episode; `mrsan.compile_ahead` lets none of them run."""
+        nowhere = np.zeros(self.worlds, np.bool_)
+        actions = np.zeros(
+            (self.worlds, self.scenario.robots, self.scenario.action_size), np.float32
+        )
+        self._place_agents(nowhere)
+        self._move(self._advance, actions)
+        self._sensors.observe(self.state, nowhere, self._sensors.empty(self.worlds))
 
     def snapshot(self) -> State:
         """Return a copy of the state of all worlds, for `restore`.
@@ -211,7 +228,7 @@ class World:
                 raise ValueError(
                     f"snapshot.{name} has type {saved.dtype}; it must have {array.dtype}"
                 )
-            if name in _AGENT_ARRAYS and not np.isfinite(saved[mask]).all():
+            if name in _FINITE and not np.isfinite(saved[mask]).all():
                 raise ValueError(f"snapshot.{name} is NaN or infinite; it must be finite")
         for name, array in self.state._asdict().items():
             array[mask] = getattr(snapshot, name)[mask]
@@ -315,7 +332,7 @@ class World:
                 self.state,
                 motion,
                 self._parameters,
-                self._social or self._crowd_settings,
+                self._crowd_settings,
                 self._recording,
                 reward,
                 terms,

@@ -10,7 +10,15 @@ from numpy.typing import NDArray
 
 from mrsan.se2 import rotate
 from mrsan.sensors.walls import ray_angles
-from samarl.runtime import Command, Detection, KnownMap, OwnState, walls_of_scan
+from samarl.runtime import (
+    Command,
+    Detection,
+    InputError,
+    KnownMap,
+    OwnState,
+    measured_ranges,
+    walls_of_scan,
+)
 
 _FREE_BELOW = 20  # occupancy in percent; unknown cells are -1
 
@@ -42,7 +50,8 @@ def own_state(odometry: Any, goal: Any) -> OwnState:
 def detections(people: Any, reliability: float = 0.5) -> list[Detection]:
     """Return the people of a `people_msgs/People` with at least this reliability.
 
-    `name` becomes the id unless it is empty. Velocities are in m/s in the frame of the message.
+    Those without one (0, as many detectors publish, or NaN) are people as well. `name` becomes the
+    id unless it is empty. Velocities are in m/s in the frame of the message.
     """
     return [
         Detection(
@@ -53,17 +62,26 @@ def detections(people: Any, reliability: float = 0.5) -> list[Detection]:
             id=person.name or None,
         )
         for person in people.people
-        if person.reliability >= reliability
+        if not 0.0 < person.reliability < reliability
     ]
 
 
 def known_map(grid: Any, clearance: float) -> KnownMap:
     """Return the walls and routes of a `nav_msgs/OccupancyGrid`.
 
-    Unknown cells count as occupied. Raises `mrsan.maps.MapError` if the grid cannot be used.
+    Unknown cells count as occupied.
+
+    Raises:
+        MapError: the grid cannot be used.
     """
+    from mrsan.maps import MapError  # here because only maps need its packages
+
     info = grid.info
-    cells = np.asarray(grid.data, np.int16).reshape(info.height, info.width)
+    cells = np.asarray(grid.data, np.int16)
+    if len(cells) != info.height * info.width:
+        size = f"{info.height} x {info.width}"
+        raise MapError(f"has {len(cells)} cells; it must have {size}")
+    cells = cells.reshape(info.height, info.width)
     free = (cells >= 0) & (cells < _FREE_BELOW)
     position = info.origin.position
     origin = position.x, position.y, yaw(info.origin.orientation)
@@ -79,8 +97,16 @@ def scan_angles(scan: Any) -> NDArray[np.float64]:
 
 
 def scan_walls(scan: Any, own: OwnState) -> NDArray[np.float64]:
-    """Return the wall segments of a `sensor_msgs/LaserScan` taken at the centre of the robot."""
-    return walls_of_scan(scan.ranges, scan_angles(scan), own, scan.range_max)
+    """Return the wall segments of a `sensor_msgs/LaserScan`.
+
+    Args:
+        scan: the message; the lidar is at the centre of the robot and looks ahead.
+        own: the robot at the time of the scan.
+
+    Raises:
+        InputError: the message cannot be used.
+    """
+    return walls_of_scan(scan.ranges, scan_angles(scan), own, scan.range_max, scan.range_min)
 
 
 def lidar_ranges(
@@ -89,16 +115,20 @@ def lidar_ranges(
     """Return the ranges of a `sensor_msgs/LaserScan` at the rays that a policy observes, m.
 
     Each ray takes the nearest ray of the scan; where there is none, and where nothing was hit, it
-    has the greatest range.
+    has the greatest range. It is zero where something is too close to be measured.
+
+    Raises:
+        InputError: the message cannot be used.
     """
-    angles, ranges = scan_angles(scan), np.asarray(scan.ranges, np.float64)
+    ranges, angles = measured_ranges(scan.ranges, scan_angles(scan), scan.range_max, scan.range_min)
+    if len(ranges) == 0:
+        raise InputError("scan has no ranges; it must have one for each ray")
     observed = ray_angles(rays, fov_degrees)
     away = np.abs((observed[:, None] - angles + math.pi) % (2 * math.pi) - math.pi)
     nearest = away.argmin(1)
-    is_covered = away.min(1) <= max(scan.angle_increment, math.radians(fov_degrees) / rays)
-    is_hit = is_covered & np.isfinite(ranges[nearest])
-    clipped = np.clip(np.where(is_hit, ranges[nearest], greatest_range), 0.0, greatest_range)
-    return clipped.astype(np.float32)
+    is_covered = away.min(1) <= max(abs(scan.angle_increment), math.radians(fov_degrees) / rays)
+    observed_ranges = np.where(is_covered, ranges[nearest], np.inf)
+    return np.minimum(observed_ranges, greatest_range).astype(np.float32)
 
 
 def velocity(command: Command) -> tuple[float, float]:

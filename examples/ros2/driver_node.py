@@ -22,10 +22,10 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import LaserScan
 
-from mrsan.maps import MapError
 from samarl.runtime import Driver, InputError, KnownMap
 
-ODOMETRY_TIMEOUT = 0.5  # the robot stops after this time without odometry, s
+# The robot stops after this time without a message of a kind that it has received before, s.
+TIMEOUTS = {"odom": 0.5, "scan": 0.5, "people": 2.0}
 
 
 class DriverNode(Node):
@@ -37,9 +37,13 @@ class DriverNode(Node):
         self._driver = Driver.load(path)
         self._odometry: Odometry | None = None
         self._people: People | None = None  # since the last step
+        self._received: dict[str, float] = {}  # when the last message of a kind was measured, s
         self._goal: PoseStamped | None = None
         self._map: KnownMap | None = None
+        self._map_frame = ""
+        self._map_error = ""  # why the last map cannot be used
         self._scan: LaserScan | None = None
+        self._scan_odometry: Odometry | None = None  # where it was taken
         self._out = self.create_publisher(Twist, "cmd_vel", 1)
         self.create_subscription(Odometry, "odom", self._on_odometry, 1)
         self.create_subscription(People, "people", self._on_people, 1)
@@ -50,23 +54,25 @@ class DriverNode(Node):
         self.create_timer(self._driver.scenario.time_step, self._step)
 
     def _on_odometry(self, message: Odometry) -> None:
-        self._odometry = message
+        self._odometry, self._received["odom"] = message, seconds(message.header.stamp)
 
     def _on_people(self, message: People) -> None:
-        self._people = message
+        self._people, self._received["people"] = message, seconds(message.header.stamp)
 
     def _on_goal(self, message: PoseStamped) -> None:
         self._goal = message
         self._driver.reset()  # a new goal is a new episode
 
     def _on_map(self, message: OccupancyGrid) -> None:
+        self._map_frame, self._map_error = message.header.frame_id, ""
         try:
             self._map = known_map(message, self._driver.scenario.robot_radius + 0.1)
-        except MapError as error:
-            self.get_logger().error(f"the map cannot be used: it {error}")
+        except ValueError as error:  # MapError, whose module needs further packages
+            self._map_error = str(error)
 
     def _on_scan(self, message: LaserScan) -> None:
-        self._scan = message
+        self._scan, self._scan_odometry = message, self._odometry
+        self._received["scan"] = seconds(message.header.stamp)
 
     def _step(self) -> None:
         twist = Twist()  # zero: stop
@@ -80,32 +86,47 @@ class DriverNode(Node):
         if self._goal is None or self._odometry is None:
             return 0.0, 0.0
         now = self.get_clock().now().nanoseconds * 1e-9
-        if now - seconds(self._odometry.header.stamp) > ODOMETRY_TIMEOUT:
-            raise InputError(f"no odometry was received for {ODOMETRY_TIMEOUT} s")
+        for name, time in self._received.items():
+            if now - time > TIMEOUTS[name]:
+                raise InputError(
+                    f"{name} is {now - time:.1f} s old; it must be below {TIMEOUTS[name]}"
+                )
+        if self._map_error:
+            raise InputError(f"the map cannot be used: it {self._map_error}")
         people, self._people = self._people, None  # use each detection once
         frame = self._odometry.header.frame_id
-        for name, message in (("goal_pose", self._goal), ("people", people)):
-            if message is not None and message.header.frame_id != frame:
+        frames = {"goal_pose": self._goal.header.frame_id}
+        if people is not None:
+            frames["people"] = people.header.frame_id
+        if self._map is not None:
+            frames["map"] = self._map_frame
+        for name, other in frames.items():
+            if other != frame:
                 raise InputError(
-                    f"{name} is in frame {message.header.frame_id!r}; it must be in {frame!r}, the "
-                    "frame of the odometry"
+                    f"{name} is in frame {other!r}; it must be in {frame!r}, that of the odometry"
                 )
         own = own_state(self._odometry, self._goal)
         if arrived(own, self._driver.scenario.robot_radius):
             return 0.0, 0.0
-        walls, sensors = (), None
+        seen, sensors = (), None
+        if self._scan is not None:
+            if self._scan_odometry is None:
+                raise InputError("scan is older than any odometry; it must follow one")
+            seen = scan_walls(self._scan, own_state(self._scan_odometry, self._goal))
+        walls, obstacles = seen, ()
         if self._map is not None:
-            own, walls = self._map.with_route(own), self._map
-        elif self._scan is not None:
-            walls = scan_walls(self._scan, own)
+            own, walls, obstacles = self._map.with_route(own), self._map, seen
         if "lidar" in self._driver.sensor_inputs:
             if self._scan is None:
                 raise InputError("no scan was received; this policy needs one")
             s = self._driver.scenario
             ranges = lidar_ranges(self._scan, s.lidar_rays, s.lidar_fov_degrees, s.lidar_range)
             sensors = {"lidar": ranges}
-        seen = detections(people) if people else []
-        return velocity(self._driver.step(own, seen, now, sensors, walls))
+        visible = detections(people) if people else []
+        command = self._driver.step(own, visible, now, sensors, walls, obstacles)
+        if command.reason is not None:
+            self.get_logger().debug(f"the shield kept clear of: {command.reason}")
+        return velocity(command)
 
 
 def main() -> None:

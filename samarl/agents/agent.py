@@ -38,16 +38,13 @@ class Agent(ABC):
 
     def __repr__(self) -> str:
         """Return the settings that differ from the defaults, and how the scenario does."""
-        return f"{self._settings()[:-1]}, scenario={self.scenario})".replace("(, ", "(")
+        return self._settings(repr(self.scenario))
 
-    def _settings(self) -> str:
-        """Return the agent as Python code without its scenario."""
+    def _settings(self, scenario: str | None = None) -> str:
+        """Return the agent as Python code, by default without its scenario."""
         values = {f.name: getattr(self, f.name) for f in fields(self)}
-        inner = {name: agent for name, agent in values.items() if isinstance(agent, Agent)}
-        text = short_repr(self, ("scenario", *inner))
-        for name, agent in inner.items():
-            text = f"{text[:-1]}, {name}={agent._settings()})".replace("(, ", "(")
-        return text
+        inner = {n: agent._settings() for n, agent in values.items() if isinstance(agent, Agent)}
+        return short_repr(self, inner | {"scenario": scenario})
 
     label = ""  # name in tables, which `samarl.load_agent` sets; empty: the name of the class
 

@@ -13,7 +13,7 @@ from joblib import Parallel, delayed, parallel_config
 from omegaconf import MISSING, DictConfig, OmegaConf
 from tqdm import tqdm
 
-from mrsan import ActionError, ConfigurationError, Scenario
+from mrsan import ActionError, ConfigurationError, Scenario, World
 from mrsan.compile_ahead import compile_ahead
 from samarl.agents import build_agent
 from samarl.commands.cli import run_command
@@ -225,7 +225,7 @@ def _run(tasks: Sequence[_Task], config: DictConfig, committed: Sequence[Row]) -
     total = sum(len(task.variants) * task.evaluation.cases for task in tasks)
     os.environ.setdefault("PYTHONWARNINGS", "ignore:resource_tracker")  # printed on interrupts
     rows: dict[int, Row] = {}
-    with compile_ahead(tasks[0].scenario):
+    with compile_ahead(World(tasks[0].scenario)):
         pass  # once, rather than in every process
     with (
         progress_bar(total=total, desc=config.name, unit="case") as bar,

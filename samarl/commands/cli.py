@@ -27,7 +27,6 @@ from omegaconf.errors import OmegaConfBaseException
 
 import samarl
 from mrsan import ActionError, ConfigurationError, PluginError
-from mrsan.kernels import kernel
 from samarl.agents import ScopeWarning
 from samarl.commands.overrides import CommandLine
 from samarl.configuration import composed, hydra_tree, import_plugins, register_schemas
@@ -129,7 +128,6 @@ def _prepare_process(words: Sequence[str]) -> None:
     os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra raises instead of printing; see `_fail`
     if os.getcwd() not in sys.path:
         sys.path.append(os.getcwd())  # so that plugins in the current folder can be imported
-    kernel.always_parallel = True  # commands that simulate one world use the version of the others
     warnings.simplefilter("ignore", ScopeWarning)  # commands print a note instead
 
 

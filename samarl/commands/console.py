@@ -1,4 +1,4 @@
-"""What the commands that describe a file share: options, one-line errors, closed pipes."""
+"""What the commands with options share: their parser, one-line errors, closed pipes."""
 
 from __future__ import annotations
 
@@ -10,6 +10,9 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import NoReturn
 
+import numpy as np
+from numpy.typing import NDArray
+
 import samarl
 from mrsan import ConfigurationError
 from samarl.files import check_writable
@@ -17,13 +20,28 @@ from samarl.files import check_writable
 PICTURES = (".png", ".svg", ".pdf")
 
 
-class FileParser(argparse.ArgumentParser):
-    """Parses the options of a command on a file; reports errors in one line."""
+class Parser(argparse.ArgumentParser):
+    """Parses the options of a command; reports errors in one line."""
 
-    def __init__(self, prog: str, description: str, file: str) -> None:
-        """Add the argument FILE and the options that all such commands have."""
+    def __init__(
+        self,
+        prog: str,
+        description: str,
+        about: str,
+        metavar: str = "FILE",
+        nargs: str | None = None,
+    ) -> None:
+        """Add the argument and the options that all such commands have.
+
+        Args:
+            prog: name of the command.
+            description: of the command.
+            about: describes the argument.
+            metavar: name of the argument; in lower case, that of its value.
+            nargs: how many of them there may be, see `argparse`.
+        """
         super().__init__(prog=prog, description=description, allow_abbrev=False)
-        self.add_argument("file", metavar="FILE", type=Path, help=file)
+        self.add_argument(metavar.lower(), metavar=metavar, type=Path, nargs=nargs, help=about)
         self.add_argument("--version", action="version", version=f"samarl {samarl.__version__}")
 
     def error(self, message: str) -> NoReturn:
@@ -32,15 +50,15 @@ class FileParser(argparse.ArgumentParser):
 
 
 def run(
-    parser: FileParser,
-    describe: Callable[[argparse.Namespace], None],
+    parser: Parser,
+    task: Callable[[argparse.Namespace], None],
     options: Mapping[str, str] | None = None,
 ) -> None:
-    """Parse the options and describe the file; a `ValueError` becomes one line.
+    """Parse the options and run the command; a `ValueError` becomes one line.
 
     Args:
         parser: of the command.
-        describe: prints the description.
+        task: function of the options.
         options: of this command, by the settings that messages name.
     """
     for stream in (sys.stdout, sys.stderr):  # some terminals support ASCII only
@@ -48,7 +66,7 @@ def run(
             stream.reconfigure(errors="backslashreplace")
     arguments = parser.parse_args()
     try:
-        describe(arguments)
+        task(arguments)
         sys.stdout.flush()
     except ValueError as error:
         message = str(error)
@@ -81,6 +99,12 @@ def check_output(option: str, path: Path | None, file: Path, pictures: bool = Fa
             f"{option} is {str(path)!r}, which is the file that is read; it must be another file"
         )
     check_writable(path, option)
+
+
+def origin_of_world(point: NDArray[np.float64]) -> str:
+    """Return the words for where the origin of the simulated world is in a file, m."""
+    x, y = (point.round(2) + 0.0).tolist()  # without a negative zero
+    return f"of the simulated world: ({x:.2f}, {y:.2f}) in the file"
 
 
 def table(rows: list[tuple[str, str]]) -> str:

@@ -147,7 +147,7 @@ def _further_classes(config: DictConfig) -> Iterator[tuple[str, Any]]:
         # Imported here because they take seconds, which the help of other commands does not need.
         from samarl.algorithms import ALGORITHMS
         from samarl.encoders import ENCODERS
-        from samarl.policies.checkpoint import POLICIES
+        from samarl.policies.policy import POLICIES
         from samarl.training.config import TrainerConfig
         from samarl.training.curriculum import CurriculumStage
 

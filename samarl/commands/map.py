@@ -9,13 +9,13 @@ import numpy as np
 
 from mrsan.fixed_map import centre_of
 from mrsan.maps import MOST_SEGMENTS, MapFile, read_map
-from mrsan.maps.polygons import signed_area
-from samarl.commands.console import PICTURES, FileParser, check_output, run, table
+from mrsan.maps.polygons import covered_area, signed_area
+from samarl.commands.console import PICTURES, Parser, check_output, origin_of_world, run, table
 
 
 def main() -> None:
     """Entry point."""
-    parser = FileParser(
+    parser = Parser(
         "samarl-map",
         "Show what is understood of a map file: its floor, walls and cells. It is used with "
         "scenario.layout=map scenario.map=FILE.",
@@ -47,20 +47,19 @@ def _describe(arguments: argparse.Namespace) -> None:
 def _rows(file: MapFile) -> list[tuple[str, str]]:
     outline, *others = file.polygons
     low, high = np.concatenate(file.polygons).min(0), np.concatenate(file.polygons).max(0)
-    solid = [abs(signed_area(polygon)) for polygon in others if len(polygon) > 2]
+    solid = [polygon for polygon in others if len(polygon) > 2]
     is_bounded = signed_area(outline) < 0  # clockwise
-    floor = abs(signed_area(outline)) - sum(solid) if is_bounded else None
+    floor = f"{-signed_area(outline) - covered_area(solid):.1f} m²" if is_bounded else "unbounded"
     obstacles = len(solid) + (not is_bounded and len(outline) > 2)
     thin = sum(len(polygon) == 2 for polygon in file.polygons)
     segments = sum(map(len, file.polygons))
-    x, y = (centre_of(file.polygons) + 0.0).tolist()  # without a negative zero
     rows = [
         ("format", file.format),
-        ("floor", "unbounded" if floor is None else f"{floor:.1f} m²"),
+        ("floor", floor),
         ("extent", f"x {low[0]:.2f} to {high[0]:.2f} m, y {low[1]:.2f} to {high[1]:.2f} m"),
         ("obstacles", f"{obstacles}, and {thin} thin walls"),
         ("segments", f"{segments} of at most {MOST_SEGMENTS}"),
-        ("origin", f"of the simulated world: ({x:.0f}, {y:.0f}) in the file"),
+        ("origin", origin_of_world(centre_of(file.polygons))),
     ]
     if file.ros is not None:
         free, occupied = file.ros.grid
@@ -69,7 +68,9 @@ def _rows(file: MapFile) -> list[tuple[str, str]]:
         shares = (free.mean(), occupied.mean(), 1 - known / free.size)
         free_share, occupied_share, unknown_share = (f"{100 * share:.1f} %" for share in shares)
         rows.append(("cells", f"{width} x {height} of {file.ros.resolution:g} m"))
-        rows.append(("", f"{free_share} free, {occupied_share} occupied, {unknown_share} unknown"))
+        area = f"{free.sum() * file.ros.resolution**2:.1f} m²"
+        shares_shown = f"{occupied_share} occupied, {unknown_share} unknown"
+        rows.append(("", f"{free_share} free ({area}; the largest area is used), {shares_shown}"))
     return [*rows, *(("note", note) for note in file.notes)]
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from mrsan import Crowd, Scenario
 from mrsan.recording import People, RecordingError, Summary, find_problem, read_people, summarize
 from mrsan.recording.rows import FRAME_SECONDS, MAX_GAP
-from samarl.commands.console import PICTURES, FileParser, check_output, run, table
+from samarl.commands.console import PICTURES, Parser, check_output, origin_of_world, run, table
 from samarl.files import write_text
 
 _DECIMALS = 6  # of positions in the output, m
@@ -26,8 +26,8 @@ def main() -> None:
     run(_parser(), _describe, _OPTIONS)
 
 
-def _parser() -> FileParser:
-    parser = FileParser(
+def _parser() -> Parser:
+    parser = Parser(
         "samarl-recording",
         "Summarise a recording of people and check whether it is plausible; draw and convert it. "
         "--frame-seconds and --scale correspond to scenario.frame_seconds and "
@@ -117,6 +117,7 @@ def _rows(
         ),
         ("unit", f"{people.metres:.4g} m ({_origin(arguments.scale, rows.metres)})"),
         ("floor", f"{s.floor[0]:.1f} x {s.floor[1]:.1f} m"),
+        ("origin", origin_of_world(people.centre)),
         (
             "speeds",
             f"median {s.speed_median:.2f}, 95 % below {s.speed_95:.2f}, largest "

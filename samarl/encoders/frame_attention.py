@@ -63,7 +63,7 @@ def proximity_convolution(
 # Frames are independent of each other, so the kernels run them in parallel.
 
 
-@numba.njit(cache=True, error_model="numpy", fastmath=FASTMATH)
+@numba.njit(error_model="numpy", fastmath=FASTMATH)
 def _softmax(scores):
     """Replace scores by their softmax."""
     largest, norm = np.float32(-np.inf), np.float32(0.0)

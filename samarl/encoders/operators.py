@@ -11,12 +11,19 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from mrsan.compile_cache import cached
+
 Tensors = tuple[Tensor, ...]
 
 # Sums may be reordered here (vector units), unlike in the simulator; the result is still the same
 # every time on one machine, whatever the number of threads.
 FASTMATH = {"reassoc", "contract", "nsz"}
-compiled = numba.njit(cache=True, parallel=True, error_model="numpy", fastmath=FASTMATH)
+_parallel = numba.njit(parallel=True, error_model="numpy", fastmath=FASTMATH)
+
+
+def compiled(source: Callable[..., Any]) -> Any:
+    """Return a kernel: compiled on first use, cached, its `prange` loops on several threads."""
+    return cached(_parallel(source))
 
 
 def on_cpu(tensor: Tensor) -> bool:

@@ -28,7 +28,7 @@ PAPER_SUCCESS: dict[Column, dict[str, int]] = {
         "SAMARL": 95,
     },
 }
-PAPER_NAME = {"orca": "ORCA"}  # names of our methods in the paper
+PAPER_NAME = {"ORCA": "ORCA"}  # names of our methods in the paper, by label
 
 # MSA3C (Artificial Intelligence Review, 2024), Tables 2 and 3: CSR %, CR %, APL m, NTC and CIR %
 # (500 cases) by scenario and changed fields. The paper has no results of MASAC, which did not

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from mrsan import Layout, Scenario
+from samarl.evaluation.labels import label_of
 from samarl.evaluation.metrics import METRICS, Metric, Tables
 from samarl.evaluation.papers import PAPER_CO_PLANNING, PAPER_NAME, PAPER_SUCCESS
 from samarl.evaluation.summary import Column, Row, column_of
@@ -30,6 +31,17 @@ def column_name(column: Column) -> str:
     if column.recording:
         del words[1]
     return " ".join(filter(None, words))
+
+
+def column_title(column: Column) -> str:
+    """Return the name of a column in words."""
+    words = [
+        f"{column.fov_degrees:g}° view",
+        "" if column.recording else f"{column.humans} people",
+        f"{column.robots} robots",
+        setting_name(column).replace("_", " "),
+    ]
+    return ", ".join(filter(None, words))
 
 
 def setting_name(column: Column) -> str:
@@ -150,7 +162,7 @@ def _cells(row: Row, metrics: Sequence[Metric]) -> list[str]:
 
 def _paper_success(row: Row) -> str:
     """Return the success rate in the paper, empty if it has none."""
-    rate = PAPER_SUCCESS.get(column_of(row), {}).get(PAPER_NAME.get(row["method"], ""))
+    rate = PAPER_SUCCESS.get(column_of(row), {}).get(PAPER_NAME.get(label_of(row["method"]), ""))
     return "" if rate is None else str(rate)
 
 

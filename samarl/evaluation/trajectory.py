@@ -17,6 +17,8 @@ from samarl.agents import Agent, Explanation
 if TYPE_CHECKING:
     from pandas import DataFrame
 
+_DECIMALS = 6  # of positions in the coordinates of a file, m
+
 Floats = NDArray[np.float32]
 Bools = NDArray[np.bool_]
 Ints = NDArray[np.int32]
@@ -139,11 +141,11 @@ def as_table(trajectory: Trajectory) -> DataFrame:
     """Return a trajectory as a table with one row per step and agent, ordered by step.
 
     Its columns are `step`, `time` (s), `kind` (robot or human) and `id`; the position `x`, `y` (m),
-    the velocity `vx`, `vy` (m/s) and the goal `goal_x`, `goal_y` in the world frame, or in that of
-    the map file if there is one; and `radius`. Further columns describe robots only: `heading`
-    (rad), `arrived`, the waypoint `waypoint_x`, `waypoint_y` it drives to in the following step,
-    and whether the shield replaced the action of that step (`shielded`). They are NaN or false for
-    people, and where an agent has no such thing.
+    the velocity `vx`, `vy` (m/s) and the goal `goal_x`, `goal_y` in the world frame, or in the
+    coordinates of the map or recording if there is one; and `radius`. Further columns describe
+    robots only: `heading` (rad), `arrived`, the waypoint `waypoint_x`, `waypoint_y` it drives to in
+    the following step, and whether the shield replaced the action of that step (`shielded`). They
+    are NaN or false for people, and where an agent has no such thing.
     People are listed while they are present.
     """
     import pandas as pd
@@ -153,7 +155,7 @@ def as_table(trajectory: Trajectory) -> DataFrame:
     waypoint = np.full((steps, robots, 2), np.nan, np.float32)
     if t.waypoint is not None:
         waypoint[:-1] = t.waypoint
-    waypoint = in_map_frame(waypoint, t.scenario)
+    waypoint = in_file_frame(waypoint, t.scenario)
     shielded = np.zeros((steps, robots), np.bool_)
     if t.shielded is not None:
         shielded[:-1] = t.shielded
@@ -176,9 +178,10 @@ def as_table(trajectory: Trajectory) -> DataFrame:
     return table.sort_values("step", kind="stable", ignore_index=True)
 
 
-def in_map_frame(points: Floats, scenario: Scenario) -> NDArray[np.floating]:
-    """Return points [..., 2] of the world in the coordinates of the scenario's map file, m."""
-    return points if scenario.map is None else points + np.array(scenario.map_centre)
+def in_file_frame(points: Floats, scenario: Scenario) -> NDArray[np.floating]:
+    """Return points [..., 2] of the world in the coordinates of its map or recording, m."""
+    origin = np.array(scenario.file_origin)
+    return (points + origin).round(_DECIMALS) if origin.any() else points
 
 
 def _rows(
@@ -194,9 +197,9 @@ def _rows(
         "id": np.tile(np.arange(agents), steps),
     }
     for array, names in (
-        (in_map_frame(position, trajectory.scenario), ("x", "y")),
+        (in_file_frame(position, trajectory.scenario), ("x", "y")),
         (velocity, ("vx", "vy")),
-        (in_map_frame(goal, trajectory.scenario), ("goal_x", "goal_y")),
+        (in_file_frame(goal, trajectory.scenario), ("goal_x", "goal_y")),
     ):
         columns |= {name: array[..., axis].ravel() for axis, name in enumerate(names)}
     return columns

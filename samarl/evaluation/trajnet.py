@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 
 import numpy as np
 
-from samarl.evaluation.trajectory import Trajectory, in_map_frame
+from samarl.evaluation.trajectory import Trajectory, in_file_frame
 
 _DECIMALS = 6  # of positions, m
 
@@ -52,12 +52,12 @@ def _tracks(trajectory: Trajectory, first_frame: int, first_agent: int) -> Itera
     """Yield where the people who are present and then the robots are in every frame."""
     people = trajectory.human_present.shape[1]
     positions = np.concatenate([trajectory.human_position, trajectory.robot_position], axis=1)
-    positions = in_map_frame(positions, trajectory.scenario)
+    positions = in_file_frame(positions, trajectory.scenario)
     present = np.pad(
         trajectory.human_present, ((0, 0), (0, trajectory.driving.shape[1])), constant_values=True
     )
     for step, agent in np.argwhere(present).tolist():
-        x, y = positions[step, agent].astype(np.float64).round(_DECIMALS).tolist()
+        x, y = positions[step, agent].round(_DECIMALS).tolist()
         track = {"f": first_frame + step, "p": first_agent + agent, "x": x, "y": y}
         if agent >= people:
             track["robot"] = True

@@ -6,7 +6,6 @@ import math
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
 from mrsan import Observation
@@ -68,13 +67,11 @@ def perimeter_route(
 
 
 @kernel
-def _perimeter_route(chunks, ego, radius, lookahead, entry_angle, target):
-    total = ego.shape[0]
-    for chunk in prange(chunks):
-        for e in range(chunk * total // chunks, (chunk + 1) * total // chunks):
-            for i in range(ego.shape[1]):
-                x, y = _next_on_perimeter(ego[e, i], radius, lookahead, entry_angle)
-                target[e, i, 0], target[e, i, 1] = x, y
+def _perimeter_route(first, last, ego, radius, lookahead, entry_angle, target):
+    for e in range(first, last):
+        for i in range(ego.shape[1]):
+            x, y = _next_on_perimeter(ego[e, i], radius, lookahead, entry_angle)
+            target[e, i, 0], target[e, i, 1] = x, y
 
 
 @function

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
 from mrsan import OTHER_FEATURES, Entities, Observation
@@ -162,22 +161,20 @@ def _no_tracks(shape: tuple[int, ...]) -> tuple[NDArray[np.float32], NDArray[np.
 
 
 @kernel
-def _track(chunks, ego, observed, visible, steps, dt, dt_steps, tracks, age, out, known):
-    total = ego.shape[0]
-    for chunk in prange(chunks):
-        for e in range(chunk * total // chunks, (chunk + 1) * total // chunks):
-            for i in range(ego.shape[1]):
-                _update_tracks(
-                    ego[e, i],
-                    observed[e, i],
-                    visible[e, i],
-                    steps,
-                    dt,
-                    dt_steps,
-                    tracks[e, i],
-                    age[e, i],
-                )
-                _write_tracks(ego[e, i], steps, tracks[e, i], age[e, i], out[e, i], known[e, i])
+def _track(first, last, ego, observed, visible, steps, dt, dt_steps, tracks, age, out, known):
+    for e in range(first, last):
+        for i in range(ego.shape[1]):
+            _update_tracks(
+                ego[e, i],
+                observed[e, i],
+                visible[e, i],
+                steps,
+                dt,
+                dt_steps,
+                tracks[e, i],
+                age[e, i],
+            )
+            _write_tracks(ego[e, i], steps, tracks[e, i], age[e, i], out[e, i], known[e, i])
 
 
 @function

@@ -67,7 +67,7 @@ class RuntimeController:
     def reset(self) -> None:
         """Clear all memory: an episode begins."""
         for driver in self.drivers:
-            driver.reset()
+            driver.reset(centre=(0.0, 0.0))
 
     def decide(self, observation: Observation, driving: NDArray[np.bool_], time: float) -> Motion:
         """Return the motion of every robot; see `Controller.decide`."""
@@ -80,7 +80,7 @@ class RuntimeController:
                 for name, values in sensor_readings(observation, int(i)).items()
                 if name in driver.sensor_inputs
             }
-            walls = walls_in_view(observation, own, int(i))
+            walls = walls_in_view(observation, own, int(i)) if driver.avoids_walls else ()
             command = driver.step(own, detections, time, sensors, walls)
             motion.speed[i] = command.speed
             motion.turn[i] = command.turn_rate * driver.scenario.time_step

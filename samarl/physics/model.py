@@ -42,7 +42,7 @@ def case_xml(
         state: the case at its start.
         step: time step of the physics, s.
     """
-    (x, y), half = scenario.centre, scenario.half_extent + 3.0
+    half = scenario.half_extent + 3.0
     robots = [_robot(i, scenario, engine, drive, state) for i in range(scenario.robots)]
     motors = [
         _motor(i, k, wheel, engine, drive.wheel_radius)
@@ -68,7 +68,7 @@ def case_xml(
   </default>
   <worldbody>
     <light directional="true" dir="-0.3 0.4 -1" diffuse="0.4 0.4 0.4" castshadow="true"/>
-    <geom name="floor" type="plane" pos="{x} {y} 0" size="{half} {half} 1" material="grid"
+    <geom name="floor" type="plane" pos="0 0 0" size="{half} {half} 1" material="grid"
      group="{FLOOR}"/>
     {_lines(_walls(state))}
     {_lines(people)}

@@ -46,7 +46,7 @@ class _Picture:
             raise cannot_render(error) from error
         self._camera = mujoco.MjvCamera()
         self._camera.azimuth, self._camera.elevation = 90.0, _ELEVATION
-        self._camera.lookat[:2] = world.scenario.centre
+        self._camera.lookat[:2] = 0.0
         self._camera.distance = _DISTANCE * world.scenario.half_extent
 
     def draw(self) -> NDArray[np.uint8]:

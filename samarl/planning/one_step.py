@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
 from mrsan import Entities, Kinematics, Scenario
@@ -122,7 +121,8 @@ def predict_outcomes(
 
 @kernel
 def _predict_outcomes(
-    chunks,
+    first,
+    last,
     robot_index,
     ego,
     humans,
@@ -142,42 +142,41 @@ def _predict_outcomes(
     reward,
     ended,
 ):
-    total, n = robot_index.shape[0], ego.shape[1]
-    for chunk in prange(chunks):
-        walls = np.empty((WALL_ROWS, segments.shape[2] + 1), np.float32)
-        for r in range(chunk * total // chunks, (chunk + 1) * total // chunks):
-            e, i = robot_index[r] // n, robot_index[r] % n
-            own = ego[e, i]
-            goal_x, goal_y = own[GOAL_X], own[GOAL_Y]
-            target_x, target_y = target[e, i, 0], target[e, i, 1]
-            seen = gather_walls(segments[e, i], segments_seen[e, i], walls)
-            target_distance = math.sqrt(target_x * target_x + target_y * target_y)
-            for c in range(commands.shape[0]):
-                x, y, vx, vy, turn = step_robot(
-                    _ZERO, _ZERO, own[VELOCITY_X], own[VELOCITY_Y], _ZERO, commands[c], p
-                )
-                _next_ego(own, x, y, vx, vy, turn, p, next_ego[c, r])
-                next_humans_known[c, r] = humans_known[e, i]
-                next_robots_known[c, r] = robots_known[e, i]
-                hit_human, gap = _next_others(
-                    own, humans[e, i], humans_known[e, i], x, y, vx, vy, turn, p, next_humans[c, r]
-                )
-                hit_robot, _ = _next_others(
-                    own, robots[e, i], robots_known[e, i], x, y, vx, vy, turn, p, next_robots[c, r]
-                )
-                hit_wall = not is_clear(walls, seen, _ZERO, _ZERO, x, y, p.robot_radius)
-                collided = hit_human or hit_robot or hit_wall
-                dx, dy = goal_x - x, goal_y - y
-                goal_distance = math.sqrt(dx * dx + dy * dy)
-                ends = collided and p.collisions_end
-                arrived = not ends and goal_distance < p.robot_radius
-                dx, dy = target_x - x, target_y - y
-                progress = target_distance - math.sqrt(dx * dx + dy * dy)
-                parts = step_reward_parts(
-                    collided, arrived, False, True, gap, progress, goal_distance, p
-                )
-                reward[c, r] = sum_of_parts(parts)
-                ended[c, r] = ends or arrived
+    n = ego.shape[1]
+    walls = np.empty((WALL_ROWS, segments.shape[2] + 1), np.float32)
+    for r in range(first, last):
+        e, i = robot_index[r] // n, robot_index[r] % n
+        own = ego[e, i]
+        goal_x, goal_y = own[GOAL_X], own[GOAL_Y]
+        target_x, target_y = target[e, i, 0], target[e, i, 1]
+        seen = gather_walls(segments[e, i], segments_seen[e, i], walls)
+        target_distance = math.sqrt(target_x * target_x + target_y * target_y)
+        for c in range(commands.shape[0]):
+            x, y, vx, vy, turn = step_robot(
+                _ZERO, _ZERO, own[VELOCITY_X], own[VELOCITY_Y], _ZERO, commands[c], p
+            )
+            _next_ego(own, x, y, vx, vy, turn, p, next_ego[c, r])
+            next_humans_known[c, r] = humans_known[e, i]
+            next_robots_known[c, r] = robots_known[e, i]
+            hit_human, gap = _next_others(
+                own, humans[e, i], humans_known[e, i], x, y, vx, vy, turn, p, next_humans[c, r]
+            )
+            hit_robot, _ = _next_others(
+                own, robots[e, i], robots_known[e, i], x, y, vx, vy, turn, p, next_robots[c, r]
+            )
+            hit_wall = not is_clear(walls, seen, _ZERO, _ZERO, x, y, p.robot_radius)
+            collided = hit_human or hit_robot or hit_wall
+            dx, dy = goal_x - x, goal_y - y
+            goal_distance = math.sqrt(dx * dx + dy * dy)
+            ends = collided and p.collisions_end
+            arrived = not ends and goal_distance < p.robot_radius
+            dx, dy = target_x - x, target_y - y
+            progress = target_distance - math.sqrt(dx * dx + dy * dy)
+            parts = step_reward_parts(
+                collided, arrived, False, True, gap, progress, goal_distance, p
+            )
+            reward[c, r] = sum_of_parts(parts)
+            ended[c, r] = ends or arrived
 
 
 @function

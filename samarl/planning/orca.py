@@ -6,7 +6,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
 from mrsan import Observation, Scenario
@@ -69,7 +68,8 @@ def orca_actions(
 
 @kernel
 def _orca(
-    chunks,
+    first,
+    last,
     ego,
     humans,
     humans_visible,
@@ -85,43 +85,41 @@ def _orca(
     safety_space,
     action,
 ):
-    total = ego.shape[0]
-    for chunk in prange(chunks):
-        rows, scratch = orca_room(1 + humans.shape[2] + robots.shape[2])
-        walls = np.empty((WALL_ROWS, segments.shape[2] + 1), np.float32)
-        for e in range(chunk * total // chunks, (chunk + 1) * total // chunks):
-            for i in range(ego.shape[1]):
-                count = gather_rows(
-                    ego[e, i],
-                    humans[e, i],
-                    humans_visible[e, i],
-                    robots[e, i],
-                    robots_visible[e, i],
-                    safety_space,
-                    safety_space,
-                    rows,
-                )
-                seen = gather_walls(segments[e, i], segments_visible[e, i], walls)
-                horizon = p.time_horizon_obstacles
-                radius = p.robot_radius + WALL_MARGIN
-                near_walls(walls, seen, _ZERO, _ZERO, horizon * p.robot_speed + radius, scratch)
-                wall_lines(walls, _ZERO, _ZERO, rows[0, 2], rows[0, 3], radius, horizon, scratch)
-                preferred_x, preferred_y = preferred_velocity(targets[e, i], p)
-                vx, vy = orca_velocity(
-                    rows,
-                    count,
-                    0,
-                    preferred_x,
-                    preferred_y,
-                    p.robot_speed,
-                    neighbor_distance,
-                    max_neighbors,
-                    time_horizon,
-                    p.time_step,
-                    scratch,
-                    scratch.wall_counts[1],
-                )
-                speed = math.sqrt(rows[0, 2] * rows[0, 2] + rows[0, 3] * rows[0, 3])
-                # Near walls there is no room for a turn on the way: it turns in place.
-                turn = p.max_turn if scratch.wall_counts[1] > 0 else TURN_IN_PLACE_ANGLE
-                track_velocity(vx, vy, speed, action[e, i], p, turn)
+    rows, scratch = orca_room(1 + humans.shape[2] + robots.shape[2])
+    walls = np.empty((WALL_ROWS, segments.shape[2] + 1), np.float32)
+    for e in range(first, last):
+        for i in range(ego.shape[1]):
+            count = gather_rows(
+                ego[e, i],
+                humans[e, i],
+                humans_visible[e, i],
+                robots[e, i],
+                robots_visible[e, i],
+                safety_space,
+                safety_space,
+                rows,
+            )
+            seen = gather_walls(segments[e, i], segments_visible[e, i], walls)
+            horizon = p.time_horizon_obstacles
+            radius = p.robot_radius + WALL_MARGIN
+            near_walls(walls, seen, _ZERO, _ZERO, horizon * p.robot_speed + radius, scratch)
+            wall_lines(walls, _ZERO, _ZERO, rows[0, 2], rows[0, 3], radius, horizon, scratch)
+            preferred_x, preferred_y = preferred_velocity(targets[e, i], p)
+            vx, vy = orca_velocity(
+                rows,
+                count,
+                0,
+                preferred_x,
+                preferred_y,
+                p.robot_speed,
+                neighbor_distance,
+                max_neighbors,
+                time_horizon,
+                p.time_step,
+                scratch,
+                scratch.wall_counts[1],
+            )
+            speed = math.sqrt(rows[0, 2] * rows[0, 2] + rows[0, 3] * rows[0, 3])
+            # Near walls there is no room for a turn on the way: it turns in place.
+            turn = p.max_turn if scratch.wall_counts[1] > 0 else TURN_IN_PLACE_ANGLE
+            track_velocity(vx, vy, speed, action[e, i], p, turn)

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
 from mrsan import Observation, Scenario
@@ -118,7 +117,8 @@ def first_action(
 
 @kernel
 def _first_action(
-    chunks,
+    first,
+    last,
     ego,
     humans,
     humans_visible,
@@ -132,39 +132,37 @@ def _first_action(
     plans,
     action,
 ):
-    total = ego.shape[0]
-    for chunk in prange(chunks):
-        rows = np.empty((1 + humans.shape[2] + robots.shape[2], 5), np.float32)
-        row_offset = np.zeros((rows.shape[0], predicted_offset.shape[3], 2), np.float32)
-        walls = np.empty((WALL_ROWS, segments.shape[2] + 1), np.float32)
-        scratch_action = np.empty(action.shape[2], np.float32)
-        for e in range(chunk * total // chunks, (chunk + 1) * total // chunks):
-            for i in range(ego.shape[1]):
-                count = gather_rows(
-                    ego[e, i],
-                    humans[e, i],
-                    humans_visible[e, i],
-                    robots[e, i],
-                    robots_visible[e, i],
-                    plans.human_margin,
-                    plans.robot_margin,
-                    rows,
-                )
-                gather_offsets(humans_visible[e, i], predicted_offset[e, i], row_offset)
-                seen = gather_walls(segments[e, i], segments_visible[e, i], walls)
-                _choose_action(
-                    rows,
-                    row_offset,
-                    count,
-                    walls,
-                    seen,
-                    targets[e, i, 0],
-                    targets[e, i, 1],
-                    plans,
-                    scratch_action,
-                    action[e, i],
-                    p,
-                )
+    rows = np.empty((1 + humans.shape[2] + robots.shape[2], 5), np.float32)
+    row_offset = np.zeros((rows.shape[0], predicted_offset.shape[3], 2), np.float32)
+    walls = np.empty((WALL_ROWS, segments.shape[2] + 1), np.float32)
+    scratch_action = np.empty(action.shape[2], np.float32)
+    for e in range(first, last):
+        for i in range(ego.shape[1]):
+            count = gather_rows(
+                ego[e, i],
+                humans[e, i],
+                humans_visible[e, i],
+                robots[e, i],
+                robots_visible[e, i],
+                plans.human_margin,
+                plans.robot_margin,
+                rows,
+            )
+            gather_offsets(humans_visible[e, i], predicted_offset[e, i], row_offset)
+            seen = gather_walls(segments[e, i], segments_visible[e, i], walls)
+            _choose_action(
+                rows,
+                row_offset,
+                count,
+                walls,
+                seen,
+                targets[e, i, 0],
+                targets[e, i, 1],
+                plans,
+                scratch_action,
+                action[e, i],
+                p,
+            )
 
 
 @function

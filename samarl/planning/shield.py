@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
 from mrsan import Observation, Scenario
@@ -145,7 +144,8 @@ class _Situation(NamedTuple):
 
 @kernel
 def _apply_shield(
-    chunks,
+    first,
+    last,
     ego,
     humans,
     humans_known,
@@ -159,46 +159,44 @@ def _apply_shield(
     settings,
     action,
 ):
-    total = ego.shape[0]
-    for chunk in prange(chunks):
-        rows = np.empty((1 + humans.shape[2] + robots.shape[2], 5), np.float32)
-        row_offset = np.zeros((rows.shape[0], predicted_offset.shape[3], 2), np.float32)
-        room = np.empty((WALL_ROWS, segments.shape[2] + 1), np.float32)
-        first_action = np.empty(action.shape[2], np.float32)
-        scratch_action = np.empty(action.shape[2], np.float32)
-        for e in range(chunk * total // chunks, (chunk + 1) * total // chunks):
-            for i in range(ego.shape[1]):
-                goal_x, goal_y = ego[e, i, GOAL_X], ego[e, i, GOAL_Y]
-                if goal_x * goal_x + goal_y * goal_y < p.robot_radius * p.robot_radius:
-                    continue  # it has arrived
-                count = gather_rows(
-                    ego[e, i],
-                    humans[e, i],
-                    humans_known[e, i],
-                    robots[e, i],
-                    robots_known[e, i],
-                    settings.human_margin,
-                    settings.robot_margin,
-                    rows,
+    rows = np.empty((1 + humans.shape[2] + robots.shape[2], 5), np.float32)
+    row_offset = np.zeros((rows.shape[0], predicted_offset.shape[3], 2), np.float32)
+    room = np.empty((WALL_ROWS, segments.shape[2] + 1), np.float32)
+    first_action = np.empty(action.shape[2], np.float32)
+    scratch_action = np.empty(action.shape[2], np.float32)
+    for e in range(first, last):
+        for i in range(ego.shape[1]):
+            goal_x, goal_y = ego[e, i, GOAL_X], ego[e, i, GOAL_Y]
+            if goal_x * goal_x + goal_y * goal_y < p.robot_radius * p.robot_radius:
+                continue  # it has arrived
+            count = gather_rows(
+                ego[e, i],
+                humans[e, i],
+                humans_known[e, i],
+                robots[e, i],
+                robots_known[e, i],
+                settings.human_margin,
+                settings.robot_margin,
+                rows,
+            )
+            walls = room[:, : gather_walls(segments[e, i], segments_seen[e, i], room)]
+            first_robot = gather_offsets(humans_known[e, i], predicted_offset[e, i], row_offset)
+            _shrink_margins(rows, count, p)
+            target_x, target_y = targets[e, i, 0], targets[e, i, 1]
+            situation = _Situation(
+                rows,
+                row_offset,
+                count,
+                first_robot,
+                walls,
+                target_x,
+                target_y,
+                goal_x == target_x and goal_y == target_y,
+            )
+            if not _is_safe(situation, action[e, i], scratch_action, settings, p):
+                _choose_continuation(
+                    situation, action[e, i], first_action, scratch_action, settings, p
                 )
-                walls = room[:, : gather_walls(segments[e, i], segments_seen[e, i], room)]
-                first_robot = gather_offsets(humans_known[e, i], predicted_offset[e, i], row_offset)
-                _shrink_margins(rows, count, p)
-                target_x, target_y = targets[e, i, 0], targets[e, i, 1]
-                situation = _Situation(
-                    rows,
-                    row_offset,
-                    count,
-                    first_robot,
-                    walls,
-                    target_x,
-                    target_y,
-                    goal_x == target_x and goal_y == target_y,
-                )
-                if not _is_safe(situation, action[e, i], scratch_action, settings, p):
-                    _choose_continuation(
-                        situation, action[e, i], first_action, scratch_action, settings, p
-                    )
 
 
 @function

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from mrsan import Observation, Scenario
 from mrsan.features import HEADING_COS, HEADING_SIN
 from mrsan.kernels import function
-from mrsan.prediction import ConstantVelocity, Predictor, find_predictor
+from mrsan.prediction import ConstantVelocity, Predictor, checked_prediction, find_predictor
 from mrsan.se2 import unrotate_vectors
 from samarl.observations.tracker import Tracker, TrackMemory, Tracks
 
@@ -51,7 +51,8 @@ class OffsetPredictor:
         visible = memory.human_age == 0
         self._history[..., -1, :], self._history_mask[..., -1] = memory.humans[..., :2], visible
         inputs = self._history, self._history_mask, memory.humans[..., 2:4], self.steps
-        world_offset = self.predictor.predict(*inputs) - self._constant_velocity.predict(*inputs)
+        predicted = checked_prediction(self.predictor, *inputs)
+        world_offset = predicted - self._constant_velocity.predict(*inputs)
         heading = np.stack([ego[..., HEADING_COS], ego[..., HEADING_SIN]], -1)[:, :, None, None]
         offset = np.zeros((*visible.shape, 1 + self.steps, 2), np.float32)
         body_offset = unrotate_vectors(world_offset, heading)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
 from mrsan.features import (
@@ -116,7 +115,7 @@ def action_to_motion(
 
 
 @kernel
-def _action_to_motion(chunks, ego, action, p, out):
+def _action_to_motion(first, last, ego, action, p, out):
     vx, vy = ego[0, 0, VELOCITY_X], ego[0, 0, VELOCITY_Y]
     new_vx, new_vy, turn = next_velocity(vx, vy, _ZERO, action[0, 0], p)
     speed = math.sqrt(new_vx * new_vx + new_vy * new_vy)
@@ -157,20 +156,18 @@ def retarget_actions(
 
 
 @kernel
-def _retarget_actions(chunks, ego, action, source, target, out):
-    total = ego.shape[0]
-    for chunk in prange(chunks):
-        for e in range(chunk * total // chunks, (chunk + 1) * total // chunks):
-            for i in range(ego.shape[1]):
-                vx, vy = ego[e, i, VELOCITY_X], ego[e, i, VELOCITY_Y]
-                desired_x, desired_y, turn = next_velocity(vx, vy, _ZERO, action[e, i], source)
-                turn_in_place_angle = TURN_IN_PLACE_ANGLE
-                if desired_x == _ZERO and desired_y == _ZERO:  # it stands and may turn in place
-                    desired_x = CREEP_SPEED * math.cos(turn)
-                    desired_y = CREEP_SPEED * math.sin(turn)
-                    turn_in_place_angle = _ZERO
-                speed = math.sqrt(vx * vx + vy * vy)
-                track_velocity(desired_x, desired_y, speed, out[e, i], target, turn_in_place_angle)
+def _retarget_actions(first, last, ego, action, source, target, out):
+    for e in range(first, last):
+        for i in range(ego.shape[1]):
+            vx, vy = ego[e, i, VELOCITY_X], ego[e, i, VELOCITY_Y]
+            desired_x, desired_y, turn = next_velocity(vx, vy, _ZERO, action[e, i], source)
+            turn_in_place_angle = TURN_IN_PLACE_ANGLE
+            if desired_x == _ZERO and desired_y == _ZERO:  # it stands and may turn in place
+                desired_x = CREEP_SPEED * math.cos(turn)
+                desired_y = CREEP_SPEED * math.sin(turn)
+                turn_in_place_angle = _ZERO
+            speed = math.sqrt(vx * vx + vy * vy)
+            track_velocity(desired_x, desired_y, speed, out[e, i], target, turn_in_place_angle)
 
 
 @function

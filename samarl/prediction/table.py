@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from mrsan.prediction import ConstantVelocity, Predictor
+from mrsan.prediction import ConstantVelocity, Predictor, checked_prediction
 from samarl.evaluation.table import markdown_table
 from samarl.files import machine
 from samarl.prediction.windows import Windows
@@ -17,7 +17,7 @@ def displacement(predictor: Predictor, windows: Windows, steps: int) -> list[flo
     """Return the mean displacement error of predictions after 1..K steps, m."""
     known = windows.known[:, None, -predictor.history :]
     past = windows.past[:, None, -predictor.history :]
-    predicted = predictor.predict(past, known, windows.velocity[:, None], steps)[:, 0]
+    predicted = checked_prediction(predictor, past, known, windows.velocity[:, None], steps)[:, 0]
     error = np.linalg.norm(predicted - windows.future[:, :steps], axis=-1).mean(0)
     return [round(float(value), 4) for value in error]
 

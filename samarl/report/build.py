@@ -1,12 +1,11 @@
-"""The HTML report of a results folder."""
+"""The web pages of a results folder, and of the curves of training runs."""
 
 from __future__ import annotations
 
-import json
 import re
 import shutil
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -14,38 +13,46 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from matplotlib.figure import Figure
 
 from mrsan import ConfigurationError
-from samarl.configuration import load_scenario
+from samarl.evaluation.labels import labelled
 from samarl.evaluation.metrics import Tables
 from samarl.evaluation.seeds import without_seed
-from samarl.evaluation.summary import Row, read_rows, scenario_column
+from samarl.evaluation.summary import Row, read_rows
 from samarl.evaluation.table import (
     co_planning_as_cells,
-    column_name,
+    column_title,
     counts_collisions,
     grid_of,
     group_by_kind,
     has_driving_metrics,
     rows_as_cells,
-    setting_name,
 )
-from samarl.evaluation.trajectory import Trajectory
 from samarl.files import atomic_write, code_version, write_text
-from samarl.progress import progress_bar
-from samarl.report.curves import Runs, chart_data, group_runs, is_performance
+from samarl.report.curves import Runs, chart_data, group_runs
 from samarl.report.figures import (
-    baselines,
-    curve_title,
     draw_curves,
     draw_table,
+    is_performance,
     read_curve,
     sweep_figures,
 )
-from samarl.report.leaderboard import GROUPS, is_best, ranked
-from samarl.report.replays import as_replay
+from samarl.report.leaderboard import GROUPS, Line, is_best, ranked
 from samarl.report.style import PALETTE, save_figure
 
 _TEMPLATES = Path(__file__).parent / "site"
-_MARKER = "viewer.js"  # identifies the folder of an earlier report
+_MARKER = "site.css"  # identifies the folder of an earlier report
+_FUNCTIONS = {  # that templates use
+    "co_planning_as_cells": co_planning_as_cells,
+    "column_title": column_title,
+    "counts_collisions": counts_collisions,
+    "grid_of": grid_of,
+    "groups": GROUPS,
+    "has_driving_metrics": has_driving_metrics,
+    "is_best": is_best,
+    "labelled": labelled,
+    "ranked": ranked,
+    "rows_as_cells": rows_as_cells,
+    "Tables": Tables,
+}
 
 
 @dataclass
@@ -61,17 +68,20 @@ class Table:
         return slug(self.name)
 
     @property
+    def page(self) -> str:
+        """The name of the file of its page."""
+        return f"table-{self.key.removeprefix('table-')}.html"
+
+    @property
     def episodes(self) -> str:
         """The number of cases per row, or the smallest and the largest number."""
         counts = sorted({row["episodes"] for row in self.rows})
         return " to ".join(str(count) for count in sorted({counts[0], counts[-1]}))
 
-    def parts(self) -> list[Table]:
-        """Return one table per kind of column, or an empty list if there is only one kind."""
-        kinds = group_by_kind(self.rows)
-        if len(kinds) == 1:
-            return []
-        return [Table(f"{self.name}: {kind.lower()}", rows) for kind, rows in kinds.items()]
+    def best(self, group: str) -> Line | None:
+        """Return the best of the methods of a group that play every column, if there are any."""
+        lines = (line for line in ranked(self.rows) if line.group == group)
+        return next((line for line in lines if None not in line.rows), None)
 
 
 @dataclass
@@ -82,23 +92,64 @@ class SavedFigure:
     title: str
 
 
+@dataclass
+class Site:
+    """Pages in a folder, and the figures that they show."""
+
+    folder: Path
+    pages: dict[str, str]  # the title of each page in the menu
+    command: str  # shown in the footer
+    figures: dict[str, Figure] = field(default_factory=dict)  # to be saved
+
+    def __post_init__(self) -> None:
+        """Write what all pages need."""
+        self._environment = Environment(
+            loader=FileSystemLoader(_TEMPLATES),
+            autoescape=True,
+            trim_blocks=True,
+            lstrip_blocks=True,
+            undefined=StrictUndefined,
+        )
+        self._environment.globals |= _FUNCTIONS | {
+            "pages": self.pages,
+            "command": self.command,
+            "commit": code_version(),
+        }
+        self.write("site.css", "site.css", palette=PALETTE)
+
+    def write(self, name: str, template: str, **content: Any) -> None:
+        """Write a page."""
+        page = name.removesuffix(".html")
+        text = self._environment.get_template(template).render(page=page, **content)
+        write_text(self.folder / name, text)
+
+    def copy_script(self, name: str) -> None:
+        """Copy a script that pages use."""
+        write_text(self.folder / name, (_TEMPLATES / name).read_text(encoding="utf-8"))
+
+    def figure(self, title: str, key: str, figure: Figure) -> SavedFigure:
+        """Return the names of a figure for a page, which `save_figures` saves."""
+        self.figures[slug(key)] = figure
+        return SavedFigure(slug(key), title)
+
+    def save_figures(self) -> None:
+        """Save all figures, which takes longer than writing the pages."""
+        for key, figure in self.figures.items():
+            for extension in ("svg", "png"):
+                save_figure(figure, self.folder / f"figures/{key}.{extension}")
+
+
 def build_site(
-    output: Path,
-    results: Path,
-    trajectories: Sequence[tuple[str, int, Trajectory]],
-    split: str,
-    command: str = "samarl-report",
+    output: Path, results: Path, command: str = "samarl-report", has_replays: bool = False
 ) -> list[Path]:
-    """Build all pages in a new folder, replacing an earlier report.
+    """Build all pages but the replays in a folder, replacing an earlier report.
 
     Args:
-        output: output folder.
+        output: output folder; replays in an earlier report remain there, see `ReplayFolder`.
         results: folder with tables in `*.json`, learning curves in `curves/*.csv` and sweeps in
             `sweeps/*.json`.
-        trajectories: for each replay the name of the method, the index of the case in the split,
-            and the trajectory.
-        split: name of the split.
         command: command line shown in the footer.
+        has_replays: whether replays will be added.
 
     Returns:
         All files of the report.
@@ -106,95 +157,97 @@ def build_site(
     Raises:
         ConfigurationError: the folder contains other files, or a result cannot be read.
     """
+    check_output(output)
+    new = output.with_name(output.name + ".part")
+    shutil.rmtree(new, ignore_errors=True)
+    try:
+        site = _write_pages(new, results, command, has_replays)
+        if has_replays and (output / "replays").is_dir():
+            (output / "replays").replace(new / "replays")
+        if output.exists():
+            shutil.rmtree(output)
+        new.replace(output)
+    finally:
+        shutil.rmtree(new, ignore_errors=True)
+    site.folder = output
+    site.save_figures()
+    return sorted(file for file in output.rglob("*") if file.is_file())
+
+
+def check_output(output: Path) -> None:
+    """Check that a folder can be replaced.
+
+    Raises:
+        ConfigurationError: it contains other files than an earlier report.
+    """
     if output.exists() and not (output / _MARKER).is_file() and any(output.iterdir()):
         raise ConfigurationError(
             f"output is {str(output)!r}; it must be a new folder or contain an earlier report"
         )
-    site = output.with_name(output.name + ".part")
-    shutil.rmtree(site, ignore_errors=True)
-    try:
-        _build_pages(site, results, trajectories, split, command)
-        if output.exists():
-            shutil.rmtree(output)
-        site.replace(output)
-    finally:
-        shutil.rmtree(site, ignore_errors=True)
-    return sorted(file for file in output.rglob("*") if file.is_file())
 
 
-def _build_pages(
-    site: Path,
-    results: Path,
-    trajectories: Sequence[tuple[str, int, Trajectory]],
-    split: str,
-    command: str,
-) -> None:
-    """Write all files of the report into the folder `site`; see `build_site`."""
+def _write_pages(folder: Path, results: Path, command: str, has_replays: bool) -> Site:
+    """Write the pages of a results folder; return the site, whose figures are not saved yet."""
     tables, sweeps = read_tables(results), read_tables(results / "sweeps")
-    transfer = [part for table in tables for part in table.parts()]
-    tables = [table for table in tables if not table.parts()]
+    tables = [part for table in tables for part in _parts(table)]
     runs = read_runs(results / "curves")
     pages = {
         "index": "Results",
-        "transfer": "Transfer" if transfer else "",
         "curves": "Learning curves" if runs else "",
         "sweeps": "Sweeps" if sweeps else "",
-        "replays": "Replays" if trajectories else "",
+        "replays": "Replays" if has_replays else "",
     }
-    environment = _environment(
-        pages={page: title for page, title in pages.items() if title},
-        command=command,
-        cards=_copy_cards(results / "checkpoints", site),
-    )
-
-    def write(name: str, **content: Any) -> None:
-        write_text(site / name, environment.get_template(name).render(page=name, **content))
-
-    write("site.css", palette=PALETTE)
-    headlines = {
-        table.name: _save(draw_table(table.rows), table.key, table.name, site)
-        for table in (*tables, *transfer)
-    }
-    write("index.html", tables=tables, headlines=headlines)
-    if transfer:
-        write("transfer.html", tables=transfer, headlines=headlines)
+    site = Site(folder, {page: title for page, title in pages.items() if title}, command)
+    cards = _copy_cards(results / "checkpoints", folder)
+    site.write("index.html", "index.html", tables=tables)
+    for table in tables:
+        figure = site.figure(table.name, table.key, draw_table(table.rows))
+        site.write(table.page, "table.html", table=table, tables=tables, cards=cards, figure=figure)
     if runs:
-        rows = [row for table in tables for row in table.rows]
-        groups = group_runs(runs, results / "checkpoints")
-        figures = _draw_runs(groups, rows, site)
-        write("curves.html", figures=figures, chart=chart_data(groups))
+        _write_curves(site, "curves.html", group_runs(runs, results / "checkpoints"))
     if sweeps:
-        drawn = {sweep.name: _draw_sweep(sweep, site) for sweep in sweeps}
-        write("sweeps.html", sweeps=sweeps, figures=drawn)
-    if trajectories:
-        write("replays.html", replays=_write_replays(trajectories, split, site))
-    for script in _TEMPLATES.glob("*.js"):
-        write_text(site / script.name, script.read_text(encoding="utf-8"))
+        figures = {
+            sweep.name: [
+                site.figure(title, f"{sweep.key}-{title}", figure)
+                for title, figure in sweep_figures(labelled(sweep.rows))
+            ]
+            for sweep in sweeps
+        }
+        site.write("sweeps.html", "sweeps.html", sweeps=sweeps, figures=figures)
+    if has_replays:
+        site.write("replays.html", "replays.html")
+        site.copy_script("viewer.js")
+    site.copy_script("sort.js")
+    return site
 
 
-def _environment(**variables: Any) -> Environment:
-    """Return the template environment with the functions and variables that templates use."""
-    environment = Environment(
-        loader=FileSystemLoader(_TEMPLATES),
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        undefined=StrictUndefined,
-    )
-    environment.globals |= variables | {
-        "commit": code_version(),
-        "grid_of": grid_of,
-        "co_planning_as_cells": co_planning_as_cells,
-        "counts_collisions": counts_collisions,
-        "setting_name": setting_name,
-        "rows_as_cells": rows_as_cells,
-        "has_driving_metrics": has_driving_metrics,
-        "Tables": Tables,
-        "groups": GROUPS,
-        "ranked": ranked,
-        "is_best": is_best,
-    }
-    return environment
+def build_curves(output: Path, runs: Runs, command: str) -> None:
+    """Write a page with the curves of training runs, and a picture of success and social score.
+
+    Raises:
+        ConfigurationError: the folder contains other files.
+    """
+    check_output(output)
+    site = Site(output, {"index": "Learning curves"}, command)
+    columns = dict.fromkeys(c for curves in runs.values() for curve in curves for c in curve)
+    shared = [c for c in columns if all(c in curve for curves in runs.values() for curve in curves)]
+    drawn = [column for column in shared or columns if is_performance(column)] or list(columns)[:1]
+    save_figure(draw_curves(runs, *drawn), output / "curves.png")
+    _write_curves(site, "index.html", {"training runs": runs}, "curves.png")
+
+
+def _write_curves(site: Site, name: str, groups: Mapping[str, Runs], picture: str = "") -> None:
+    """Write a page with a chart of learning curves, and a link to a picture of them, if any."""
+    site.write(name, "curves.html", chart=chart_data(groups), picture=picture)
+    site.copy_script("curves.js")
+
+
+def _parts(table: Table) -> list[Table]:
+    """Return one table per kind of column."""
+    kinds = group_by_kind(table.rows)
+    if len(kinds) == 1:
+        return [table]
+    return [Table(f"{table.name}: {kind.lower()}", rows) for kind, rows in kinds.items()]
 
 
 def read_tables(folder: Path) -> list[Table]:
@@ -222,33 +275,6 @@ def read_runs(folder: Path) -> Runs:
     return runs
 
 
-def _draw_runs(
-    groups: dict[str, Runs], rows: Sequence[Row], site: Path
-) -> dict[str, list[SavedFigure]]:
-    """Draw success and social score of every group of runs."""
-    pairs = [
-        (task, column)
-        for task, runs in groups.items()
-        for column in dict.fromkeys(
-            c for curves in runs.values() for curve in curves for c in curve
-        )
-        if is_performance(column)
-    ]
-    figures: dict[str, list[SavedFigure]] = {task: [] for task in groups}
-    for task, column in progress_bar(pairs, desc="curves", unit="figure"):
-        figure = draw_curves(groups[task], column, baselines(rows, column))
-        title = f"{task}, {curve_title(column)}"
-        figures[task].append(_save(figure, f"curve-{task}-{column}", title, site))
-    return figures
-
-
-def _draw_sweep(sweep: Table, site: Path) -> list[SavedFigure]:
-    return [
-        _save(figure, f"{sweep.key}-{title}", title, site)
-        for title, figure in sweep_figures(sweep.rows)
-    ]
-
-
 def _copy_cards(checkpoints: Path, site: Path) -> set[str]:
     """Copy the cards of the policies, which tell how each was trained; return their names."""
     cards = sorted(checkpoints.glob("*.json"))
@@ -256,42 +282,6 @@ def _copy_cards(checkpoints: Path, site: Path) -> set[str]:
         with atomic_write(site / "cards" / card.name) as part:
             shutil.copyfile(card, part)
     return {card.stem for card in cards}
-
-
-def _save(figure: Figure, name: str, title: str, site: Path) -> SavedFigure:
-    for extension in ("svg", "png"):
-        save_figure(figure, site / "figures" / f"{slug(name)}.{extension}")
-    return SavedFigure(slug(name), title)
-
-
-def _write_replays(
-    trajectories: Sequence[tuple[str, int, Trajectory]], split: str, site: Path
-) -> list[dict[str, Any]]:
-    """Write one script per replay, since pages opened from a disk may not fetch data.
-
-    Returns:
-        The entries for the lists of the viewer.
-    """
-    entries: list[dict[str, Any]] = []
-    for method, case, trajectory in trajectories:
-        scenario = trajectory.scenario
-        column = scenario_column(scenario, load_scenario(scenario.name))
-        key = slug(f"{method}-{column_name(column)}-{split}-{case}")
-        data = json.dumps(as_replay(trajectory), separators=(",", ":"))
-        write_text(site / f"replays/{key}.js", f"replay({json.dumps(key)},{data});\n")
-        people = "" if column.recording else f"{scenario.humans} humans"
-        words = [f"{scenario.fov_degrees:g}° view", people, f"{scenario.robots} robots"]
-        words.append(setting_name(column))
-        entries.append(
-            {
-                "key": key,
-                "method": method,
-                "column": ", ".join(filter(None, words)),
-                "case": f"{split} case {case}",
-                "success": bool(trajectory.episodes.success[0]),
-            }
-        )
-    return entries
 
 
 def readable(stem: str) -> str:

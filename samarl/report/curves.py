@@ -2,19 +2,60 @@
 
 from __future__ import annotations
 
+import os
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from mrsan import Layout
+from mrsan import ConfigurationError, Layout
+from samarl.evaluation.labels import label_of
 from samarl.files import read_json
-from samarl.report.figures import Curve, curve_title, curve_unit, is_success, mean_and_range
+from samarl.report.figures import (
+    Curve,
+    curve_title,
+    curve_unit,
+    is_performance,
+    is_success,
+    mean_and_range,
+    read_curve,
+)
 from samarl.report.leaderboard import is_ablation
 
 Runs = dict[str, list[Curve]]  # the curves of all seeds, by run
 _POINTS = 60  # per line of the chart
+_SEED = re.compile(r"[_,-]?(trainer\.)?seed[-_=]?\d+")  # in the name of a folder
+
+
+def read_run_folders(folders: Sequence[Path]) -> Runs:
+    """Return the curves of training runs by their folders without training seeds.
+
+    Args:
+        folders: each that of a run, or one that contains some.
+
+    Raises:
+        ConfigurationError: a folder contains no curve, or none of them has any values yet.
+    """
+    files: dict[Path, None] = {}
+    for folder in folders:
+        inside = sorted(folder.absolute().rglob("progress.csv"))
+        if not inside:
+            raise ConfigurationError(
+                f"FOLDER is {str(folder)!r}; it must be the folder of a training run, with its "
+                "progress.csv, or contain some"
+            )
+        files |= dict.fromkeys(inside)
+    common = os.path.commonpath([file.parent.parent for file in files])
+    runs: Runs = {}
+    for file in files:
+        if curve := read_curve(file):
+            name = _SEED.sub("", file.parent.relative_to(common).as_posix())
+            runs.setdefault(name or file.parent.parent.name, []).append(curve)
+    if not runs:
+        raise ConfigurationError(f"{next(iter(files))} has no values yet; wait for the first round")
+    return runs
 
 
 def group_runs(runs: Runs, checkpoints: Path) -> dict[str, Runs]:
@@ -68,7 +109,7 @@ def chart_data(groups: Mapping[str, Runs]) -> list[dict[str, Any]]:
         quantities = [{"key": c, "title": curve_title(c), "unit": curve_unit(c)} for c in order]
         entries = [
             {
-                "name": name,
+                "name": label_of(name),
                 "seeds": len(curves),
                 "main": not is_ablation(name),
                 "lines": {column: line for column in order if (line := _line(curves, column))},
@@ -77,11 +118,6 @@ def chart_data(groups: Mapping[str, Runs]) -> list[dict[str, Any]]:
         ]
         data.append({"title": title, "quantities": quantities, "runs": entries})
     return data
-
-
-def is_performance(column: str) -> bool:
-    """Return whether a column holds success rates or social scores."""
-    return "success" in column or "score" in column
 
 
 def _line(curves: Sequence[Curve], column: str) -> list[list[float]]:

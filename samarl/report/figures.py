@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import math
 import re
+import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
@@ -12,18 +13,18 @@ import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.ticker import EngFormatter
 from numpy.typing import NDArray
 
 from mrsan import ConfigurationError, Scenario
 from samarl.evaluation.summary import Column, Row, column_of
-from samarl.evaluation.table import column_name, grid_of, row_settings
+from samarl.evaluation.table import column_name, column_title, grid_of, row_settings
 from samarl.report.leaderboard import ranked
 from samarl.report.style import COLOURS, INK, MUTED, STYLE
 
 Points = tuple[NDArray[np.float64], NDArray[np.float64]]  # steps and values
 Curve = dict[str, Points]  # by column
-_BASELINES = ("model_predictive", "perimeter")  # planners shown beside learning curves
 _AXES = {"fov_degrees": "field of view, degrees", "humans": "humans", "robots": "robots"}
 _UNITS = {  # of fields of the scenario that sweeps vary
     "position_noise": "m",
@@ -38,6 +39,7 @@ _UNITS = {  # of fields of the scenario that sweeps vary
 _POINTS = 200  # drawn per curve
 _DASHES = ("-", "--", ":", "-.")  # the next style once all colours are used
 _PANELS = 5  # of a table, per line
+_CURVE_PANELS = 3  # per line
 _LIGHT_TEXT, _DARK_TEXT = "#FDFDFD", "#111111"  # on a heat map, in light and dark mode
 
 
@@ -69,69 +71,49 @@ def _number(text: str | None) -> float:
         return math.nan
 
 
-def baselines(rows: Sequence[Row], column: str) -> dict[str, float]:
-    """Return the planners' results on the test cases of the column of a validation curve, %."""
-    match = re.fullmatch(r"validation/(success|social_score)_([\d.]+)_(\d+)h_(\d+)r", column)
-    if not match:
-        return {}
-    key = {"success": "success_rate", "social_score": "social_score"}[match[1]]
-    setting = Column(float(match[2]), int(match[3]), int(match[4]))
-    return {
-        row["method"]: row[key]
-        for row in rows
-        if row["method"] in _BASELINES and column_of(row) == setting
-    }
-
-
-def draw_curves(
-    runs: dict[str, list[Curve]], column: str, levels: Mapping[str, float] | None = None
-) -> Figure:
-    """Draw one column of all runs: the mean over seeds as a line, their range as a band.
+def draw_curves(runs: Mapping[str, Sequence[Curve]], *columns: str) -> Figure:
+    """Draw columns of all runs in panels: means over seeds as lines, their ranges as bands.
 
     Args:
         runs: the curves of all seeds, by run.
-        column: the column to draw.
-        levels: values drawn as horizontal lines, by name.
+        columns: the columns to draw.
     """
-    drawn = {
-        name: seeds
-        for name, curves in runs.items()
-        if (seeds := [curve[column] for curve in curves if column in curve])
-    }
-    entries = len(drawn) + len(levels or {})
-    size = (4.6, 3.0 if entries <= len(COLOURS) else 3.0 + 0.2 * entries)
+    width = min(len(columns), _CURVE_PANELS)
+    height = math.ceil(len(columns) / width)
     with rc_context(STYLE):
-        figure = Figure(figsize=size, layout="constrained")
-        axes = figure.add_subplot()
-        for i, name in enumerate(runs):  # a run has the same colour in every figure
-            if name in drawn:
-                _draw_run(axes, i, name, drawn[name], 100.0 if is_success(column) else 1.0)
-        for i, (name, level) in enumerate((levels or {}).items()):
-            dots = (0, (1 + 2 * i, 1 + i))
-            axes.axhline(level, color=MUTED, linewidth=1.2, linestyle=dots, label=name)
-        axes.set_title(curve_title(column), loc="left")
-        axes.set_ylabel(curve_unit(column))
-        axes.set_xlabel("world steps")
-        axes.xaxis.set_major_formatter(EngFormatter(sep=""))
-        if "success" in column or "score" in column:
-            axes.set_ylim(-2, 102)
-        if entries > len(COLOURS):
-            figure.legend(loc="outside lower left")
-        elif entries:
-            axes.legend(fontsize=10, loc="best")
+        figure = Figure(figsize=(4.6 * width, 3.0 * height), layout="constrained")
+        panels = figure.subplots(height, width, squeeze=False).ravel()
+        lines: dict[str, Line2D] = {}
+        for axes, column in zip(panels, columns, strict=False):
+            for i, (name, curves) in enumerate(runs.items()):
+                seeds = [curve[column] for curve in curves if column in curve]
+                if seeds:  # a run has the same colour in every panel
+                    line = _draw_run(axes, i, seeds, 100.0 if is_success(column) else 1.0)
+                    lines[f"{name} ({len(seeds)} seed{'s' if len(seeds) > 1 else ''})"] = line
+            axes.set_title(curve_title(column), loc="left")
+            axes.set_ylabel(curve_unit(column))
+            axes.set_xlabel("world steps")
+            axes.xaxis.set_major_formatter(EngFormatter(sep=""))
+            if is_performance(column):
+                axes.set_ylim(-2, 102)
+        for unused in panels[len(columns) :]:
+            unused.set_visible(False)
+        if lines:
+            handles, names = list(lines.values()), list(lines)
+            figure.legend(handles, names, loc="outside lower left", ncols=width, fontsize=10)
     return figure
 
 
-def _draw_run(axes: Axes, i: int, name: str, seeds: Sequence[Points], scale: float) -> None:
-    """Draw the mean and the range of the seeds of run `i`."""
+def _draw_run(axes: Axes, i: int, seeds: Sequence[Points], scale: float) -> Line2D:
+    """Draw the mean and the range of the seeds of run `i`; return the line of the mean."""
     grid, *values = mean_and_range(seeds)
     mean, low, high = (scale * value for value in values)
     colour, dashes = COLOURS[i % len(COLOURS)], _DASHES[i // len(COLOURS) % len(_DASHES)]
-    label = f"{name} ({len(seeds)} seed{'s' if len(seeds) > 1 else ''})"
     marker = "o" if len(grid) == 1 else None  # a single point has no line
-    axes.plot(grid, mean, dashes, marker=marker, color=colour, linewidth=1.5, label=label)
+    (line,) = axes.plot(grid, mean, dashes, marker=marker, color=colour, linewidth=1.5)
     if len(seeds) > 1:
         axes.fill_between(grid, low, high, color=colour, alpha=0.18, linewidth=0)
+    return line
 
 
 def mean_and_range(
@@ -151,6 +133,11 @@ def mean_and_range(
     return grid, values.mean(0), values.min(0), values.max(0)
 
 
+def is_performance(column: str) -> bool:
+    """Return whether a column holds success rates or social scores."""
+    return "success" in column or "score" in column
+
+
 def is_success(column: str) -> bool:
     """Return whether a column holds success rates, which are shown in %."""
     return "success" in column
@@ -168,7 +155,9 @@ def curve_unit(column: str) -> str:
 def curve_title(column: str) -> str:
     """Return the title of a column of a learning curve."""
     group, _, name = column.rpartition("/")
-    name = re.sub(r"_([\d.]+)_(\d+h)_(\d+r)$", r", \1° \2 \3", name)  # column of a table
+    name = re.sub(
+        r"_([\d.]+)_(\d+)h_(\d+)r$", r", \1°, \2 people, \3 robots", name
+    )  # column of a table
     name = name.replace("success", "success %").replace("_", " ")
     return f"{'training' if group == 'charts' else group}: {name}"
 
@@ -280,19 +269,17 @@ def draw_bars(rows: Sequence[Row], title: str) -> Figure:
 def draw_table(rows: Sequence[Row]) -> Figure:
     """Draw success with its interval and the social score of all methods, one panel per column."""
     grid = grid_of(rows)
-    lines = ranked(rows)[::-1]  # the first is drawn at the top
-    methods = [line.name for line in lines]
+    lines = ranked(rows)
     y = np.arange(len(lines))
     with rc_context({**STYLE, "axes.grid.axis": "x"}):
         height = math.ceil(len(grid.columns) / _PANELS)
         width = math.ceil(len(grid.columns) / height)
-        size = (1.6 + 1.9 * width, 0.5 + (0.4 + 0.24 * len(methods)) * height)
+        size = (2.2 + 1.9 * width, 0.5 + (0.8 + 0.24 * len(lines)) * height)
         figure = Figure(figsize=size, layout="constrained")
         panels = figure.subplots(height, width, sharey=True, squeeze=False).ravel()
         for unused in panels[len(grid.columns) :]:
             unused.set_visible(False)
-        panels = panels[: len(grid.columns)]
-        for c, (axes, column) in enumerate(zip(panels, grid.columns, strict=True)):
+        for c, (axes, column) in enumerate(zip(panels, grid.columns, strict=False)):
             cells = [line.rows[c] for line in lines]
             filled = np.array([row is not None for row in cells])
             rate, low, high, social = (
@@ -310,14 +297,22 @@ def draw_table(rows: Sequence[Row]) -> Figure:
                 error_kw={"elinewidth": 1, "capsize": 2},
             )
             axes.plot(social, y[filled], "D", color=COLOURS[1], markersize=4, label="social score")
-            for line in y[~filled]:
-                axes.text(2, line, "not played", va="center", fontsize=9, color=MUTED)
+            for line, row in enumerate(cells):
+                text, colour = ("-", MUTED) if row is None else (f"{row['success_rate']:.0f}", INK)
+                axes.text(105, line, text, va="center", fontsize=8, color=colour)
             axes.set_xlim(0, 100)
-            axes.set_title(column_name(column), loc="left")
-            axes.set_xlabel("success %, score")
-        panels[0].set_yticks(y, methods)
+            axes.set_title(textwrap.fill(column_title(column), 20), loc="left")
+        panels[0].set_yticks(y, [line.label for line in lines])
+        panels[0].set_ylim(len(lines) - 0.4, -0.6)  # of all
+        handles, names = panels[0].get_legend_handles_labels()
+        has_gaps = any(None in line.rows for line in lines)
         figure.legend(
-            *panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=2, fontsize=10
+            handles,
+            names,
+            title="numbers: success %" + (", -: not played" if has_gaps else ""),
+            loc="outside lower center",
+            ncols=2,
+            fontsize=10,
         )
     return figure
 

@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
+from typing import Any
 
-from markupsafe import Markup, escape
+import yaml
 
 from samarl.configuration import available_agents, load_agent_config
+from samarl.evaluation.labels import label_of
 from samarl.evaluation.summary import Row, column_of
 from samarl.evaluation.table import grid_of
 from samarl.files import find_folder
@@ -27,9 +29,9 @@ class Line:
     rows: list[Row | None]  # one per column
 
     @property
-    def label(self) -> Markup:
-        """The name with line breaks allowed after underscores."""
-        return Markup(str(escape(self.name)).replace("_", "_<wbr>"))
+    def label(self) -> str:
+        """The name for readers."""
+        return label_of(self.name)
 
     @property
     def success(self) -> float:
@@ -58,7 +60,7 @@ def is_best(row: Row, rows: Sequence[Row]) -> bool:
 
 def _line(name: str, rows: list[Row | None]) -> Line:
     """Return the line of a method; methods without a configuration file count as planners."""
-    checkpoint = _checkpoint(name)
+    checkpoint = _configuration(name).get("checkpoint")
     group = "planner" if checkpoint is None else "learned"
     if is_ablation(name):
         group = "ablation"
@@ -71,9 +73,18 @@ def is_ablation(name: str) -> bool:
 
 
 @cache
-def _checkpoint(name: str) -> str | None:
-    """Return the checkpoint of an agent's configuration; cached, since composing it is slow."""
-    return load_agent_config(name).get("checkpoint") if name in available_agents() else None
+def _configuration(name: str) -> dict[str, Any]:
+    """Return the settings of an agent, empty if it has no file.
+
+    Those of `conf/agent/` are read without Hydra, which would take seconds for all of them.
+    """
+    path = find_folder("conf") / "agent" / f"{name}.yaml"
+    if not path.is_file():
+        return load_agent_config(name) if name in available_agents() else {}
+    own = yaml.safe_load(path.read_text(encoding="utf-8"))
+    for parent in own.pop("defaults", []):
+        own = _configuration(parent) | own
+    return own
 
 
 @cache

@@ -1,7 +1,11 @@
-"""Trajectories as compact JSON for the viewer of the report."""
+"""The replays of the report: trajectories as compact JSON for the viewer, kept between reports."""
 
 from __future__ import annotations
 
+import hashlib
+import json
+from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,7 +13,85 @@ from numpy.typing import NDArray
 
 from mrsan import Outcome
 from mrsan.sensors.walls import ray_angles
+from samarl.configuration import load_scenario
+from samarl.evaluation.labels import label_of
+from samarl.evaluation.summary import scenario_column
+from samarl.evaluation.table import column_title
 from samarl.evaluation.trajectory import Trajectory
+from samarl.files import write_text
+
+_INDEX, _PREFIX = "index.js", "const replays = "
+
+
+class ReplayFolder:
+    """The scripts of all replays, and an index of them, to which they are added one by one.
+
+    Scripts, since pages that are opened from a disk may not fetch data.
+    """
+
+    def __init__(self, folder: Path, keys: Sequence[str]) -> None:
+        """Keep the replays of an earlier report that have one of the keys, and remove the others.
+
+        Args:
+            folder: the folder of the replays.
+            keys: of all planned replays; each contains a digest of what its replay depends on.
+        """
+        self._folder, self._keys = folder, keys
+        earlier: dict[str, Any] = {}
+        if (folder / _INDEX).is_file():
+            text = (folder / _INDEX).read_text(encoding="utf-8")
+            earlier = json.loads(text[len(_PREFIX) : -2])["entries"]
+        scripts = {path.stem: path for path in folder.glob("*.js") if path.name != _INDEX}
+        self._entries = {key: earlier[key] for key in keys if key in scripts and key in earlier}
+        for key, script in scripts.items():
+            if key not in self._entries:
+                script.unlink()
+        self._write_index(len(keys))
+
+    def __contains__(self, key: str) -> bool:
+        """Return whether a replay is already recorded."""
+        return key in self._entries
+
+    def add(self, key: str, method: str, case: str, trajectory: Trajectory) -> None:
+        """Write a replay and add it to the index."""
+        data = json.dumps(as_replay(trajectory), separators=(",", ":"))
+        write_text(self._folder / f"{key}.js", f"replay({json.dumps(key)},{data});\n")
+        scenario = trajectory.scenario
+        self._entries[key] = {
+            "method": label_of(method),
+            "column": column_title(scenario_column(scenario, load_scenario(scenario.name))),
+            "case": case,
+            "success": bool(trajectory.episodes.success[0]),
+        }
+        self._write_index(len(self._keys))
+
+    def close(self) -> None:
+        """Note that no more replays will be added."""
+        self._write_index(len(self._entries))
+
+    def _write_index(self, total: int) -> None:
+        order = [key for key in self._keys if key in self._entries]
+        index = {"total": total, "entries": {key: self._entries[key] for key in order}}
+        write_text(self._folder / _INDEX, f"{_PREFIX}{json.dumps(index)};\n")
+
+
+def digest_of(*parts: Any) -> str:
+    """Return a digest of values, and of the content of the files that they name."""
+    digest = hashlib.sha256(json.dumps(parts, default=str).encode())
+    for path in sorted(set(_files(parts))):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:10]
+
+
+def _files(value: Any) -> Iterator[Path]:
+    """Yield the files that a value or any value in it names."""
+    if isinstance(value, str) and len(value) < 1000 and Path(value).is_file():
+        yield Path(value)
+    elif isinstance(value, dict):
+        yield from _files(list(value.values()))
+    elif isinstance(value, list | tuple):
+        for item in value:
+            yield from _files(item)
 
 
 def as_replay(trajectory: Trajectory) -> dict[str, Any]:

@@ -6,7 +6,9 @@ from pathlib import Path
 from typing import Any
 
 from matplotlib import rc_context
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 from PIL import Image
 
 from mrsan.rendering import ROBOT_COLOURS
@@ -51,6 +53,17 @@ STYLE: Any = {
     "ytick.color": MUTED,
     "ytick.labelcolor": INK,
 }
+
+
+def show_floor(axes: Axes, low: NDArray[Any], high: NDArray[Any], margin: float) -> None:
+    """Make axes show a floor between its corners [2], with a margin, in metres of equal length."""
+    axes.set(
+        xlim=(low[0] - margin, high[0] + margin),
+        ylim=(low[1] - margin, high[1] + margin),
+        xlabel="x (m)",
+        ylabel="y (m)",
+        aspect="equal",
+    )
 
 
 def save_figure(figure: Figure, path: Path) -> None:

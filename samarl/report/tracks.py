@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from mrsan.recording import People
-from samarl.report.style import MUTED, STYLE, save_figure
+from samarl.report.style import MUTED, STYLE, save_figure, show_floor
 
 # Without the brightest shades, which are hard to see on white.
 _SHADES = ListedColormap(colormaps["viridis"](np.linspace(0.0, 0.92, 256)))
@@ -56,13 +56,7 @@ def save_tracks(people: People, title: str, path: Path) -> None:
             edgecolors="white",
             linewidths=0.7,
         )
-        axes.set(
-            xlim=(low[0] - margin, high[0] + margin),
-            ylim=(low[1] - margin, high[1] + margin),
-            xlabel="x (m)",
-            ylabel="y (m)",
-            aspect="equal",
-        )
+        show_floor(axes, low, high, margin)
         axes.grid(True, axis="both")
         shown = "\n".join(textwrap.fill(line, 90) for line in title.splitlines())
         axes.set_title(shown, parse_math=False)

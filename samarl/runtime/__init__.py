@@ -2,7 +2,9 @@
 
 from samarl.runtime.driver import Command, Driver
 from samarl.runtime.inputs import Detection, InputError, OwnState
-from samarl.runtime.walls import KnownMap, walls_of_scan
+from samarl.runtime.robot_shield import ShieldReason
+from samarl.runtime.scan import measured_ranges, walls_of_scan
+from samarl.runtime.walls import KnownMap
 
 __all__ = [
     "Command",
@@ -11,5 +13,7 @@ __all__ = [
     "InputError",
     "KnownMap",
     "OwnState",
+    "ShieldReason",
+    "measured_ranges",
     "walls_of_scan",
 ]

@@ -11,28 +11,27 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mrsan import EGO_FEATURES, OTHER_FEATURES, Entities, Observation
+from mrsan import EGO_FEATURES, Entities, Observation
 from mrsan.observation import parts_of_named
 from mrsan.parameters import kernel_parameters
 from mrsan.se2 import unrotate
 from samarl.observations.route import heading_for_route, next_point, route
-from samarl.observations.tracker import Tracker, TrackMemory, Tracks
+from samarl.observations.tracker import Tracks
 from samarl.planning.one_step import Commands, command_set, predict_outcomes
-from samarl.planning.shield import apply_shield
 from samarl.planning.velocity_control import action_to_motion
+from samarl.runtime.agents import AgentTracks
 from samarl.runtime.inputs import (
     Detection,
     InputError,
     OwnState,
     validated,
+    validated_centre,
     validated_sensors,
     validated_walls,
 )
 from samarl.runtime.network import Network
-from samarl.runtime.slots import Slots
-from samarl.runtime.walls import KnownMap, faces
-
-_MOST_WALLS = 24  # that the shield takes into account, the nearest ones
+from samarl.runtime.robot_shield import RobotShield, ShieldReason
+from samarl.runtime.walls import KnownMap, seen_from
 
 
 class Command(NamedTuple):
@@ -45,6 +44,7 @@ class Command(NamedTuple):
     speed: float  # after one step, m/s
     turn_rate: float  # that reaches the heading in one step, rad/s
     shielded: bool  # the shield replaced the policy's action
+    reason: ShieldReason | None = None  # what that would not have kept clear of
 
 
 class Driver:
@@ -54,20 +54,14 @@ class Driver:
         """Drive with a network; most users call `load`."""
         self._network, self.description = network, network.description
         self.scenario = self.description.make_scenario()
-        self._shield = self.description.make_shield()
+        self._observes_walls = network.walls > 0 or network.looks_ahead
         self._parameters = kernel_parameters(self.scenario)
+        shield = self.description.make_shield()
+        self._shield = shield and RobotShield(shield, self.scenario, self._parameters)
         policy = self.description.policy
         if network.looks_ahead:
             sizes = Commands(**{f.name: policy[f.name] for f in fields(Commands)})
             self._commands = command_set(sizes, self.scenario.kinematics)
-        track_times = {policy["track_time"]}
-        if self._shield:
-            track_times.add(self._shield.track_time)
-        self._trackers = {
-            track_time: Tracker(track_time, self.scenario.time_step)
-            for track_time in sorted(track_times)
-        }
-        self._longest_track_time = max(track_times)
         self.reset()
 
     @classmethod
@@ -88,27 +82,35 @@ class Driver:
         return driver
 
     @property
+    def avoids_walls(self) -> bool:
+        """Return whether the policy or its shield avoids walls; otherwise `step` refuses them."""
+        return self._observes_walls or self._shield is not None
+
+    @property
     def sensor_inputs(self) -> dict[str, tuple[tuple[int, ...], type]]:
         """Return shape and type of every array that `step` needs in `sensors`."""
         return self._network.sensor_inputs
 
-    def reset(self) -> None:
-        """Clear all memory: for a new goal, after a pause, or when the frame has moved."""
+    def reset(self, centre: tuple[float, float] | None = None) -> None:
+        """Clear all memory: for a new goal, after a pause, or when the frame has moved.
+
+        Args:
+            centre: of the area that people cross, in the frame of `OwnState`, m. Some policies
+                observe where they are from there (`samarl`, `samarl_flat`, `cadrl`). None: half way
+                between the robot and its goal at the first step.
+
+        Raises:
+            InputError: the centre is not two finite numbers.
+        """
         s = self.scenario
+        self._centre = None if centre is None else validated_centre(centre)
         self._network.reset()
-        self._memories = {
-            track_time: TrackMemory(
-                *(array[:, :1].copy() for array in tracker.initial(1, s.robots, s.humans))
-            )
-            for track_time, tracker in self._trackers.items()
-        }
-        self._slots = {
-            "humans": Slots(s.humans, self._longest_track_time),
-            "robots": Slots(s.robots - 1, self._longest_track_time),
-        }
+        track_time = self.description.policy["track_time"]
+        self._agents = AgentTracks(s.humans, s.robots - 1, track_time, s.time_step)
+        if self._shield:
+            self._shield.reset()
         self._start_time: float | None = None
         self._last_time = 0.0
-        self._origin = 0.0, 0.0  # of the coordinates that the policy observes
 
     def step(
         self,
@@ -117,6 +119,7 @@ class Driver:
         time: float,
         sensors: Mapping[str, Any] | None = None,
         walls: Any = (),
+        obstacles: Any = (),
     ) -> Command:
         """Decide what to do now.
 
@@ -133,40 +136,50 @@ class Driver:
                 start_y, end_x, end_y), as `walls_of_scan` returns them, in any order and direction.
                 The shield, and a policy that observes walls, keep clear of them. The frame is that
                 of `OwnState`.
+            obstacles: segments [K, 4] that are not on the map, such as those of a scan. The shield
+                keeps clear of them.
 
         Raises:
             InputError: names the input that cannot be used; the driver is unchanged.
         """
         own, agents, time = validated(own, detections, time)
-        segments = walls.facing(own) if isinstance(walls, KnownMap) else validated_walls(walls)
+        is_map = isinstance(walls, KnownMap)
+        segments = walls.walls if is_map else validated_walls("walls", walls)
+        observed = walls.facing(own) if is_map else segments
+        all_walls = {"walls": segments, "obstacles": validated_walls("obstacles", obstacles)}
+        for name, array in all_walls.items():
+            is_avoided = self.avoids_walls if name == "walls" else self._shield is not None
+            if len(array) and not is_avoided:
+                raise InputError(
+                    f"{name} has {len(array)} segments; it must be empty, because this policy was "
+                    "exported without the shield and would not avoid them"
+                )
         readings = validated_sensors(sensors or {}, self.sensor_inputs)
-        is_first = self._start_time is None
-        if not is_first and time <= self._last_time:
+        if self._start_time is not None and time <= self._last_time:
             raise InputError(
                 f"time is {time}; it must be later than that of the step before, {self._last_time} "
                 "(call reset() to start again)"
             )
         if self._start_time is None:
             self._start_time = self._last_time = time
-            if not self.description.uses_absolute_position:
-                self._origin = own.x, own.y  # float32 is coarse far away from it
+            self._centre = self._policy_centre(own)
         elapsed, self._last_time = time - self._last_time, time
-        observation = self._observation(own, agents, time, readings, segments)
-        tracks = {
-            track_time: tracker.update(
-                observation, self._memories[track_time], np.array([is_first]), elapsed
-            )
-            for track_time, tracker in self._trackers.items()
-        }
-        chosen = self._decide(tracks[self.description.policy["track_time"]])
-        action = chosen
+        observation = self._observation(own, agents, time, readings, observed)
+        action = chosen = self._decide(self._agents.update(observation, elapsed))
+        reason = None
         if self._shield:
-            shield_tracks = tracks[self._shield.track_time]
-            action = apply_shield(
-                shield_tracks, chosen, self.scenario, self._shield, parameters=self._parameters
+            action, reason = self._shield.check(
+                chosen, observation, own, agents, list(all_walls.values()), time, elapsed
             )
-        shielded = bool((action != chosen).any())
-        return self._command(observation.ego, action, own.heading, shielded)
+        return self._command(observation.ego, action, own.heading, reason)
+
+    def _policy_centre(self, own: OwnState) -> tuple[float, float]:
+        """Return where the policy takes the origin to be, m in the frame of the first step."""
+        if not self.description.uses_absolute_position:
+            return own.x, own.y  # any place nearby: single precision is coarse far away from it
+        if self._centre is not None:
+            return self._centre
+        return (own.x + own.goal_x) / 2.0, (own.y + own.goal_y) / 2.0
 
     def _observation(
         self,
@@ -177,9 +190,9 @@ class Driver:
         walls: NDArray[np.float64],
     ) -> Observation:
         """Return the robot's observation as in the simulator, each agent in a slot of its own."""
-        s, x, y = self.scenario, own.x - self._origin[0], own.y - self._origin[1]
-        cos, sin = math.cos(own.heading), math.sin(own.heading)
-        start_time = time if self._start_time is None else self._start_time
+        assert self._centre is not None
+        assert self._start_time is not None
+        s, cos, sin = self.scenario, math.cos(own.heading), math.sin(own.heading)
 
         def to_body(dx: float, dy: float) -> tuple[float, float]:
             return unrotate(cos, sin, dx, dy)
@@ -188,32 +201,20 @@ class Driver:
         ego[0, 0] = (
             *to_body(own.goal_x - own.x, own.goal_y - own.y),
             *to_body(own.velocity_x, own.velocity_y),
-            *to_body(-x, -y),
+            *to_body(self._centre[0] - own.x, self._centre[1] - own.y),
             cos,
             sin,
             s.robot_radius,
             s.robot_speed,
-            min((time - start_time) / s.time_limit, 1.0),
+            min((time - self._start_time) / s.time_limit, 1.0),
         )
-        entities = {}
-        for kind, slots in self._slots.items():
-            features = np.zeros((1, 1, slots.number, len(OTHER_FEATURES)), np.float32)
-            visible = np.zeros((1, 1, slots.number), np.bool_)
-            of_kind = [d for d in detections if d.robot == (kind == "robots")]
-            assigned, reassigned = slots.assign(of_kind, own.x, own.y, time)
-            self._network.clear_slots(kind, reassigned)
-            for slot, d in assigned:
-                features[0, 0, slot] = (
-                    *to_body(d.x - own.x, d.y - own.y),
-                    *to_body(d.velocity_x - own.velocity_x, d.velocity_y - own.velocity_y),
-                    d.radius,
-                )
-                visible[0, 0, slot] = True
-            entities[kind] = Entities(features, visible)
+        entities, reassigned = self._agents.observe(own, detections, time)
+        for kind, slots in reassigned.items():
+            self._network.clear_slots(kind, slots)
         _, groups, values = parts_of_named({"ego": None, **sensors}, "known")
         entities |= {name: Entities(*group) for name, group in groups.items()}
-        if self._network.walls or len(walls):
-            entities["walls"] = self._nearest_walls(own, walls, cos, sin)
+        if self._observes_walls:
+            entities["walls"] = self._nearest_walls(own, walls)
         if self.description.observes_route or (own.next_x, own.next_y) != (own.goal_x, own.goal_y):
             assert own.next_x is not None
             assert own.next_y is not None
@@ -221,30 +222,13 @@ class Driver:
             values["route"] = np.array([[next_point]], np.float32)
         return Observation(ego, entities, values, {})
 
-    def _nearest_walls(
-        self, own: OwnState, walls: NDArray[np.float64], cos: float, sin: float
-    ) -> Entities:
-        """Return the walls nearest to the robot in its body frame, as the simulator does.
-
-        The robot sees the floor side of segments, which the simulator has on their right.
-        """
-        starts, ends = walls[:, :2] - (own.x, own.y), walls[:, 2:] - (own.x, own.y)
-        along = ends - starts
-        squared = np.maximum((along**2).sum(-1), 1e-12)
-        share = np.clip(-(starts * along).sum(-1) / squared, 0.0, 1.0)
-        distance = np.linalg.norm(starts + share[:, None] * along, axis=-1)
-        in_front = faces(walls, own)[:, None]
-        starts, ends = np.where(in_front, starts, ends), np.where(in_front, ends, starts)
-        slots = self._network.walls or _MOST_WALLS
-        nearest = np.argsort(distance, kind="stable")[:slots]
-        nearest = nearest[distance[nearest] <= self.scenario.sensing_range]
+    def _nearest_walls(self, own: OwnState, walls: NDArray[np.float64]) -> Entities:
+        """Return the walls nearest to the robot in its body frame, as the simulator does."""
+        near = seen_from(own, walls, self.scenario.sensing_range).segments
+        slots = self._network.walls or len(near)
         features = np.zeros((1, 1, slots, 4), np.float32)
-        known = np.zeros((1, 1, slots), np.bool_)
-        known[0, 0, : len(nearest)] = True
-        for first, points in ((0, starts[nearest]), (2, ends[nearest])):
-            x, y = unrotate(cos, sin, points[:, 0], points[:, 1])
-            features[0, 0, : len(nearest), first : first + 2] = np.stack([x, y], -1)
-        return Entities(features, known)
+        features[0, 0, : len(near)] = near[:slots]
+        return Entities(features, np.arange(slots)[None, None] < len(near))
 
     def _decide(self, tracks: Tracks) -> NDArray[np.float32]:
         """Return the policy's action, [1, 1, A]."""
@@ -264,9 +248,20 @@ class Driver:
         return self._commands[best][None, None].copy()
 
     def _command(
-        self, ego: NDArray[np.float32], action: NDArray[np.float32], heading: float, shielded: bool
+        self,
+        ego: NDArray[np.float32],
+        action: NDArray[np.float32],
+        heading: float,
+        reason: ShieldReason | None,
     ) -> Command:
         speed, turn, acceleration, lateral = action_to_motion(ego, action, self._parameters)
-        new_heading = math.remainder(heading + turn, 2.0 * math.pi)
-        turn_rate = turn / self.scenario.time_step
-        return Command(action[0, 0], acceleration, lateral, new_heading, speed, turn_rate, shielded)
+        return Command(
+            action[0, 0],
+            acceleration,
+            lateral,
+            math.remainder(heading + turn, 2.0 * math.pi),
+            speed,
+            turn / self.scenario.time_step,
+            reason is not None,
+            reason,
+        )

@@ -34,11 +34,13 @@ class Slots:
     ) -> tuple[list[tuple[int, Detection]], list[int]]:
         """Assign a slot to every detection; of too many, to those nearest to the robot at (x, y).
 
+        Distances are those of surfaces, since a large agent is nearer than its centre.
+
         Returns:
             Slots with their detections, and which of these slots held somebody else before.
         """
         if len(detections) > self.number:
-            by_distance = sorted(detections, key=lambda d: math.hypot(d.x - x, d.y - y))
+            by_distance = sorted(detections, key=lambda d: math.hypot(d.x - x, d.y - y) - d.radius)
             detections = by_distance[: self.number]
         slot_of = self._recognise(detections, time)
         occupied, reassigned = set(slot_of.values()), []

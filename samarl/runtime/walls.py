@@ -1,25 +1,23 @@
-"""Walls for `Driver.step`: from a map that the robot knows, or from the scan of a lidar."""
+"""Walls for `Driver.step` from a map that the robot knows, and routes round them."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from mrsan.fixed_map import map_of_polygons, next_corner
-from mrsan.se2 import unit_vectors
+from mrsan.fixed_map import centre_of, map_of_polygons, next_corner
+from mrsan.se2 import unrotate
 from samarl.runtime.inputs import OwnState
 
 if TYPE_CHECKING:
     from mrsan.maps import Polygon
 
-_LARGEST_GAP = 0.5  # between neighbouring points of a scan on the same wall, m
-_DEVIATION = 0.05  # of points from the segment that replaces them, m
+_LONGEST_PART = 1000.0  # of a wall on each side of its nearest point, m
 
 
 class KnownMap:
@@ -32,7 +30,9 @@ class KnownMap:
             polygons: the bounds first, as `mrsan.maps.load_map` returns them.
             clearance: that routes keep from walls, m; not less than the radius of the robot.
         """
-        self._map = map_of_polygons(polygons, clearance)
+        # The route graph is in single precision, which is coarse far away from the origin.
+        self._centre = centre_of(polygons)
+        self._map = map_of_polygons([p - self._centre for p in polygons], clearance)
         pieces = [np.hstack([p, np.roll(p, -1, 0)]) for p in polygons]
         self.walls: NDArray[np.float64] = np.concatenate(pieces)  # [K, 4], floor to their right
 
@@ -70,56 +70,52 @@ class KnownMap:
 
     def with_route(self, own: OwnState) -> OwnState:
         """Return the state with the next corner of the shortest route to its goal."""
-        x, y = next_corner(self._map, (own.x, own.y), (own.goal_x, own.goal_y))
-        return own._replace(next_x=x, next_y=y)
+        x, y = (float(number) for number in self._centre)
+        goal = own.goal_x - x, own.goal_y - y
+        corner = next_corner(self._map, (own.x - x, own.y - y), goal)
+        if corner == goal:
+            return own._replace(next_x=own.goal_x, next_y=own.goal_y)
+        return own._replace(next_x=x + corner[0], next_y=y + corner[1])
+
+
+class NearWalls(NamedTuple):
+    """Walls as a robot sees them, the nearest first."""
+
+    segments: NDArray[np.float64]  # [K, 4] in the body frame, floor to their right, m
+    nearest: NDArray[np.float64]  # [K, 2] the point of each that is nearest to the robot, m
+    distance: NDArray[np.float64]  # [K] to that point, m
+    order: NDArray[np.int64]  # [K] the index of each among all walls
+
+
+def seen_from(own: OwnState, walls: NDArray[np.float64], reach: float) -> NearWalls:
+    """Return the walls [K, 4] within reach of a robot, m.
+
+    The robot sees their floor side, which the simulator has on their right. The parts of very long
+    walls that are far from the robot are left out: single precision would displace the others.
+    """
+    position = np.array([own.x, own.y])
+    starts, ends = walls[:, :2] - position, walls[:, 2:] - position
+    along = ends - starts
+    length = np.maximum(np.linalg.norm(along, axis=-1), 1e-6)
+    share = np.clip(-(starts * along).sum(-1) / length**2, 0.0, 1.0)
+    nearest = starts + share[:, None] * along
+    distance = np.linalg.norm(nearest, axis=-1)
+    first = np.maximum(share - _LONGEST_PART / length, 0.0)[:, None]
+    last = np.minimum(share + _LONGEST_PART / length, 1.0)[:, None]
+    starts, ends = starts + first * along, ends - (1.0 - last) * along
+    is_in_front = faces(walls, own)[:, None]
+    starts, ends = np.where(is_in_front, starts, ends), np.where(is_in_front, ends, starts)
+    order = np.argsort(distance, kind="stable")
+    order = order[distance[order] <= reach]
+    cos, sin = math.cos(own.heading), math.sin(own.heading)
+    starts, ends, nearest = (
+        np.stack(unrotate(cos, sin, points[order, 0], points[order, 1]), -1)
+        for points in (starts, ends, nearest)
+    )
+    return NearWalls(np.hstack([starts, ends]), nearest, distance[order], order)
 
 
 def faces(walls: NDArray[np.float64], own: OwnState) -> NDArray[np.bool_]:
     """Return whether the robot is to the right of each of the segments [K, 4], seen from start."""
     along, start = walls[:, 2:] - walls[:, :2], walls[:, :2] - (own.x, own.y)
     return np.asarray(along[:, 0] * start[:, 1] - along[:, 1] * start[:, 0] > 0.0)
-
-
-def walls_of_scan(
-    ranges: ArrayLike, angles: ArrayLike, own: OwnState, greatest_range: float
-) -> NDArray[np.float64]:
-    """Return wall segments [K, 4] for `Driver.step` from the ranges of a lidar.
-
-    Neighbouring points closer than half a metre belong to the same wall. Each wall is replaced by
-    the fewest segments that keep within 5 cm of its points (the Douglas-Peucker algorithm).
-
-    Args:
-        ranges: [L], m; those that are not finite or reach `greatest_range` hit nothing.
-        angles: [L] of the rays to the heading of the robot, rising, rad.
-        own: the robot, whose position is that of the lidar.
-        greatest_range: of the lidar, m.
-    """
-    distance, angle = np.asarray(ranges, np.float64), np.asarray(angles, np.float64) + own.heading
-    hit = np.isfinite(distance) & (distance < greatest_range)
-    points = unit_vectors(angle) * np.where(hit, distance, 0.0)[:, None]
-    points += (own.x, own.y)
-    segments: list[list[float]] = []
-    group: list[NDArray[np.float64]] = []
-    for k in range(len(points) + 1):
-        ends = k == len(points) or not hit[k]
-        if group and (ends or math.dist(points[k], group[-1]) > _LARGEST_GAP):
-            corners = _simplify(np.array(group))
-            segments += [[*a, *b] for a, b in pairwise(corners)]
-            group = []
-        if not ends:
-            group.append(points[k])
-    return np.array(segments).reshape(-1, 4)
-
-
-def _simplify(points: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-    """Return the fewest of the points whose polyline keeps near all of them."""
-    start, end = points[0], points[-1]
-    if len(points) < 3:
-        return [start, end] if len(points) == 2 else [start]
-    along = end - start
-    length = max(math.hypot(*along), 1e-9)
-    away = np.abs(along[0] * (points[:, 1] - start[1]) - along[1] * (points[:, 0] - start[0]))
-    middle = int(away.argmax())
-    if away[middle] / length <= _DEVIATION:
-        return [start, end]
-    return [*_simplify(points[: middle + 1])[:-1], *_simplify(points[middle:])]

@@ -15,9 +15,8 @@ import tempfile
 import time
 from pathlib import Path
 
-from mrsan import ConfigurationError, PluginError
+from mrsan import ConfigurationError, PluginError, World
 from mrsan.compile_ahead import compile_ahead
-from mrsan.kernels import kernel
 from samarl.errors import TrainingError
 from samarl.launch import copies, launcher, rank, world_size
 from samarl.training.settings import RunSettings, settings_from_json
@@ -72,7 +71,7 @@ def _run(settings: RunSettings, command: str, advice: str | None) -> None:
     logging.getLogger("torchrl").setLevel(logging.WARNING)  # it logs every replay buffer
     resume_command = shlex.join([*launcher(), "samarl-train", f"resume={settings.folder}"])
     if rank() == 0:
-        with compile_ahead(trainer.stages[0].scenario):
+        with compile_ahead(World(trainer.stages[0].scenario)):
             pass
         if trainer.steps_done >= trainer.config.steps:
             more = f"{resume_command} trainer.steps={2 * trainer.config.steps}"
@@ -94,7 +93,6 @@ def main() -> None:
     An error is reported by the first process, which usually ends the others before they would.
     """
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # like Ctrl-C
-    kernel.always_parallel = True
     settings, command = json.loads(Path(sys.argv[1]).read_text(encoding="utf-8"))
     try:
         _run(settings_from_json(settings), command, None)

@@ -34,7 +34,7 @@ class RunDir:
         """
         self.folder = folder
         folder.mkdir(parents=True, exist_ok=True)
-        self._lock = (folder / ".lock").open("w")
+        self._lock = (folder / ".lock").open("wb")
         try:
             if rank() == 0:  # on behalf of all processes of the training
                 fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -19,6 +19,7 @@ from samarl.configuration import (
     hydra_tree,
     import_plugins,
     register_schemas,
+    scenario_in,
     scenario_of,
 )
 from samarl.messages import describe
@@ -225,7 +226,7 @@ def composed_settings(
     return settings_from(
         configuration,
         Path(config.run_dir) if folder is None else folder,
-        scenario=OmegaConf.to_object(config.scenario) if scenario is None else scenario,
+        scenario=scenario_in(config) if scenario is None else scenario,
         worlds=config.worlds if worlds is None else worlds,
         init_from=None if init_from is None else find_policy(init_from, "init_from"),
         plugins=plugins,

@@ -80,12 +80,6 @@ def test_alone_or_among_five_hundred(played: tuple[Scenario, list[np.ndarray]]) 
         assert_rows(everything, np.array([case]), play(scenario, np.array([case])))
 
 
-@pytest.mark.usefixtures("serial_kernels")
-def test_the_serial_kernels_give_the_same_bits() -> None:
-    scenario = SCENARIOS["everything"]
-    assert_rows(play(scenario, np.arange(20)), np.array([7]), play(scenario, np.array([7])))
-
-
 def test_in_any_order_and_number(played: tuple[Scenario, list[np.ndarray]]) -> None:
     scenario, everything = played
     order = np.random.default_rng(1).permutation(CASES)[:123]

@@ -12,8 +12,10 @@ from PIL import Image
 
 from mrsan import Layout, Scenario, World
 from mrsan.maps import MapError, load_map, read_map
+from mrsan.maps.polygons import covered_area
 
 MAPS = Path(__file__).parents[1] / "data" / "maps"
+BOXES = [(0, 1, 3, 2), (1, 0, 2, 3), (9, 9, 10, 10)]
 ROOM = {"bounds": [[0, 0], [12, 0], [12, 8], [0, 8]], "obstacles": [[[5, 3], [7, 3], [7, 4]]]}
 
 
@@ -91,6 +93,8 @@ def test_every_key_of_a_ros_map_is_obeyed_or_refused(tmp_path: Path) -> None:
         {"negate": "false", "resolution": "5e-2", "origin": ["-8", "-6.0", 0]},
         {"free_thresh": "0.25", "occupied_thresh": 0.65},
         {"free_thresh": 0.6},
+        {"free_thresh": 0.6, "mode": "scale"},
+        {"origin": ["-010", "-06", 0]},  # not octal
     ):
         assert floor_area(write_grid(tmp_path, **changes)) == pytest.approx(94, abs=0.5), changes
     for changes in (
@@ -104,6 +108,11 @@ def test_every_key_of_a_ros_map_is_obeyed_or_refused(tmp_path: Path) -> None:
         {"resolution": True},
         {"origin": [0, 0]},
         {"origin": [0, 0, None]},
+        {"origin": [1e300, 0, 0]},
+        {"resolution": "0:05"},
+        {"resolution": "0_05"},
+        {"resolution": 1e4},
+        {"negate": 1, "mode": "raw"},
         {"image": 3},
         {"image": "none.png"},
     ):
@@ -128,6 +137,14 @@ def test_shades_of_a_grid(tmp_path: Path) -> None:
     assert floor_area(write_grid(tmp_path, picture=deep)) == pytest.approx(94, abs=0.5)
     palette = Image.fromarray(grid).convert("P")
     assert floor_area(write_grid(tmp_path, picture=palette)) == pytest.approx(94, abs=0.5)
+    dark = Image.fromarray(255 - grid)
+    path = write_grid(tmp_path, picture=dark, negate="True", free_thresh=0.25)
+    assert floor_area(path) == pytest.approx(94, abs=0.5)
+    for levels, white in ((grid, 255), (grid.astype(np.uint16) * 257, 65535)):
+        path = write_grid(tmp_path, free_thresh=0.25)
+        picture = Image.fromarray(np.where(unknown, white, levels).astype(levels.dtype))
+        picture.save(tmp_path / "map.png", transparency=white)
+        assert floor_area(path) == pytest.approx(94, abs=0.5)
     percent = np.select([free, wall], [0, 100], 255).astype(np.uint8)
     path = write_grid(tmp_path, picture=Image.fromarray(percent), mode="raw")
     assert floor_area(path) == pytest.approx(94, abs=0.5)
@@ -146,6 +163,14 @@ def test_odd_files_get_one_line(tmp_path: Path) -> None:
         "deep.yaml": b"[" * 5_000,
         "gigantic.yaml": b"#" * 20_000_001,
         "list.yaml": b"- 1\n- 2\n",
+        "alias.yaml": b"bounds: &a [[0, 0], [9, 0], [9, 9]]\nobstacles: [*a]",
+        "stray.yaml": b"obstacles: [[[0, 0], [1, 0], [1, 1]], [[5e6, 0], [5e6, 1], [5000001, 0]]]",
+        "infinite.yaml": b"bounds: [[0, 0], [1e400, 0], [9, 9]]",
+        "degrees.yaml": b"bounds: [[11.6, 48.1], [11.6002, 48.1], [11.6002, 48.1001]]",
+        "huge.geojson": b'{"type": "Polygon", "coordinates": [[[0, 0], [1'
+        + b"0" * 400
+        + b", 1]]]}",
+        "topology.json": b'{"type": "Topology", "objects": {}}',
         "twice.geojson": b'{"type": "Polygon", "type": "Polygon", "coordinates": []}',
         "point.geojson": json.dumps({"type": "Point", "coordinates": [1, 2]}).encode(),
         "wgs84.geojson": json.dumps(
@@ -170,6 +195,31 @@ def test_odd_files_get_one_line(tmp_path: Path) -> None:
         assert "\n" not in str(error.value)
     with pytest.raises(MapError):
         load_map(tmp_path)  # a folder
+
+
+def test_the_crs_of_metres_may_be_wrong_but_not_that_of_degrees(tmp_path: Path) -> None:
+    """Some programs state CRS84 whatever the coordinates are."""
+    for dx, words in ((0.0, "degrees"), (691000.0, "read as metres")):
+        ring = np.add([[0, 0], [12, 0], [12, 8], [0, 8], [0, 0]], (dx, 0.0)).tolist()
+        content = {"type": "Polygon", "coordinates": [ring], "crs": {"name": "OGC:1.3:CRS84"}}
+        path = tmp_path / "map.geojson"
+        path.write_text(json.dumps(content))
+        if dx:
+            assert words in read_map(path).notes[0]
+        else:
+            with pytest.raises(MapError, match=words):
+                read_map(path)
+
+
+def test_the_area_of_overlapping_obstacles() -> None:
+    cross = [np.array(shapely.box(*sides).exterior.coords)[:-1] for sides in BOXES]
+    assert covered_area(cross) == pytest.approx(3 + 3 - 1 + 1)
+    random = np.random.default_rng(0)
+    for offset in (0.0, 1e6):
+        triangles = random.uniform(-5, 5, (40, 3, 2)) + offset
+        triangles = [t if shapely.LinearRing(t).is_ccw else t[::-1] for t in triangles]
+        union = shapely.union_all([shapely.Polygon(triangle) for triangle in triangles])
+        assert covered_area(triangles) == pytest.approx(union.area, abs=1e-6)
 
 
 def test_a_gigantic_image_is_refused_before_it_is_read(tmp_path: Path) -> None:
@@ -202,7 +252,7 @@ def test_maps_far_from_the_origin_give_the_same_world(tmp_path: Path) -> None:
         return [plain, geojson, write_grid(folder, origin=[dx - 8.0, dy - 6.0, 0.0])]
 
     near = written(0.0, 0.0)
-    for far in (written(1e5, -2e5), written(1e7, 1e7 - 3)):
+    for far in (written(691000.37, -5334000.81), written(1e7, 1e7 - 3)):
         for here, there in zip(near, far, strict=True):
             states = []
             for path in (here, there):
@@ -210,11 +260,12 @@ def test_maps_far_from_the_origin_give_the_same_world(tmp_path: Path) -> None:
                 world = World(scenario, 2)
                 world.reset(np.arange(2))
                 states.append(world.state)
-                middle = np.concatenate(read_map(path).polygons).mean(0)
-                assert np.abs(np.array(scenario.map_centre) - middle).max() < 3.0
+                points = np.concatenate(read_map(path).polygons)
+                middle = (points.min(0) + points.max(0)) / 2
+                np.testing.assert_allclose(scenario.file_origin, middle, rtol=0, atol=1e-8)
             for name in ("walls", "corners", "robot_position", "robot_goal", "human_position"):
-                np.testing.assert_allclose(
-                    *(getattr(state, name) for state in states), atol=1e-4, err_msg=name
+                np.testing.assert_array_equal(
+                    *(getattr(state, name) for state in states), err_msg=name
                 )
 
 

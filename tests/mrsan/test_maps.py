@@ -12,7 +12,7 @@ import yaml
 from PIL import Image
 
 from mrsan import ConfigurationError, Layout, Scenario, World
-from mrsan.maps import MapError, load_map
+from mrsan.maps import MapError, load_map, trace_free_area
 
 SQUARE = [[0, 0], [1, 0], [1, 1], [0, 1]]
 BOUNDS = [[-5, -5], [5, -5], [5, 5], [-5, 5]]
@@ -78,7 +78,7 @@ def test_geojson(tmp_path: Path) -> None:
         ({"bounds": U_SHAPE, "walls": [[[-2, 3], [2, 3]]]}, "[-2.0, 3.0] to [2.0, 3.0]"),
         ({"bounds": U_SHAPE, "walls": [[[-2, -2], [3, 5]]]}, "[-2.0, -2.0] to [3.0, 5.0]"),
         ({"bounds": U_SHAPE, "obstacles": [[[-3, 0], [0, -3], [3, 0]]]}, "to [0.0, -3.0]"),
-        ({"scale": -1, "obstacles": [SQUARE]}, "scale is -1"),
+        ({"scale": -1, "obstacles": [SQUARE]}, "scale is '-1'"),
         ({}, "no polygon"),
         ({"walls": [[[k, 0], [k, 1]] for k in range(129)]}, "258"),
         ({"image": "none.png", "origin": [0, 0, 0]}, "resolution is None"),
@@ -180,3 +180,22 @@ def test_agents_stay_on_the_floor_of_a_map(tmp_path: Path) -> None:
     assert (
         state.route_length > np.linalg.norm(state.robot_goal - state.robot_start, axis=-1) + 1
     ).any()
+
+
+def test_no_obstacle_of_a_grid_is_too_small() -> None:
+    """Where they are smaller than its outline is exact, they are thin walls."""
+    free = np.ones((200, 400), bool)
+    cells = [(20 * row, 40 * column) for row in range(1, 9) for column in range(1, 9)]
+    for size in ((1, 1), (1, 4), (2, 2), (3, 3)):
+        marked = free.copy()
+        for row, column in cells:
+            marked[row : row + size[0], column : column + size[1]] = False
+        _, *obstacles = trace_free_area(marked, 0.05, (0.0, 0.0, 0.0))
+        places = shapely.MultiPoint([(0.05 * c, 0.05 * (200 - r)) for r, c in cells])
+        outlines = shapely.MultiLineString([polygon.tolist() for polygon in obstacles])
+        assert len(obstacles) == len(cells)
+        assert places.hausdorff_distance(outlines) < 0.25
+    single = ~free
+    single[5, 5] = True
+    with pytest.raises(MapError, match=r"free area"):
+        trace_free_area(single, 0.05, (0.0, 0.0, 0.0))

@@ -322,7 +322,6 @@ def test_the_route_leads_round_the_wall_or_is_the_bare_goal() -> None:
     np.testing.assert_allclose(unknown.observe().sensors["route"], goal, atol=1e-5)
 
 
-@pytest.mark.usefixtures("serial_kernels")
 def test_a_case_does_not_depend_on_the_other_worlds() -> None:
     scenario = Scenario(layout=Layout.places, humans=4, nearest_walls=8, lidar_rays=12)
     together, alone = World(scenario, 12), World(scenario, 1)

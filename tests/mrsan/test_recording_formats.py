@@ -10,7 +10,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mrsan import ConfigurationError, Crowd, Scenario
-from mrsan.recording import People, RecordingError, load_recording, read_people, summarize
+from mrsan.recording import (
+    People,
+    Recording,
+    RecordingError,
+    load_recording,
+    read_people,
+    summarize,
+)
 from mrsan.recording.formats import read_rows
 
 CASES = Path(__file__).parents[1] / "data/recordings"
@@ -113,8 +120,8 @@ ROWS = np.array(
 )
 
 
-def written(tmp_path: Path, text: str | bytes) -> Path:
-    path = tmp_path / "people"
+def written(tmp_path: Path, text: str | bytes, name: str = "people") -> Path:
+    path = tmp_path / name
     path.write_bytes(text if isinstance(text, bytes) else text.encode())
     return path
 
@@ -124,10 +131,11 @@ def lines(*columns: np.ndarray, separator: str = " ") -> str:
     return "".join(separator.join(f"{value:.15g}" for value in row) + "\n" for row in rows)
 
 
-def test_the_clock_and_the_unit_that_a_file_states_are_used_and_checked(tmp_path: Path) -> None:
-    frame, person, x, y = ROWS.T
+def in_formats(frame: np.ndarray, person: np.ndarray, x: np.ndarray, y: np.ndarray) -> dict:
+    """`ROWS` in the formats that state their clock, their unit, or both."""
     zero = np.zeros_like(frame)
-    files = {
+    tracks = zip(frame, person, x.tolist(), y.tolist(), strict=True)
+    return {
         # Time in s since 1970, id, x, y and z in mm, velocity, two angles.
         "ATC": lines(
             1351037270 + 0.04 * frame,
@@ -149,9 +157,14 @@ def test_the_clock_and_the_unit_that_a_file_states_are_used_and_checked(tmp_path
         "obsmat": lines(frame, person, x, zero, y, zero + 0.72, zero, zero - 0.15),
         "TrajNet++": '{"scene": {"fps": 2.0}}\n'
         + "".join(
-            f'{{"track": {{"f": {f:g}, "p": {p:g}, "x": {a}, "y": {b}}}}}\n' for f, p, a, b in ROWS
+            f'{{"track": {{"f": {f:g}, "p": {p:g}, "x": {a!r}, "y": {b!r}}}}}\n'
+            for f, p, a, b in tracks
         ),
     }
+
+
+def test_the_clock_and_the_unit_that_a_file_states_are_used_and_checked(tmp_path: Path) -> None:
+    files = in_formats(*ROWS.T)
     clocks = {
         "ATC": 0.04,
         "PedPy": 1 / 16,
@@ -169,6 +182,38 @@ def test_the_clock_and_the_unit_that_a_file_states_are_used_and_checked(tmp_path
             load(path, frame_seconds=0.03)
     with pytest.raises(RecordingError, match=r"recording_scale is 1, but the file states 0\.001"):
         load(written(tmp_path, files["ATC"]), scale=1.0)
+
+
+def test_recordings_far_from_the_origin_give_the_same_people(tmp_path: Path) -> None:
+    """In site coordinates, up to 10^7 m from their origin."""
+    frame, person, x, y = ROWS.T
+
+    def recordings(dx: float, dy: float) -> dict[str, Recording]:
+        columns = frame, person, x + dx, y + dy
+        files = in_formats(*columns) | {
+            "plain": lines(*columns),
+            "decimal commas": lines(*columns, separator=";").replace(".", ","),
+            "transposed": lines(*np.array(columns)[[0, 1, 3, 2]].T, separator=","),
+            "SDD": "".join(
+                f"{p:g} {a:.15g} {b:.15g} {a:.15g} {b:.15g} {f:g} 0 0 0 Pedestrian\n"
+                for f, p, a, b in zip(frame, person, *(10 * np.array(columns[2:])), strict=True)
+            ),
+        }
+        return {
+            name: load_recording(
+                written(tmp_path, text, f"{name} {dx}"), None, 0.25, 0.1 if name == "SDD" else None
+            )
+            for name, text in files.items()
+        }
+
+    near = recordings(0.0, 0.0)
+    for offset in ((1e5, -2e5), (691000.37, 5334000.81), (-1e7, 1e7)):
+        for name, far in recordings(*offset).items():
+            np.testing.assert_allclose(far.position, near[name].position, atol=1e-5, err_msg=name)
+            np.testing.assert_allclose(far.half_size, near[name].half_size, atol=1e-5)
+            np.testing.assert_allclose(far.centre - near[name].centre, offset, atol=1e-5)
+            for one, two in zip(far[:3], near[name][:3], strict=True):
+                np.testing.assert_array_equal(one, two, err_msg=name)
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,6 @@
 """All agents of `conf/agent/`."""
 
+import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,8 +11,9 @@ import pytest
 from mrsan import ConfigurationError, Crowd, Kinematics, Layout, Observation, Scenario, Split, World
 from mrsan.fields import required
 from samarl.agents import Agent, build_agent
-from samarl.configuration import available_agents, load_agent_config
+from samarl.configuration import available_agents, load_agent_config, scenario_of
 from samarl.evaluation.runner import run_cases
+from samarl.files import find_folder
 from samarl.policies.card import find_policy
 from samarl.policies.checkpoint import load_policy, save_policy
 
@@ -203,6 +205,15 @@ def test_a_custom_agent_needs_one_class() -> None:
     episodes = run_cases(agent, scenario, CASES[:3], batch=2)
     assert episodes.timeout.all()
     assert not episodes.path_length.any()
+
+
+def test_the_scenarios_of_included_policies_have_the_fields_of_this_version() -> None:
+    cards = sorted((find_folder("results") / "checkpoints").glob("*.json"))
+    assert len(cards) > 30
+    for card in cards:
+        configuration = json.loads(card.read_text("utf-8"))["provenance"]["configuration"]
+        for stage in configuration["curriculum"]["stages"]:
+            scenario_of(stage["scenario"], card.name)
 
 
 def test_a_policy_warns_about_recordings_it_was_trained_on(tmp_path: Path) -> None:

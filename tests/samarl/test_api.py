@@ -13,8 +13,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from PIL import Image
 
 import samarl
-from mrsan import ConfigurationError, Kinematics, Observation, Reward, Scenario, Split
-from mrsan.kernels import kernel
+from mrsan import ConfigurationError, Kinematics, Reward, Scenario, Split
 from samarl.agents import build_agent
 from samarl.agents.learned import Learned
 from samarl.agents.planners.orca import Orca
@@ -55,23 +54,6 @@ def _fields(name: str) -> dict:
     config = load_agent_config(name)
     del config["_target_"]
     return config
-
-
-def test_one_world_uses_the_kernels_of_many_only_in_calls_of_the_api(
-    serial_kernels: None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    settings, act = [], Orca.act
-
-    def spy(agent: Orca, observation: Observation) -> np.ndarray:
-        settings.append(kernel.always_parallel)
-        return act(agent, observation)
-
-    monkeypatch.setattr(Orca, "act", spy)
-    samarl.evaluate("orca", SMALL, cases=1)
-    samarl.record("orca", SMALL)
-    samarl.render("orca", SMALL, output=tmp_path / "case.png")
-    assert set(settings) == {True}
-    assert not kernel.always_parallel
 
 
 @pytest.mark.parametrize("kind", ["name", "file", "training"])

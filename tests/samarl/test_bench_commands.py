@@ -110,9 +110,9 @@ def test_a_custom_method_stands_beside_the_committed_rows() -> None:
     rows = committed()
     columns = list(dict.fromkeys(map(column_of, rows)))
     wide = [row for row in rows if row["method"] == "samarl_flat"]
-    mine = [first_cases(row, 40) | {"method": "mine"} for row in wide]
-    shown = beside_committed(mine, [*rows, *mine], columns)
-    assert len(shown) == len(rows) + len(mine)
+    custom_rows = [first_cases(row, 40) | {"method": "mine"} for row in wide]
+    shown = beside_committed(custom_rows, [*rows, *custom_rows], columns)
+    assert len(shown) == len(rows) + len(custom_rows)
     assert {row["episodes"] for row in shown if row["fov_degrees"] == 360.0} == {40}
     orca = next(row for row in rows if row["method"] == "orca" and column_of(row) == columns[2])
     same = next(row for row in shown if row["method"] == "orca" and column_of(row) == columns[2])
@@ -127,7 +127,7 @@ def test_a_custom_method_stands_beside_the_committed_rows() -> None:
     assert any(line.startswith("| samarl ") for line in others)
     assert any(line.startswith("| paper: SAMARL ") for line in others)
     # No committed rows of these columns: nothing to stand beside.
-    assert beside_committed(mine, rows, []) == mine
+    assert beside_committed(custom_rows, rows, []) == custom_rows
 
 
 def test_a_policy_with_damaged_weights_differs(tmp_path: Path) -> None:

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import pytest
 from hydra.core.config_store import ConfigStore
-from omegaconf import OmegaConf
 
 from samarl.commands.bench import Bench
 from samarl.commands.cli import compose_cells
@@ -18,8 +17,8 @@ from samarl.commands.predictor import Predictor
 from samarl.commands.record import Record
 from samarl.commands.render import Render
 from samarl.commands.report import Report
-from samarl.training.settings import train_schema
 from samarl.configuration import register_schemas
+from samarl.training.settings import train_schema
 
 ROOT = Path(__file__).parents[2]
 # `test_docs.py` runs those of extending.md.
@@ -34,7 +33,7 @@ SCHEMAS = {
     "train": train_schema(),
 }
 # Placeholders; options instead of settings.
-OTHER_SYNTAX = r"\.\.\.|NAME|RECORDINGS=|--help|samarl-recording|samarl-map"
+OTHER_SYNTAX = r"\.\.\.|NAME|RECORDINGS=|--help|samarl-(?:recording|map|curves|examples)"
 
 
 def command_lines() -> Iterator[tuple[str, str]]:

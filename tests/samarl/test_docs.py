@@ -213,12 +213,6 @@ def test_the_python_interface_evaluates_as_printed() -> None:
     assert {"step", "x", "y"} <= set(values["steps"].columns)
 
 
-def test_the_readme_is_short() -> None:
-    text = (DOCS.parent / "README.md").read_text()
-    assert len(text.split()) <= 1000
-    assert len(text.splitlines()) <= 130
-
-
 def test_every_feature_of_an_observation_is_described() -> None:
     """The table of actions and observations has the sizes of the simulator."""
     text = (DOCS / "environment.md").read_text()

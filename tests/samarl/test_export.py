@@ -38,8 +38,11 @@ def agent_of(policy: Policy, name: str, folder: Path, scenario: Scenario) -> Age
 
 
 def team_of(network: Network, robots: int) -> list[Driver]:
-    """A driver for each robot; the network is read once."""
-    return [Driver(copy.copy(network)) for _ in range(robots)]
+    """A driver for each robot, in the frame of the world; the network is read once."""
+    team = [Driver(copy.copy(network)) for _ in range(robots)]
+    for driver in team:
+        driver.reset(centre=(0.0, 0.0))
+    return team
 
 
 def decide(drivers: list[Driver], observation: Observation, time: float) -> list[Command]:
@@ -95,7 +98,7 @@ def test_a_thousand_decisions_are_those_of_the_policy(name: str, tmp_path: Path)
         if begins:
             agent.reset(np.ones(1, np.bool_))
             for driver in (*teams[0], *teams[1]):
-                driver.reset()
+                driver.reset(centre=(0.0, 0.0))
         actions = [agent.act(observation), unchecked[-1]]
         time = 7.0 + step * scenario.time_step
         driven, free = (decide(team, observation, time) for team in teams)
@@ -190,7 +193,7 @@ def test_walls_are_observed_on_a_robot_as_in_the_simulator(
         observation = world.reset([case])
         agent.reset(np.ones(1, np.bool_))
         for driver in team:
-            driver.reset()
+            driver.reset(centre=(0.0, 0.0))
         known = KnownMap(polygons_of(world.state, 0))
         for step in range(20):
             action = agent.act(observation)

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -12,13 +10,8 @@ import torch
 from torch import Tensor
 from torch.library import opcheck
 
-from mrsan import Scenario
 from samarl.encoders.frame_attention import frame_attention, proximity_convolution
 from samarl.encoders.windowed_attention import windowed_attention
-from samarl.training.config import TrainerConfig
-from samarl.training.curriculum import CurriculumStage
-from samarl.training.trainer import Trainer
-from tests.learning import ENCODERS, PPO_NUMBERS, policy_numbers
 
 P, T, M, H, HEADS, WIDTH, FRAMES = 5, 2, 3, 4, 2, 8, 6  # letters of `windowed_attention`
 PUBLIC: dict[str, Callable[..., Tensor]] = {
@@ -86,39 +79,3 @@ def test_an_operator_is_one_node_of_a_compiled_graph(name: str) -> None:
         strict=True,
     ):
         torch.testing.assert_close(one, other)
-
-
-def trained(folder: Path, compiled: bool) -> tuple[dict[str, float], dict[str, Tensor]]:
-    """The losses of one round and the weights after it."""
-    config = TrainerConfig(
-        steps=1000,
-        rollout=8,
-        seed=0,
-        threads=1,
-        validate_every=1000,
-        validation_cases=1,
-        save_every=1000,
-        ema_decay=0.9,
-        compile=compiled,
-    )
-    stages = [CurriculumStage(3, scenario=Scenario(humans=3, robots=2))]
-    encoder = {"name": "spatio_temporal", **ENCODERS["spatio_temporal"], "one_block": True}
-    policy, algorithm = policy_numbers("flat", encoder_numbers=encoder), {"name": "mappo"}
-    trainer = Trainer(folder, config, policy, algorithm | PPO_NUMBERS, stages, "test")
-    trainer.algorithm.set_progress(0.0)
-    row = trainer.round()
-    losses = {key: value for key, value in row.items() if key.startswith("losses")}
-    return losses, trainer.policy.state_dict()
-
-
-def test_a_training_with_compiled_encoders_is_the_same_training(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Traced as in any compilation, but without a minute of generating C++."""
-    monkeypatch.setattr(torch, "compile", partial(torch.compile, backend="eager"))
-    expected_losses, expected = trained(tmp_path / "plain", compiled=False)
-    losses, weights = trained(tmp_path / "compiled", compiled=True)
-    assert losses == pytest.approx(expected_losses, rel=1e-4, abs=1e-5)
-    assert weights.keys() == expected.keys()
-    for name, value in expected.items():
-        torch.testing.assert_close(weights[name], value, rtol=1e-4, atol=1e-5, msg=name)

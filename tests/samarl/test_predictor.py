@@ -11,12 +11,12 @@ import pytest
 import torch
 from safetensors.numpy import save
 
-from mrsan import ConfigurationError, Crowd, Scenario, Split, World
+from mrsan import ConfigurationError, Crowd, PluginError, Scenario, Split, World
 from mrsan.prediction import PREDICTORS, ConstantVelocity, find_predictor, own_frame
 from samarl.agents import build_agent
 from samarl.configuration import load_agent_config
 from samarl.observations.tracker import Tracker
-from samarl.planning.track_predictor import OffsetPredictor
+from samarl.planning.track_predictor import OffsetPredictor, TrackPredictor
 from samarl.prediction.learner import Learner, Network, save_predictor
 from samarl.prediction.table import displacement
 from samarl.prediction.training import Training
@@ -311,3 +311,21 @@ def test_the_command_trains_evaluates_and_reports_errors(
         assert stopped.value.code == 2
         assert message in error
         assert len(error.splitlines()) == 1
+
+
+def test_a_prediction_that_cannot_be_used_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The shield would take people whose positions are NaN for nobody."""
+
+    class Broken(ConstantVelocity):
+        def predict(self, past: Any, valid: Any, velocity: Any, steps: int) -> Any:
+            positions = super().predict(past, valid, velocity, steps)
+            return positions * np.float32(np.nan) if self.broken == "nan" else positions[..., :1, :]
+
+    monkeypatch.setitem(PREDICTORS, "broken", Broken)
+    scenario = Scenario(humans=3, robots=2)
+    observation = World(scenario).reset([0])
+    for broken, message in (("nan", r"predictor Broken is nan at index \[0, "), ("", "has shape")):
+        monkeypatch.setattr(Broken, "broken", broken, raising=False)
+        tracks = TrackPredictor(scenario, 6.0, "broken", 2.0, "agent.shield.predictor")
+        with pytest.raises(PluginError, match=message):
+            tracks.update(observation)

@@ -1,11 +1,14 @@
 """The report in a browser: layout, playback and keyboard control."""
 
+import shutil
 import time
 from pathlib import Path
 
 import pytest
 from playwright.sync_api import Page
 
+from samarl.report.build import build_curves, read_runs
+from samarl.report.replays import ReplayFolder
 from tests.reporting import straight_trajectory
 
 
@@ -21,7 +24,7 @@ def steps(page: Page) -> list[str]:
     )
 
 
-BOTH = "column=90°+view,+10+humans,+3+robots&case=test+case+0&left=perimeter&right=mine"
+BOTH = "column=90°+view,+10+people,+3+robots&case=test+case+0&left=Around+the+crowd&right=mine"
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
@@ -43,7 +46,7 @@ def test_every_page_opens_and_fits(
 
 
 def test_a_heading_sorts_its_column_in_every_group(page: Page, site: Path) -> None:
-    page.goto((site / "index.html").as_uri())
+    page.goto((site / "table-1.html").as_uri())
     names = "rows => rows.map(row => row.dataset.name)"
     before = page.eval_on_selector_all("tr[data-name]", names)
     heading = page.get_by_role("button", name="360° view, 10 people, 3 robots")
@@ -61,7 +64,7 @@ def test_the_reader_chooses_the_runs_of_the_chart(page: Page, site: Path) -> Non
     page.goto((site / "curves.html").as_uri())
     runs = "shapes => shapes.map(shape => shape.dataset.run)"
     assert page.eval_on_selector_all("#chart [data-run]", runs) == ["fast", "slow"]
-    ablation = page.get_by_label("ablation_graph (1 seed)")
+    ablation = page.get_by_label("SAMARL-Transformer without graph convolution")
     ablation.check()
     assert page.locator("#chart [data-run]").count() == 3
     ablation.uncheck()
@@ -90,6 +93,16 @@ def test_the_chart_gives_the_values_under_the_cursor(page: Page, site: Path) -> 
     assert page.get_attribute("#chart .cursor", "visibility") == "visible"
     page.mouse.move(box["x"], box["y"] - 20)
     assert page.inner_text("#readout") == "Point at the chart to read its values."
+
+
+@pytest.mark.parametrize("width", [1400, 390])
+def test_the_page_of_training_runs(page: Page, site: Path, tmp_path: Path, width: int) -> None:
+    build_curves(tmp_path / "page", read_runs(site.parent / "results/curves"), "samarl-curves")
+    page.set_viewport_size({"width": width, "height": 900})
+    page.goto((tmp_path / "page/index.html").as_uri())
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+    assert page.locator("#chart [data-run]").count() == 2
+    assert page.locator("#task").is_hidden()  # there is only one
 
 
 @pytest.mark.parametrize("size", [(1366, 768), (1200, 900)])
@@ -150,7 +163,7 @@ def test_a_replay_plays_pauses_scrubs_and_ends(page: Page, site: Path) -> None:
 
 def test_the_viewer_shows_what_the_selected_robot_sees(page: Page, site: Path) -> None:
     trajectory = straight_trajectory()
-    show(page, site, "column=90°+view,+10+humans,+3+robots&case=test+case+0&left=straight&right=")
+    show(page, site, "column=90°+view,+10+people,+3+robots&case=test+case+0&left=Straight&right=")
     assert len(steps(page)) == 1
     for t in range(len(trajectory.robot_position)):
         for robot in range(3):
@@ -162,7 +175,7 @@ def test_the_viewer_shows_what_the_selected_robot_sees(page: Page, site: Path) -
         page.keyboard.press("ArrowRight")
     ended = page.inner_text(".outcome >> nth=0")
     assert "hit a human" in ended
-    assert page.get_attribute("canvas >> nth=0", "aria-label").startswith("straight at")  # type: ignore[union-attr]
+    assert page.get_attribute("canvas >> nth=0", "aria-label").startswith("Straight at")  # type: ignore[union-attr]
 
     before = page.locator("canvas").first.screenshot()
     page.keyboard.press("Home")
@@ -175,8 +188,8 @@ def test_the_viewer_shows_what_the_selected_robot_sees(page: Page, site: Path) -
 
 
 def test_the_rays_of_the_lidar_can_be_hidden(page: Page, site: Path) -> None:
-    column = "360°+view,+8+humans,+3+robots,+rooms+lidar+rays+72+robots+visible"
-    show(page, site, f"column={column}&case=test+case+0&left=straight&right=")
+    column = "360°+view,+8+people,+3+robots,+rooms+lidar+rays+72+crowd+reaction+reciprocal"
+    show(page, site, f"column={column}&case=test+case+0&left=Straight&right=")
     canvas, rays = page.locator("canvas").first, page.locator("#rays")
     assert rays.is_checked()
     with_rays = canvas.screenshot()
@@ -189,8 +202,22 @@ def test_the_rays_of_the_lidar_can_be_hidden(page: Page, site: Path) -> None:
     assert canvas.screenshot() == without
     rays.check()
     assert canvas.screenshot() == with_rays
-    page.locator("#column").select_option("90° view, 10 humans, 3 robots")
+    page.locator("#column").select_option("90° view, 10 people, 3 robots")
     page.wait_for_function("document.getElementById('raysLabel').hidden")  # there is no lidar
+
+
+def test_a_report_shows_the_replays_so_far(page: Page, site: Path, tmp_path: Path) -> None:
+    shutil.copytree(site, tmp_path / "site")
+    page.goto((tmp_path / "site/replays.html").as_uri())
+    assert page.inner_text("#progress") == ""
+    scripts = sorted(path.stem for path in (site / "replays").glob("mine-*.js"))
+    ReplayFolder(tmp_path / "site/replays", [*scripts, "another"])
+    page.reload()
+    page.wait_for_selector("canvas[data-step]")
+    assert page.inner_text("#progress").startswith(f"{len(scripts)} of {len(scripts) + 1} ")
+    ReplayFolder(tmp_path / "site/replays", ["another"])
+    page.reload()
+    assert page.inner_text("#progress").startswith("0 of 1 ")
 
 
 def test_the_page_works_by_keyboard_alone(page: Page, site: Path) -> None:

@@ -134,6 +134,7 @@ NAN = float("nan")
         (OWN, [PERSON, PERSON._replace(y=NAN, id=2)], 1.0, "detections[1].y"),
         (OWN, [PERSON._replace(x=np.zeros((2, 2)))], 1.0, "detections[0].x"),
         (OWN, [PERSON._replace(x="4.0")], 1.0, "detections[0].x"),
+        (OWN, [PERSON._replace(velocity_x=-1200.0)], 1.0, "detections[0]"),  # mm/s
         (OWN, [PERSON._replace(radius=0.0)], 1.0, "detections[0].radius"),
         (OWN, [PERSON._replace(robot=None)], 1.0, "detections[0].robot"),
         (OWN, [PERSON._replace(id=[1])], 1.0, "detections[0].id"),

@@ -10,14 +10,10 @@ import shapely
 
 from mrsan import Scenario, World
 from mrsan.place_shapes import polygons_of
-from samarl.agents.learned import Learned
-from samarl.agents.shielded import Shielded
-from samarl.export import export_agent
 from samarl.planning.shield import Shield
-from samarl.policies.checkpoint import save_policy
-from samarl.runtime import Driver, InputError, KnownMap, OwnState, walls_of_scan
+from samarl.runtime import Detection, Driver, InputError, KnownMap, OwnState, walls_of_scan
 from samarl.runtime.simulation import as_seen, walls_in_view
-from tests import learning
+from tests.driving import driver_without_walls
 
 BOUNDS = np.array([(-6, -4), (-6, 4), (6, 4), (6, -4)], float)  # clockwise
 PARTITION = np.array([(0, -4), (0, 2)], float)  # a way round at the top
@@ -84,12 +80,7 @@ def test_walls_of_a_map_face_the_robot_as_in_the_simulator(layout: str) -> None:
 @pytest.fixture(scope="module")
 def driver(tmp_path_factory: pytest.TempPathFactory) -> Driver:
     """A policy that was trained without walls and drives towards its goal, with the shield."""
-    folder = tmp_path_factory.mktemp("walls")
-    save_policy(folder / "policy.safetensors", learning.policy("flat", gain=100.0), "flat", {})
-    scenario = Scenario(humans=3, robots=2)
-    agent = Learned(scenario, str(folder / "policy.safetensors"))
-    export_agent(folder / "policy.onnx", Shielded(scenario, agent, Shield()), "mine")
-    return Driver.load(folder / "policy.onnx")
+    return driver_without_walls(tmp_path_factory.mktemp("walls"), Shield())
 
 
 def test_the_shield_stops_the_robot_before_a_wall(driver: Driver) -> None:
@@ -116,8 +107,105 @@ def test_the_shield_stops_the_robot_before_a_wall(driver: Driver) -> None:
     assert hits[1] > 0
 
 
+def test_nothing_nearer_is_left_out_for_want_of_room(driver: Driver) -> None:
+    """Many pebbles beside and behind the robot are nearer than the wall ahead."""
+    around = np.radians(np.arange(90, 270))
+    pebbles = 0.35 * np.stack([np.cos(around), np.sin(around)] * 2, -1)
+    own = OwnState(0.0, 0.0, 0.0, 1.0, 0.0, 4.0, 0.0)
+    driver.reset()
+    assert not driver.step(own, [], 0.0, walls=pebbles).shielded
+    driver.reset()
+    command = driver.step(own, [], 0.0, walls=[*pebbles, [0.5, -2.0, 0.5, 2.0]])
+    assert (command.speed, command.reason) == (0.0, "wall")
+
+
+def test_of_too_many_people_the_shield_knows_all(driver: Driver) -> None:
+    """The policy has room for three; the fourth nearest one stands in the way."""
+    behind = [Detection(-0.9, y, 0.0, 0.0, id=y) for y in (-0.7, 0.0, 0.7)]
+    front = [Detection(0.0, y, 0.0, 0.0, id=str(y)) for y in (-1.2, 1.2)]
+    wall = [Detection(1.0, y, 0.0, 0.0, id=y + 9) for y in (-0.6, 0.0, 0.6)]
+    own = OwnState(0.0, 0.0, 0.0, 1.0, 0.0, 4.0, 0.0)
+    driver.reset()
+    assert not driver.step(own, behind, 0.0).shielded
+    driver.reset()
+    assert driver.step(own, [*behind, *front, *wall], 0.0).reason == "person"
+
+
+def test_obstacles_that_are_not_on_the_map_are_kept_clear_of(driver: Driver) -> None:
+    known, own = KnownMap([BOUNDS]), OWN._replace(velocity_x=1.0)
+    box = np.array([[-2.4, -0.5, -2.4, 0.5]])
+    for obstacles, reason in (((), None), (box, "wall")):
+        driver.reset()
+        assert driver.step(own, [], 0.0, walls=known, obstacles=obstacles).reason == reason
+    with pytest.raises(InputError, match=r"obstacles .*start_x"):
+        driver.step(own, [], 1.0, obstacles=known)
+
+
+def test_walls_that_nobody_would_avoid_are_refused(tmp_path: Path) -> None:
+    """Neither does this policy observe walls, nor has it a shield."""
+    unshielded = driver_without_walls(tmp_path, None, gain=1.0)
+    assert not unshielded.avoids_walls
+    for name in ("walls", "obstacles"):
+        with pytest.raises(InputError, match=rf"{name} has 1 .*shield"):
+            unshielded.step(OWN, [], 0.0, **{name: [[1.0, 0.0, 1.0, 1.0]]})
+    assert unshielded.step(OWN, [], 0.0).reason is None
+
+
+@pytest.mark.parametrize("offset", [(1e3, -2e3), (1e5 + 0.5, 3e5), (1e7, -1e7)])
+def test_commands_do_not_depend_on_the_origin_of_the_frame(
+    driver: Driver, offset: tuple[float, float]
+) -> None:
+    """With people, a map, a scan and routes; surveyed sites have coordinates of such sizes."""
+    (x, y), angles = offset, np.linspace(-2.0, 2.0, 40)
+
+    def drive(x: float, y: float) -> np.ndarray:
+        known = KnownMap([polygon + np.array([x, y]) for polygon in (BOUNDS, PARTITION)])
+        own, numbers = OWN._replace(x=x - 3.0, y=y, goal_x=x + 3.0, goal_y=y), []
+        driver.reset()
+        for step in range(12):
+            own = known.with_route(own)
+            person = Detection(x - 1.0, y + 1.0 - 0.2 * step, 0.0, -0.8)
+            ranges = np.where(np.abs(angles) < 0.3, 2.5 - 0.2 * step, np.inf)
+            seen = walls_of_scan(ranges, angles, own, 8.0)
+            command = driver.step(own, [person], 0.25 * step, walls=known, obstacles=seen)
+            numbers.append([*command.action, command.heading, command.speed, command.shielded])
+            numbers[-1] += [own.next_x - x, own.next_y - y]
+            heading = command.heading
+            vx, vy = command.speed * math.cos(heading), command.speed * math.sin(heading)
+            own = own._replace(x=own.x + 0.25 * vx, y=own.y + 0.25 * vy, heading=heading)
+            own = own._replace(velocity_x=vx, velocity_y=vy, next_x=None, next_y=None)
+        return np.array(numbers)
+
+    expected = drive(0.0, 0.0)
+    assert 0 < expected[:, -3].sum() < 12  # shielded here and there
+    np.testing.assert_allclose(drive(x, y), expected, atol=1e-4)
+
+
+def test_where_the_crowd_is_can_be_told(driver: Driver) -> None:
+    """This policy observes where it is; by default the centre is half way to the goal."""
+    commands = []
+    for centre in (None, (0.0, 0.0), (2.0, 1.0)):
+        driver.reset(centre)
+        commands.append(driver.step(OWN, [], 0.0).action)
+    np.testing.assert_array_equal(commands[0], commands[1])
+    assert np.abs(commands[0] - commands[2]).max() > 1e-4
+    for centre, field in (((1.0, math.nan), r"centre\[1\]"), (3.0, "centre ")):
+        with pytest.raises(InputError, match=field):
+            driver.reset(centre)
+
+
 @pytest.mark.parametrize(
-    "walls", [[[0.0, 1.0, 2.0]], [0.0, 1.0, 2.0, 3.0], "wall", [[0.0, 1.0, math.nan, 3.0]], None]
+    "walls",
+    [
+        [[0.0, 1.0, 2.0]],
+        [0.0, 1.0, 2.0, 3.0],
+        "wall",
+        [[0.0, 1.0, math.nan, 3.0]],
+        [[0.0, 1.0, None, 3.0]],
+        [[], []],
+        np.ma.masked_equal([[0.0, 1.0, 2.0, 3.0]], 2.0),
+        None,
+    ],
 )
 def test_walls_that_cannot_be_used_are_named(driver: Driver, walls: Any) -> None:
     driver.reset()

@@ -203,6 +203,8 @@ def test_a_policy_is_trained_on_them_and_drives_a_robot_with_them(
         "posts_known": ((5,), np.bool_),
         "compass": ((2,), np.float32),
     }
+    for driver in drivers:
+        driver.reset(centre=(0.0, 0.0))  # the frame is that of the world
     world = World(scenario, 1)
     observation = world.reset([0])
     for step in range(5):

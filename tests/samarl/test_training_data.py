@@ -27,8 +27,8 @@ def test_the_networks_compute_the_same_for_merged_rollouts(encoder: str) -> None
     for part in data:
         # Nothing has been updated yet: the probability of every action is as it was stored.
         learner._policy_loss(part, statistics, [])
-        features = learner.encoder(part.critic_frames.map(lambda x: x[:, :-1].flatten(0, 1)))
-        value = learner.heads[LOCAL](features).view(part.selected.shape)
+        features = learner.critic_encoder(part.critic_frames.map(lambda x: x[:, :-1].flatten(0, 1)))
+        value = learner.critics[LOCAL](features).view(part.selected.shape)
         valued = part.levels[LOCAL]["valued"]
         before = part.levels[LOCAL]["state_value"].squeeze(-1)
         torch.testing.assert_close(value[valued], before[valued], atol=1e-4, rtol=1e-4)

@@ -3,27 +3,35 @@
 `function` marks code that only other kernels call. It does not count references to arrays, which
 would take a tenth of the time, so it may not create or return arrays, nor copy one with
 `a[:] = b`; `allocating` may. Both are copied into their callers; `separate` marks long functions
-that are not. `kernel` marks an entry point that loops over worlds with `prange`: compiled on first
-use, cached on disk, parallel from two worlds on.
+that are not. `kernel` marks an entry point that loops over rows, usually worlds: compiled on first
+use, cached on disk, parallel from two rows on.
 
-Two pitfalls of Numba shape these files. An array updated in place (`state.clock[e] += 1`) in the
-body of a `prange` loop is mistaken for a reduction and the update is lost: put it into a
-`function`. And a tuple of arrays is copied wherever it is passed: take the arrays that a hot loop
-needs out of it first.
+Compiling takes as long as there is code and as there are numbers in its arguments. Named tuples
+are therefore passed by reference (`mrsan.kernels.structs`), and what only some scenarios need is
+a variant of a kernel.
 """
 
 from __future__ import annotations
 
-import hashlib
+import contextlib
+import ctypes
+import inspect
 import types
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextvars import ContextVar
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numba
+from llvmlite import ir
+from numba import config, prange
+from numba.core.ccallback import CFunc
 from numba.core.registry import CPUDispatcher
+from numba.extending import intrinsic
 
+from mrsan.compile_cache import KernelCache, cached
+from mrsan.compile_progress import compile_progress
+from mrsan.kernels.structs import Struct, StructType
 from mrsan.threads import kernel_threads, parallel_kernels
 
 # IEEE arithmetic (no fastmath): results do not depend on the number of worlds or threads.
@@ -32,6 +40,11 @@ _compiled = partial(numba.njit, error_model="numpy")
 
 class _InlinedFunction(CPUDispatcher):
     """A function without a wrapper for Python, which would double the time of its compilation."""
+
+    def get_call_template(self, args: Any, kws: Any) -> Any:
+        """Compile one version for all constants: Numba would compile one for each."""
+        args = tuple(map(numba.types.unliteral, args))
+        return super().get_call_template(args, kws)
 
     def __call__(self, *arguments: Any) -> Any:
         """Call from Python, as tests do: compile a version with a wrapper on first use."""
@@ -43,7 +56,10 @@ class _InlinedFunction(CPUDispatcher):
 def _inlined(**settings: Any) -> Callable[[Callable[..., Any]], Any]:
     """Return a decorator for functions that are copied into the kernels that call them."""
     compiled = _compiled(
-        forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True, **settings
+        forceinline=True,
+        no_cpython_wrapper=True,
+        no_cfunc_wrapper=True,
+        **settings,
     )
 
     def decorate(source: Callable[..., Any]) -> Any:
@@ -59,46 +75,40 @@ allocating = _inlined()
 function = _inlined(_nrt=False)
 separate = _compiled(_nrt=False)
 
-_PACKAGE = Path(__file__).resolve().parent.parent
-_CORE_SOURCES = [
-    *sorted(_PACKAGE.glob("kernels/*.py")),
-    *(_PACKAGE / f"{name}.py" for name in ("features", "reward", "se2")),
-    # The order of the fields of named tuples is part of compiled code.
-    *(_PACKAGE / f"{name}.py" for name in ("parameters", "scenario", "state")),
-]
-
 
 class kernel:
-    """Compile a loop over worlds in a serial and a parallel version and pick by the batch.
+    """Compile a loop over rows, such as worlds, and run it on one thread or on several.
 
-    One world runs serially, which is faster, unless `always_parallel` is set: programs that
-    simulate both one and many worlds then compile one version only. All worlds run serially in a
-    process that was forked after parallel kernels had run; elsewhere any thread may call kernels,
-    and they take turns. The first argument of a kernel is the number of pieces its parallel loop
-    is cut into.
+    The source takes the first row to work on and the one after the last, then the arguments of
+    calls. A single row is computed in the calling thread, several by a team of threads, or by the
+    calling thread in a process that was forked after the team had started. Any thread may call
+    kernels; those that use the team take turns.
     """
-
-    always_parallel = False
 
     def __init__(self, source: Callable[..., Any]) -> None:
         self.__doc__ = source.__doc__
         self._source = source
-        self.serial = _compile(source, "serial", parallel=False)
-        self.parallel = _compile(source, "parallel", parallel=True)
+        self._names = list(inspect.signature(source).parameters)[2:]
+        self._versions: dict[StructType, Version] = {}
+        if not config.DISABLE_JIT:
+            name = f"{source.__module__}.{source.__qualname__}"
+            self._entry = _copy(_entry, name, compute=allocating(source))
+            self._cache = KernelCache(name, self._entry)
 
-    def __call__(self, worlds: int, *arguments: Any) -> Any:
-        """Run over `worlds` worlds, the other arguments as the kernel's source declares them."""
-        lock = parallel_kernels()
-        if lock is None or (worlds == 1 and not kernel.always_parallel):
-            return self.serial(1, *arguments)
-        with lock:
-            return self.parallel(min(worlds, 8 * kernel_threads()), *arguments)
-
-    @property
-    def is_cached(self) -> bool:
-        """Whether the parallel version was compiled before, by this or an earlier process."""
-        cache = getattr(self.parallel, "_cache", None)
-        return bool(self.parallel.signatures) or bool(cache and cache._cache_file._load_index())
+    def __call__(self, rows: int, *arguments: Any) -> None:
+        """Run over `rows` rows, the other arguments as the kernel's source declares them."""
+        if config.DISABLE_JIT:
+            self._source(0, rows, *arguments)
+            return
+        struct = Struct(self._names, arguments)
+        version = self._versions.get(struct.type)
+        if version is None:
+            version = Version(self._entry, self._cache, struct.type)
+            self._versions[struct.type] = version
+        if (stand_in := _STAND_IN.get()) is not None:
+            stand_in(version)
+        else:
+            version.run(rows, struct)
 
     def variant(self, name: str, **functions: Any) -> kernel:
         """Return this kernel with other functions in the place of globals that it calls.
@@ -110,40 +120,90 @@ class kernel:
             **functions: compiled functions by the names of the globals that they replace.
         """
         source = self._source
-        copy = types.FunctionType(
-            source.__code__, {**source.__globals__, **functions}, source.__name__
-        )
-        copy.__doc__, copy.__qualname__ = source.__doc__, f"{source.__qualname__}_{name}"
-        return kernel(copy)
+        return kernel(_copy(source, f"{source.__qualname__}_{name}", **functions))
 
 
-def _compile(source: Callable[..., Any], variant: str, parallel: bool) -> Any:
-    copy = types.FunctionType(source.__code__, source.__globals__, source.__name__)
-    copy.__module__ = source.__module__
-    copy.__qualname__ = f"{source.__qualname__}_{variant}"  # Numba names its cache file by this.
-    dispatcher = numba.njit(cache=True, parallel=parallel, error_model="numpy")(copy)
-    # Numba considers only the entry point's own file when it decides whether a cached kernel is
-    # up to date; the stamp covers every file that the kernel may be built from.
-    if hasattr(dispatcher, "_cache"):  # not with NUMBA_DISABLE_JIT
-        dispatcher._cache._cache_file._source_stamp = _stamp(source)
-    return dispatcher
+class Version:
+    """A kernel for one type of arguments."""
+
+    def __init__(self, entry: Callable[..., Any], cache: KernelCache, struct_type: StructType):
+        number = numba.types.intp
+        signature = (number, number, struct_type), numba.types.void
+        self.name = entry.__qualname__
+        self._callback: Any = CFunc(entry, signature, {}, {"error_model": "numpy"})
+        setattr(self._callback, "_cache", cache)  # noqa: B010
+        self._cache = cache
+        self._run: Callable[[int, int, int], None] | None = None
+
+    def is_cached(self) -> bool:
+        """Return whether it was compiled before, by this or another process."""
+        return self._run is not None or self._cache.holds(self._callback._sig)
+
+    def load(self) -> None:
+        """Load it from the cache, or compile it."""
+        if self._run is not None:
+            return
+        progress = contextlib.nullcontext() if self.is_cached() else compile_progress()
+        with progress, self._cache.lock():  # another process may compile it
+            self._callback.compile()
+        number = ctypes.c_ssize_t
+        self._run = ctypes.PYFUNCTYPE(None, number, number, number)(self._callback.address)
+
+    def run(self, rows: int, arguments: Struct) -> None:
+        """Run over `rows` rows."""
+        self.load()
+        assert self._run is not None
+        lock = None if rows == 1 else parallel_kernels()
+        if lock is None:
+            self._run(0, rows, arguments.address)
+            return
+        with lock:
+            chunks = min(rows, 8 * kernel_threads())
+            _run_chunks(self._callback.address, chunks, rows, arguments.address)
 
 
-def _stamp(source: Callable[..., Any]) -> str:
-    """Return a digest of the core and of all files that the kernel's functions come from."""
-    files, queue = set(_CORE_SOURCES), [source]
-    visited = {source.__code__}
-    while queue:
-        globals_ = queue.pop().__globals__.values()
-        called = [value.py_func for value in globals_ if hasattr(value, "py_func")]
-        queue += [caller for caller in called if caller.__code__ not in visited]
-        visited |= {caller.__code__ for caller in called}
-    digest = hashlib.sha256()
-    for code in visited:
-        if Path(code.co_filename).is_file():
-            files.add(Path(code.co_filename))
-        else:  # in a notebook
-            digest.update(repr((code.co_code, code.co_consts)).encode())
-    for file in sorted(files):
-        digest.update(file.read_bytes())
-    return digest.hexdigest()
+_STAND_IN: ContextVar[Callable[[Version], None] | None] = ContextVar("stand_in", default=None)
+
+
+@contextlib.contextmanager
+def replace_runs(stand_in: Callable[[Version], None]) -> Iterator[None]:
+    """Let kernels that the body calls be passed to a function instead of being run."""
+    token = _STAND_IN.set(stand_in)
+    try:
+        yield
+    finally:
+        _STAND_IN.reset(token)
+
+
+def _copy(source: Callable[..., Any], name: str, **replaced: Any) -> Callable[..., Any]:
+    """Return a function with other values of some globals."""
+    copy = types.FunctionType(source.__code__, source.__globals__ | replaced, source.__name__)
+    copy.__doc__, copy.__module__, copy.__qualname__ = source.__doc__, source.__module__, name
+    copy.__defaults__ = source.__defaults__
+    return copy
+
+
+def _entry(first, last, arguments):
+    compute(first, last, *arguments.all_fields)  # noqa: F821
+
+
+@cached
+@numba.njit(parallel=True)
+def _run_chunks(function, chunks, rows, arguments):
+    """Run a compiled kernel, of which the address is given, on all threads."""
+    for chunk in prange(chunks):
+        _call(function, chunk * rows // chunks, (chunk + 1) * rows // chunks, arguments)
+
+
+@intrinsic
+def _call(typing_context, function, first, last, arguments):
+    """Call the function at an address."""
+    intp = numba.types.intp
+
+    def generate(context, builder, signature, values):
+        number = context.get_value_type(intp)
+        kind = ir.FunctionType(ir.VoidType(), [number] * 3)
+        builder.call(builder.inttoptr(values[0], kind.as_pointer()), values[1:])
+        return context.get_dummy_value()
+
+    return numba.types.void(intp, intp, intp, intp), generate

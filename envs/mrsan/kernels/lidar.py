@@ -3,7 +3,6 @@
 import math
 
 import numpy as np
-from numba import prange
 
 from mrsan.kernels import function, kernel, rng, separate
 from mrsan.kernels.walls import (
@@ -25,28 +24,28 @@ _AGENTS = 1024  # rays at most, for distinct random numbers
 
 
 @kernel
-def observe_walls(chunks, worlds, state, limit, segments, mask):
+def observe_walls(first, last, worlds, state, limit, segments, mask):
     """Write the walls nearest to each robot, in its body frame, nearest first.
 
     Args:
-        chunks: number of pieces the loop over worlds is cut into.
+        first: the first world.
+        last: the world after the last one.
         worlds: [E] bool, the worlds to observe.
         state: the worlds.
         limit: distance beyond which walls are not seen, m.
         segments: [E, N, K, 4], written: start and end of each; zero where the mask is False.
         mask: [E, N, K] bool, written.
     """
-    total, n, most = mask.shape[0], mask.shape[1], mask.shape[2]
-    for chunk in prange(chunks):
-        numbers = np.empty(most + 1, np.int32)
-        distances = np.empty(most + 1, np.float32)
-        of_all = np.empty(MOST_SEGMENTS, np.float32)
-        for e in range(chunk * total // chunks, (chunk + 1) * total // chunks):
-            if worlds[e]:
-                for i in range(n):
-                    _nearest_segments(
-                        state, e, i, limit, segments[e, i], mask[e, i], numbers, distances, of_all
-                    )
+    n, most = mask.shape[1], mask.shape[2]
+    numbers = np.empty(most + 1, np.int32)
+    distances = np.empty(most + 1, np.float32)
+    of_all = np.empty(MOST_SEGMENTS, np.float32)
+    for e in range(first, last):
+        if worlds[e]:
+            for i in range(n):
+                _nearest_segments(
+                    state, e, i, limit, segments[e, i], mask[e, i], numbers, distances, of_all
+                )
 
 
 @function
@@ -86,18 +85,17 @@ def _nearest_segments(state, e, i, limit, segments, mask, numbers, distances, of
 
 
 @kernel
-def observe_route(chunks, worlds, state, known, route):
+def observe_route(first, last, worlds, state, known, route):
     """Write where the route of each robot leads next in its body frame, [E, N, 2], m.
 
     That is the next corner, or the goal if it can be reached straight on or if the map is not
     known.
     """
-    total, n = route.shape[0], route.shape[1]
-    for chunk in prange(chunks):
-        for e in range(chunk * total // chunks, (chunk + 1) * total // chunks):
-            if worlds[e]:
-                for i in range(n):
-                    _write_route(state, e, i, known, route[e, i])
+    n = route.shape[1]
+    for e in range(first, last):
+        if worlds[e]:
+            for i in range(n):
+                _write_route(state, e, i, known, route[e, i])
 
 
 @function
@@ -111,11 +109,12 @@ def _write_route(state, e, i, known, route):
 
 
 @kernel
-def scan(chunks, worlds, state, q, cosines, sines, ranges):
+def scan(first, last, worlds, state, q, cosines, sines, ranges):
     """Write the ranges of each robot's lidar.
 
     Args:
-        chunks: number of pieces the loop over worlds is cut into.
+        first: the first world.
+        last: the world after the last one.
         worlds: [E] bool, the worlds to observe.
         state: the worlds.
         q: the lidar, see `mrsan.sensors.walls.LidarParameters`.
@@ -123,23 +122,22 @@ def scan(chunks, worlds, state, q, cosines, sines, ranges):
         sines: [L] likewise.
         ranges: [E, N, L], written, m; the greatest range where nothing is hit.
     """
-    total, n, rays = ranges.shape
-    for chunk in prange(chunks):
-        directions = np.empty((2, rays), np.float32)
-        fractions = np.empty((2, rays), np.float32)  # the ranges as numerators and denominators
-        of_all = np.empty(MOST_SEGMENTS, np.float32)
-        for e in range(chunk * total // chunks, (chunk + 1) * total // chunks):
-            if worlds[e]:
-                for i in range(n):
-                    cos = math.cos(state.robot_heading[e, i])
-                    sin = math.sin(state.robot_heading[e, i])
-                    for ray in range(rays):
-                        directions[0, ray] = cos * cosines[ray] - sin * sines[ray]
-                        directions[1, ray] = sin * cosines[ray] + cos * sines[ray]
-                    _scan_walls(state, e, i, q, directions, fractions, of_all, ranges[e, i])
-                    if q.sees_agents:
-                        _scan_agents(state, e, i, q, directions[0], directions[1], ranges[e, i])
-                    _disturb(state, e, i, q, ranges[e, i])
+    n, rays = ranges.shape[1], ranges.shape[2]
+    directions = np.empty((2, rays), np.float32)
+    fractions = np.empty((2, rays), np.float32)  # the ranges as numerators and denominators
+    of_all = np.empty(MOST_SEGMENTS, np.float32)
+    for e in range(first, last):
+        if worlds[e]:
+            for i in range(n):
+                cos = math.cos(state.robot_heading[e, i])
+                sin = math.sin(state.robot_heading[e, i])
+                for ray in range(rays):
+                    directions[0, ray] = cos * cosines[ray] - sin * sines[ray]
+                    directions[1, ray] = sin * cosines[ray] + cos * sines[ray]
+                _scan_walls(state, e, i, q, directions, fractions, of_all, ranges[e, i])
+                if q.sees_agents:
+                    _scan_agents(state, e, i, q, directions[0], directions[1], ranges[e, i])
+                _disturb(state, e, i, q, ranges[e, i])
 
 
 @function

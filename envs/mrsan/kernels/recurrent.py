@@ -8,7 +8,6 @@ in the batch.
 """
 
 import numpy as np
-from numba import prange
 
 from mrsan.kernels import function, kernel
 
@@ -18,11 +17,14 @@ _ONE = np.float32(1.0)
 
 
 @kernel
-def predict_offsets(chunks, velocities, valid, w_input, w_hidden, bias, w_output, time_step, out):
+def predict_offsets(
+    first, last, velocities, valid, w_input, w_hidden, bias, w_output, time_step, out
+):
     """Predict the offsets of people from where constant velocity would lead them.
 
     Args:
-        chunks: number of pieces the loop over people is cut into.
+        first: the first person.
+        last: the person after the last one.
         velocities: [P, L, 2] of the last L steps in the person's own frame, m/s; the last is now.
         valid: [P, L] bool; other velocities are not read.
         w_input: [2, 3 H] of the update gate, the reset gate and the candidate.
@@ -32,28 +34,27 @@ def predict_offsets(chunks, velocities, valid, w_input, w_hidden, bias, w_output
         time_step: s.
         out: [P, K, 2], written: offsets in the own frame after 1..K steps, m.
     """
-    total, length, size = velocities.shape[0], velocities.shape[1], w_hidden.shape[0]
-    for chunk in prange(chunks):
-        hidden = np.empty(size, np.float32)
-        gates = np.empty(3 * size, np.float32)
-        recurrent = np.empty(3 * size, np.float32)
-        for p in range(chunk * total // chunks, (chunk + 1) * total // chunks):
-            hidden[:] = _ZERO
-            for t in range(length):
-                if valid[p, t]:
-                    x, y = velocities[p, t, 0], velocities[p, t, 1]
-                    _read(x, y, w_input, w_hidden, bias, gates, recurrent, hidden)
-            vx = vy = px = py = _ZERO
-            for k in range(out.shape[1]):
-                if k > 0:
-                    x, y = velocities[p, -1, 0] + vx, velocities[p, -1, 1] + vy
-                    _read(x, y, w_input, w_hidden, bias, gates, recurrent, hidden)
-                for i in range(size):
-                    vx += w_output[i, 0] * hidden[i]
-                    vy += w_output[i, 1] * hidden[i]
-                px += vx * time_step
-                py += vy * time_step
-                out[p, k, 0], out[p, k, 1] = px, py
+    length, size = velocities.shape[1], w_hidden.shape[0]
+    hidden = np.empty(size, np.float32)
+    gates = np.empty(3 * size, np.float32)
+    recurrent = np.empty(3 * size, np.float32)
+    for p in range(first, last):
+        hidden[:] = _ZERO
+        for t in range(length):
+            if valid[p, t]:
+                x, y = velocities[p, t, 0], velocities[p, t, 1]
+                _read(x, y, w_input, w_hidden, bias, gates, recurrent, hidden)
+        vx = vy = px = py = _ZERO
+        for k in range(out.shape[1]):
+            if k > 0:
+                x, y = velocities[p, -1, 0] + vx, velocities[p, -1, 1] + vy
+                _read(x, y, w_input, w_hidden, bias, gates, recurrent, hidden)
+            for i in range(size):
+                vx += w_output[i, 0] * hidden[i]
+                vy += w_output[i, 1] * hidden[i]
+            px += vx * time_step
+            py += vy * time_step
+            out[p, k, 0], out[p, k, 1] = px, py
 
 
 @function

@@ -3,7 +3,6 @@
 import math
 
 import numpy as np
-from numba import prange
 
 from mrsan.kernels import function, kernel, rng
 from mrsan.kernels.habits import NEVER, entry_of, place_beside, walking_speed, walks_along
@@ -50,10 +49,16 @@ NOT_PLACED = -1
 def draw_open_route(state, e, i, key, attempt, layout, recording, p):
     """Draw start and goal of robot `i`; return whether this attempt is permitted."""
     start, goal = state.robot_position[e, i], state.robot_goal[e, i]
-    if p.people_recorded:
-        begin = state.record_step[e]
-        return draw_recorded_route(start, goal, key, i, attempt, begin, recording, p)
     return draw_robot_route(start, goal, key, i, attempt, layout, p)
+
+
+@function
+def draw_route_among_recorded(state, e, i, key, attempt, layout, recording, p):
+    """Draw the same among recorded people, and where the recording begins, which is one number."""
+    start, goal = state.robot_position[e, i], state.robot_goal[e, i]
+    begin_recording(state, e, key, recording, p)
+    begin = state.record_step[e]
+    return draw_recorded_route(start, goal, key, i, attempt, begin, recording, p)
 
 
 @function
@@ -69,7 +74,17 @@ def no_walls(state, e, attempt, p, place_parameters, fixed_map):
 
 @function
 def _begin(
-    state, e, p, recording, social, occupied, candidates, draw_route, route_length, place_human
+    state,
+    e,
+    p,
+    recording,
+    social,
+    occupied,
+    candidates,
+    draw_route,
+    route_length,
+    place_people,
+    place_human,
 ):
     """Begin the episode of world `e`; return 0, or `NO_ROOM_FOR_*`."""
     key = rng.episode_key(state.case[e], state.episode[e])
@@ -78,16 +93,30 @@ def _begin(
     state.terminated[e] = False
     state.truncated[e] = False
     layout = layout_of(key, p)
-    if p.people_recorded:
-        begin_recording(state, e, key, recording, p)
     for i in range(state.robot_heading.shape[1]):
         if not _place_robot(state, e, i, key, layout, recording, p, draw_route, route_length):
             return NO_ROOM_FOR_ROBOTS
-    if p.people_recorded:
-        state.human_present[e, :], state.human_track[e, :] = False, NOT_ASSIGNED
-        state.human_entry[e, :] = 0
-        follow(state, e, recording, p)
-        return 0
+    return place_people(
+        state, e, key, layout, p, recording, social, occupied, candidates, place_human
+    )
+
+
+@function
+def place_recorded_people(
+    state, e, key, layout, p, recording, social, occupied, candidates, place_human
+):
+    """Assign slots to the people of a recording; return 0."""
+    state.human_present[e, :], state.human_track[e, :] = False, NOT_ASSIGNED
+    state.human_entry[e, :] = 0
+    follow(state, e, recording, p)
+    return 0
+
+
+@function
+def place_simulated_people(
+    state, e, key, layout, p, recording, social, occupied, candidates, place_human
+):
+    """Draw which people there are, and their starts; return 0, or `NO_ROOM_FOR_PEOPLE`."""
     low, high = p.humans_min, state.human_radius.shape[1]
     share = rng.uniform(key, rng.HUMAN_COUNT, 0, 0, 0)
     count = min(low + int(share * np.float32(high - low + 1)), high)
@@ -271,22 +300,25 @@ def _distance(a, b):
 
 
 # `begin_episodes.variant` replaces these in places with walls, see `mrsan.kernels.walled_spawn`,
-# and for people who react to robots or walk in groups, see `mrsan.kernels.society`.
+# for people who react to robots or walk in groups, see `mrsan.kernels.society`, and for recorded
+# people.
 most_places = 1
 draw_walls = no_walls
 draw_route = draw_open_route
 route_length = straight_length
+place_people = place_simulated_people
 place_human = place_on_floor
 
 
 @kernel
 def begin_episodes(
-    chunks, worlds, state, p, place_parameters, fixed_map, recording, social, problem
+    first, last, worlds, state, p, place_parameters, fixed_map, recording, social, problem
 ):
     """Begin an episode in each world of a mask: write its state at step 0.
 
     Args:
-        chunks: number of pieces the loop over worlds is cut into.
+        first: the first world.
+        last: the world after the last one.
         worlds: [E] bool.
         state: the worlds.
         p: the scenario's parameters.
@@ -296,27 +328,26 @@ def begin_episodes(
         social: how people react to robots and form groups, see `mrsan.kernels.society`.
         problem: [E] int8, written: 0, or `NO_ROOM_FOR_*` in a world that could not begin.
     """
-    total = worlds.shape[0]
-    for chunk in prange(chunks):
-        occupied = np.empty((_CELLS, _CELLS), np.bool_)
-        candidates = np.empty((2, _BATCH), np.float32).T
-        for e in range(chunk * total // chunks, (chunk + 1) * total // chunks):
-            if worlds[e]:
-                for attempt in range(most_places):
-                    draw_walls(state, e, attempt, p, place_parameters, fixed_map)
-                    problem[e] = _begin(
-                        state,
-                        e,
-                        p,
-                        recording,
-                        social,
-                        occupied,
-                        candidates,
-                        draw_route,
-                        route_length,
-                        place_human,
-                    )
-                    if problem[e] == 0:
-                        break
-                if problem[e] != 0:
+    occupied = np.empty((_CELLS, _CELLS), np.bool_)
+    candidates = np.empty((2, _BATCH), np.float32).T
+    for e in range(first, last):
+        if worlds[e]:
+            for attempt in range(most_places):
+                draw_walls(state, e, attempt, p, place_parameters, fixed_map)
+                problem[e] = _begin(
+                    state,
+                    e,
+                    p,
+                    recording,
+                    social,
+                    occupied,
+                    candidates,
+                    draw_route,
+                    route_length,
+                    place_people,
+                    place_human,
+                )
+                if problem[e] == 0:
                     break
+            if problem[e] != 0:
+                break

@@ -3,7 +3,6 @@
 import math
 
 import numpy as np
-from numba import prange
 
 from mrsan.kernels import function, kernel
 from mrsan.kernels.contact import (
@@ -120,11 +119,12 @@ _FAR = np.float32(np.inf)
 
 
 @kernel
-def advance(chunks, state, action, p, crowd_settings, recording, reward, parts):
+def advance(first, last, state, action, p, crowd_settings, recording, reward, parts):
     """Move every world that has not ended by one time step, in place.
 
     Args:
-        chunks: number of pieces the loop over worlds is cut into.
+        first: the first world.
+        last: the world after the last one.
         state: the worlds.
         action: [E, N, A] in [-1, 1], or what the variant of `move_robot` takes instead.
         p: the scenario's parameters.
@@ -133,42 +133,39 @@ def advance(chunks, state, action, p, crowd_settings, recording, reward, parts):
         reward: [E, N], written; zero in worlds that had ended.
         parts: [9, E, N], written: its terms in the order of `RewardParts`.
     """
-    total, robots = reward.shape
+    robots = reward.shape[1]
     people = state.human_radius.shape[1]
-    for chunk in prange(chunks):
-        agents, scratch = orca_room(people + robots)
-        slots = np.empty(people, np.int32)
-        human_velocities = np.empty((people, 2), np.float32)
-        # Displacement of each robot from K moments of the step, the first at its start, to its end.
-        remaining = np.empty((pieces(action), robots, 2), np.float32)
-        human_gap = np.empty(robots, np.float32)
-        contact = np.empty(robots, np.int8)
-        for e in range(chunk * total // chunks, (chunk + 1) * total // chunks):
-            if state.terminated[e] or state.truncated[e]:
-                reward[e, :] = _ZERO
-                parts[:, e, :] = _ZERO
-                continue
-            update_presence(state, e, p, recording)
-            present = slots[: _list_present(state.human_present[e], slots)]
-            choose_velocities(
-                state,
-                e,
-                p,
-                crowd_settings,
-                recording,
-                present,
-                agents,
-                human_velocities,
-                scratch,
-                crowd_velocity,
-            )
-            _move_robots(state, e, action, p, remaining, contact, move_robot, touches_wall)
-            _move_humans(state, e, p, present, human_velocities)
-            _find_contacts(state, e, p, present, remaining, human_gap, contact)
-            count_intrusions(state, e, p, crowd_settings)
-            _finish_step(
-                state, e, p, remaining[0], human_gap, contact, reward, parts, route_progress
-            )
+    agents, scratch = orca_room(people + robots)
+    slots = np.empty(people, np.int32)
+    human_velocities = np.empty((people, 2), np.float32)
+    # Displacement of each robot from K moments of the step, the first at its start, to its end.
+    remaining = np.empty((pieces(action), robots, 2), np.float32)
+    human_gap = np.empty(robots, np.float32)
+    contact = np.empty(robots, np.int8)
+    for e in range(first, last):
+        if state.terminated[e] or state.truncated[e]:
+            reward[e, :] = _ZERO
+            parts[:, e, :] = _ZERO
+            continue
+        update_presence(state, e, p, recording)
+        present = slots[: _list_present(state.human_present[e], slots)]
+        choose_velocities(
+            state,
+            e,
+            p,
+            crowd_settings,
+            recording,
+            present,
+            agents,
+            human_velocities,
+            scratch,
+            crowd_velocity,
+        )
+        _move_robots(state, e, action, p, remaining, contact, move_robot, touches_wall)
+        _move_humans(state, e, p, present, human_velocities)
+        _find_contacts(state, e, p, present, remaining, human_gap, contact)
+        count_intrusions(state, e, p, crowd_settings)
+        _finish_step(state, e, p, remaining[0], human_gap, contact, reward, parts, route_progress)
 
 
 @function

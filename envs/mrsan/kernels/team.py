@@ -3,7 +3,6 @@
 import math
 
 import numpy as np
-from numba import prange
 
 from mrsan.features import (
     OTHER_RADIUS,
@@ -24,7 +23,8 @@ _ZERO = np.float32(0.0)
 
 @kernel
 def share_tracks(
-    chunks,
+    first,
+    last,
     worlds,
     state,
     p,
@@ -41,7 +41,8 @@ def share_tracks(
     extrapolated by the delay at the reported velocities.
 
     Args:
-        chunks: number of pieces the loop over worlds is cut into.
+        first: the first world.
+        last: the world after the last one.
         worlds: [E] bool, the worlds to observe.
         state: the worlds; this step's reports are written to `state.message_buffer`.
         p: the scenario's parameters.
@@ -52,41 +53,40 @@ def share_tracks(
         humans_reported: [E, N, M] bool, written: reported by a team-mate but not seen.
         robots_reported: [E, N, N - 1] bool, written: likewise.
     """
-    total, n, m = humans.shape[0], humans.shape[1], humans.shape[2]
-    for chunk in prange(chunks):
-        messages, clock, keys = state.message_buffer, state.clock, state.key
-        position, velocity = state.robot_position, state.robot_velocity
-        heading = state.robot_heading
-        delay_steps, max_distance, loss = p.team_delay_steps, p.team_range, p.team_loss
-        radius, delay = p.robot_radius, np.float32(p.team_delay_steps) * p.time_step
-        for e in range(chunk * total // chunks, (chunk + 1) * total // chunks):
-            if not worlds[e]:
-                continue
-            step, length = clock[e], messages.shape[1]
-            sent, received = step % length, (step - delay_steps) % length
-            for i in range(n):
-                pose = position[e, i], velocity[e, i], heading[e, i]
-                message = messages[e, sent, i]
-                _write_message(humans[e, i], humans_visible[e, i], pose, message, 0, m)
-                _write_message(robots[e, i], robots_visible[e, i], pose, message, m, i)
-                _write_own_pose(pose, radius, message[m + i])
-            for i in range(n):
-                humans_reported[e, i, :], robots_reported[e, i, :] = False, False
-                pose = position[e, i], velocity[e, i], heading[e, i]
-                for k in range(n):
-                    dx = position[e, k, 0] - position[e, i, 0]
-                    dy = position[e, k, 1] - position[e, i, 1]
-                    distance = math.sqrt(dx * dx + dy * dy)
-                    if k == i or step < delay_steps or distance > max_distance:
+    n, m = humans.shape[1], humans.shape[2]
+    messages, clock, keys = state.message_buffer, state.clock, state.key
+    position, velocity = state.robot_position, state.robot_velocity
+    heading = state.robot_heading
+    delay_steps, max_distance, loss = p.team_delay_steps, p.team_range, p.team_loss
+    radius, delay = p.robot_radius, np.float32(p.team_delay_steps) * p.time_step
+    for e in range(first, last):
+        if not worlds[e]:
+            continue
+        step, length = clock[e], messages.shape[1]
+        sent, received = step % length, (step - delay_steps) % length
+        for i in range(n):
+            pose = position[e, i], velocity[e, i], heading[e, i]
+            message = messages[e, sent, i]
+            _write_message(humans[e, i], humans_visible[e, i], pose, message, 0, m)
+            _write_message(robots[e, i], robots_visible[e, i], pose, message, m, i)
+            _write_own_pose(pose, radius, message[m + i])
+        for i in range(n):
+            humans_reported[e, i, :], robots_reported[e, i, :] = False, False
+            pose = position[e, i], velocity[e, i], heading[e, i]
+            for k in range(n):
+                dx = position[e, k, 0] - position[e, i, 0]
+                dy = position[e, k, 1] - position[e, i, 1]
+                distance = math.sqrt(dx * dx + dy * dy)
+                if k == i or step < delay_steps or distance > max_distance:
+                    continue
+                if loss > _ZERO:
+                    if rng.uniform(keys[e], rng.REPORT_LOSS, i * n + k, step, 0) < loss:
                         continue
-                    if loss > _ZERO:
-                        if rng.uniform(keys[e], rng.REPORT_LOSS, i * n + k, step, 0) < loss:
-                            continue
-                    message = messages[e, received, k]
-                    people = humans[e, i], humans_visible[e, i], humans_reported[e, i]
-                    others = robots[e, i], robots_visible[e, i], robots_reported[e, i]
-                    _read_message(message, 0, m, delay, pose, people)
-                    _read_message(message, m, i, delay, pose, others)
+                message = messages[e, received, k]
+                people = humans[e, i], humans_visible[e, i], humans_reported[e, i]
+                others = robots[e, i], robots_visible[e, i], robots_reported[e, i]
+                _read_message(message, 0, m, delay, pose, people)
+                _read_message(message, m, i, delay, pose, others)
 
 
 @function

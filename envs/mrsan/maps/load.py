@@ -12,18 +12,34 @@ import numpy as np
 import yaml
 
 from mrsan.kernels.walls import MOST_SEGMENTS
-from mrsan.maps.polygons import MapError, Polygon, check_inside, closed_polygon, thin_walls
+from mrsan.maps.polygons import (
+    MapError,
+    Polygon,
+    check_inside,
+    closed_polygon,
+    points_of,
+    thin_walls,
+)
 from mrsan.maps.ros import RosMap, read_ros_map, trace_ros_map
-from mrsan.maps.values import UniqueKeyLoader, number_of, unique_keys
+from mrsan.maps.values import TextLoader, number_of, unique_keys
 
 _KEYS = ("bounds", "obstacles", "walls", "scale")
 _FORMATS = (
     "a map is YAML with bounds, obstacles and walls, GeoJSON (.json, .geojson), or the YAML file "
     "of a map of ROS (with image)"
 )
-_MOST_BYTES = 20_000_000  # of a map file without its image
-_SMALLEST = 1.0  # m, side of a map in which a robot could move
+_MOST_JSON, _MOST_YAML = 20_000_000, 500_000  # bytes; YAML takes much longer to read
+_SIDE = (1.0, 10_000.0)  # range of the longer side of a map, m
 _DEGREES = ("CRS84", "4326")  # coordinate systems of longitudes and latitudes
+_LARGEST_DEGREES = (180.0, 90.0)
+_DEGREES_REFUSED = (
+    "coordinates in degrees (longitude and latitude); they must be metres: project them first, for "
+    "example to UTM"
+)
+_GEOMETRIES = (
+    "Polygon", "MultiPolygon", "LineString", "MultiLineString", "GeometryCollection",
+    "Point", "MultiPoint",
+)  # fmt: skip
 
 
 class MapFile(NamedTuple):
@@ -31,8 +47,8 @@ class MapFile(NamedTuple):
 
     polygons: list[Polygon]  # the bounds first, in the coordinates of the file, m
     format: str
-    notes: tuple[str, ...]  # oddities that are not errors
-    ros: RosMap | None  # the occupancy grid from which the polygons were traced
+    notes: tuple[str, ...] = ()  # oddities that are not errors
+    ros: RosMap | None = None  # the occupancy grid from which the polygons were traced
 
 
 def load_map(path: str | Path) -> list[Polygon]:
@@ -64,21 +80,19 @@ def read_map(path: str | Path) -> MapFile:
     path = Path(path)
     try:
         content = _content(path)
-        ros: RosMap | None = None
-        notes: tuple[str, ...] = ()
         if isinstance(content, dict) and "image" in content:
             ros = read_ros_map(content, path.parent)
-            polygons, kind, notes = trace_ros_map(ros), "map of ROS", ros.notes
+            file = MapFile(trace_ros_map(ros), "map of ROS", ros.notes, ros)
+            _check_extent(np.concatenate(file.polygons), True)
         elif _is_json(path):
-            parts = _geojson_parts(content)
-            _check_metres(content, parts)
-            polygons, kind = _of_parts(parts), "GeoJSON"
+            polygons = _of_parts(_geojson_parts(content))
+            file = MapFile(polygons, "GeoJSON", _check_crs(content, polygons))
         else:
-            polygons, kind = _of_parts(_yaml_parts(content)), "YAML"
-        _check_number(polygons)
+            file = MapFile(_of_parts(_yaml_parts(content)), "YAML")
+        _check_number(file.polygons)
     except MapError as error:
         raise MapError(f"{path}: {error}") from None
-    return MapFile(polygons, kind, notes, ros)
+    return file
 
 
 def _is_json(path: Path) -> bool:
@@ -87,14 +101,17 @@ def _is_json(path: Path) -> bool:
 
 def _content(path: Path) -> Any:
     try:
-        if path.stat().st_size > _MOST_BYTES:
-            raise MapError(f"has more than {_MOST_BYTES:,} bytes; {_FORMATS}")
+        most = _MOST_JSON if _is_json(path) else _MOST_YAML
+        if path.stat().st_size > most:
+            raise MapError(f"has more than {most:,} bytes; {_FORMATS}")
         text = path.read_text(encoding="utf-8-sig")
         if _is_json(path):
             return json.loads(text, object_pairs_hook=unique_keys)
-        return yaml.load(text, UniqueKeyLoader)
+        return yaml.load(text, TextLoader)
     except OSError as error:
         raise MapError(f"cannot be read ({error.strerror})") from None
+    except UnicodeDecodeError:
+        raise MapError(f"is not text in UTF-8; {_FORMATS}") from None
     except (ValueError, yaml.YAMLError, RecursionError) as error:
         if isinstance(error, MapError):
             raise
@@ -107,23 +124,11 @@ def _content(path: Path) -> Any:
 Parts = dict[str, dict[str, Any]]  # kind -> name of the polygon -> its points
 
 
-def _check_metres(content: Any, parts: Parts) -> None:
-    """Check that the coordinates of GeoJSON are metres, not longitudes and latitudes."""
-    system = str(content.get("crs")) if isinstance(content, dict) else ""
-    listed = [points for polygons in parts.values() for points in polygons.values()]
-    try:
-        side = float(np.ptp(np.concatenate(listed).astype(np.float64), axis=0).max())
-    except (TypeError, ValueError):
-        side = math.inf  # the message about them comes with the check of each polygon
-    if side < _SMALLEST or any(name in system for name in _DEGREES):
-        raise MapError(
-            "has coordinates in degrees (longitude and latitude); they must be metres: project "
-            "them first, for example to UTM"
-        )
-
-
 def _of_parts(parts: Parts) -> list[Polygon]:
     """Return the checked polygons of a map."""
+    named = {name: points for polygons in parts.values() for name, points in polygons.items()}
+    listed = [points_of(points, name, 0) for name, points in named.items()]
+    _check_extent(np.concatenate([np.zeros((0, 2)), *listed]), False)
     outlines = [closed_polygon(points, name, True) for name, points in parts["bounds"].items()]
     inner = {
         name: [closed_polygon(points, name, False)] for name, points in parts["obstacles"].items()
@@ -167,8 +172,10 @@ def _geojson_parts(content: Any) -> Parts:
         features = content.get("features")
         if not isinstance(features, list):
             raise MapError(f"features is {features!r:.60}; it must be a list of features")
-    else:
+    elif isinstance(content, dict) and content.get("type") in ("Feature", *_GEOMETRIES):
         features = [content]
+    else:
+        raise MapError(f"is JSON, but not GeoJSON; {_FORMATS}")
     for number, feature in enumerate(features):
         name = f"features[{number}]"
         if not isinstance(feature, dict):
@@ -234,6 +241,34 @@ def _check_closed(ring: Any, name: str) -> None:
     """Check that a ring of GeoJSON ends with its first point (RFC 7946, 3.1.6)."""
     if not isinstance(ring, list) or not ring or ring[0] != ring[-1]:
         raise MapError(f"{name} has the ring {ring!r:.60}; its last point must be its first")
+
+
+def _check_crs(content: Any, polygons: list[Polygon]) -> tuple[str, ...]:
+    """Check that the stated coordinate system is one of metres; return notes."""
+    if not any(system in str(content.get("crs")) for system in _DEGREES):
+        return ()
+    crs = f"its crs is {content['crs']!r:.80}"
+    if all((np.abs(polygon) <= _LARGEST_DEGREES).all() for polygon in polygons):
+        raise MapError(f"{crs}: {_DEGREES_REFUSED} (delete the crs if they are)")
+    return (f"{crs}, but its coordinates are too large for degrees and are read as metres",)
+
+
+def _check_extent(points: Polygon, metres: bool) -> None:
+    """Check that the extent of points [K, 2] is that of a map in metres.
+
+    Args:
+        points: of all polygons.
+        metres: the file states that they are in metres.
+    """
+    side = float(np.ptp(points, axis=0).max()) if len(points) else math.nan
+    least, most = _SIDE
+    if not metres and 0 < side < least and (np.abs(points) <= _LARGEST_DEGREES).all():
+        raise MapError(f"is {side:.3g} wide, so it has {_DEGREES_REFUSED}")
+    if 0 < side < least or side > most:
+        raise MapError(
+            f"is {side:.3g} m wide; it must be at least {least:g} and at most {most:,.0f} m (is a "
+            "point far from the others?)"
+        )
 
 
 def _check_number(polygons: list[Polygon]) -> None:

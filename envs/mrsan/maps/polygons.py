@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 Polygon = NDArray[np.float64]
 
 _SMALLEST_AREA = 1e-6  # m^2
+_FARTHEST = 1e9  # m, largest coordinate; beyond it float64 is coarser than a micrometre
 _ROUNDING = 1e-6  # tolerance for rounding errors, m or as a share of a side
 
 
@@ -32,10 +33,14 @@ def points_of(values: Any, name: str, least: int) -> Polygon:
     """
     try:
         points = np.asarray(values, np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         points = np.zeros(0)
-    if points.ndim != 2 or points.shape[1] != 2 or not np.isfinite(points).all():
-        raise MapError(f"{name} must be a list of points [x, y] of finite numbers")
+    if points.ndim != 2 or points.shape[1] != 2 or not (np.abs(points) <= _FARTHEST).all():
+        text = " ".join(str(values).split())
+        raise MapError(
+            f"{name} is {text:.60}; it must be a list of points [x, y] of finite numbers, at most "
+            f"{_FARTHEST:.0e} m"
+        )
     differs = np.ones(len(points), np.bool_)
     differs[1:] = (points[1:] != points[:-1]).any(-1)
     points = points[differs]
@@ -98,6 +103,40 @@ def signed_area(points: Polygon) -> float:
     """Return the area of a polygon, m^2; negative if it is clockwise."""
     x, y = (points - points[0]).T  # far from the origin the products would lose digits
     return float((x * np.roll(y, -1) - np.roll(x, -1) * y).sum() / 2)
+
+
+def covered_area(polygons: list[Polygon]) -> float:
+    """Return the area of the union of counter-clockwise polygons, m^2.
+
+    Between the heights of successive vertices and crossings, the covered length is linear in the
+    height, so its value in the middle counts. Covered are the points whose winding number is
+    positive.
+    """
+    if not polygons:
+        return 0.0
+    start = np.concatenate(polygons)
+    start, offset = start - start[0], start[0]
+    end = np.concatenate([np.roll(polygon, -1, 0) for polygon in polygons]) - offset
+    along = end - start
+    between = start[None] - start[:, None]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = _cross(between, along[None]) / _cross(along[:, None], along[None])
+        crossings = start[:, None, 1] + share * along[:, None, 1]
+    heights = crossings[(share >= 0) & (share <= 1)]
+    heights = np.unique(np.concatenate([start[:, 1], heights]).round(9))
+    area = 0.0
+    for low, high in pairwise(heights.tolist()):
+        y = (low + high) / 2
+        met = (start[:, 1] > y) != (end[:, 1] > y)
+        x = start[met, 0] + (y - start[met, 1]) / along[met, 1] * along[met, 0]
+        order = x.argsort()
+        windings = np.where(along[met, 1] < 0, 1, -1)[order].cumsum()
+        area += float((high - low) * np.diff(x[order])[windings[:-1] > 0].sum())
+    return area
+
+
+def _cross(a: Polygon, b: Polygon) -> Polygon:
+    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
 
 
 def _first_crossing(points: Polygon) -> tuple[int, int] | None:

@@ -13,7 +13,7 @@ from mrsan.recording.rows import Floats, RecordingError, Rows
 from mrsan.recording.table import Table, is_number, read_table
 from mrsan.recording.text import read_lines
 
-MAX_VALUE = 1e9  # largest magnitude of frame numbers and positions
+MAX_FRAME, MAX_POSITION = 1e9, 1e11  # largest magnitudes; positions may be in mm
 PLAIN = "plain table (frame id x y)"
 _FRAME_RATE = re.compile(r"(?:frame ?rate|fps)\s*[:=]?\s*(\d+\.?\d*)", re.IGNORECASE)
 _SECONDS = {"s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3}
@@ -222,12 +222,15 @@ def _checked(rows: Rows) -> Rows:
                 notes=(*rows.notes, f"its times are {name} since 1970"),
             )
             break
-    for name, values in (("the frame number", rows.frame), ("a position", rows.position)):
+    for name, values, most in (
+        ("the frame number", rows.frame, MAX_FRAME),
+        ("a position", rows.position, MAX_POSITION),
+    ):
         numbers = values.reshape(len(rows.line), -1)
         row, column = np.unravel_index(np.abs(numbers).argmax(), numbers.shape)
-        if abs(numbers[row, column]) > MAX_VALUE:
+        if abs(numbers[row, column]) > most:
             raise RecordingError(
                 f"{rows.where} {rows.line[row]}: {name} is {numbers[row, column]:g}; its magnitude "
-                f"must be at most {MAX_VALUE:g}"
+                f"must be at most {most:g}"
             )
     return rows

@@ -23,6 +23,7 @@ class Recording(NamedTuple):
     row: NDArray[np.int32]  # [P] index in `position` of the first step of each track
     position: NDArray[np.float32]  # [R, 2] of each step, track by track, m
     half_size: NDArray[np.float32]  # [2] half the sides of the floor that people walked on, m
+    centre: NDArray[np.float64]  # [2] of the floor, in the coordinates of the file, m
     steps: int  # duration
 
 
@@ -32,6 +33,7 @@ NOBODY = Recording(
     row=np.zeros(0, np.int32),
     position=np.zeros((0, 2), np.float32),
     half_size=np.zeros(2, np.float32),
+    centre=np.zeros(2),
     steps=0,
 )
 
@@ -47,8 +49,7 @@ def resample(people: People, time_step: float) -> Recording:
         RecordingError: two rows of a person are nearly simultaneous, the tracks are too long in
             total, or no person is present at any step.
     """
-    low, high = people.position.min(0), people.position.max(0)
-    position = people.position - (low + high) / 2
+    position = people.position - people.centre
     frame = people.rows.frame
     steps = (frame - frame.min()) * (people.frame_seconds / time_step)
     end = int(steps.max())
@@ -74,7 +75,8 @@ def resample(people: People, time_step: float) -> Recording:
         last=first + lengths - 1,
         row=np.cumsum(lengths, dtype=np.int32) - lengths,
         position=np.concatenate([positions for _, positions in paths]).astype(np.float32),
-        half_size=((high - low) / 2).astype(np.float32),
+        half_size=(np.ptp(people.position, axis=0) / 2).astype(np.float32),
+        centre=people.centre,
         steps=end,
     )
 

@@ -58,6 +58,11 @@ class People:
         """Return the positions of the rows, [R, 2], m."""
         return self.rows.position * self.metres
 
+    @property
+    def centre(self) -> Floats:
+        """Return the middle of the floor, [2], m."""
+        return (self.position.min(0) + self.position.max(0)) / 2
+
     @cached_property
     def seconds(self) -> Floats:
         """Return the times of the rows since the first frame, [R], s."""

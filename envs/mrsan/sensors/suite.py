@@ -9,6 +9,7 @@ import numpy as np
 from mrsan.choices import TeamPerception
 from mrsan.features import EGO_FEATURES, OTHER_FEATURES
 from mrsan.kernels.sensing import observe
+from mrsan.kernels.structs import by_reference
 from mrsan.kernels.team import share_tracks
 from mrsan.kernels.walled import observe_past_walls
 from mrsan.observation import Entities, Observation
@@ -17,7 +18,7 @@ from mrsan.plugin_values import check_finite
 from mrsan.scenario import Scenario
 from mrsan.sensors.sensor import EntitySensor, make_sensors
 from mrsan.sensors.walls import wall_sensors
-from mrsan.state import Bools, State
+from mrsan.state import Bools, Floats, State
 
 
 class SensorSuite:
@@ -32,7 +33,7 @@ class SensorSuite:
         """
         self.scenario = _without_limits(scenario) if all_seeing else scenario
         self._parameters = kernel_parameters(self.scenario)
-        self._view = SensorParameters.of(self._parameters)
+        self._view = by_reference(SensorParameters.of(self._parameters))
         walls_hide = self.scenario.has_walls and self.scenario.walls_hide
         self._observe = observe_past_walls() if walls_hide else observe
         self._sensors = wall_sensors(self.scenario, all_seeing) | make_sensors(self.scenario)
@@ -46,11 +47,10 @@ class SensorSuite:
             if isinstance(sensor, EntitySensor):
                 slots[name] = sensor.slots, sensor.features
             else:
-                # A value that a sensor does not write is found as not finite.
-                sensors[name] = np.full((worlds, s.robots, *sensor.shape), np.nan, np.float32)
+                sensors[name] = self._room(name, worlds, *sensor.shape)
         entities = {
             name: Entities(
-                np.full((worlds, s.robots, number, features), np.nan, np.float32),
+                self._room(name, worlds, number, features),
                 np.zeros((worlds, s.robots, number), np.bool_),
             )
             for name, (number, features) in slots.items()
@@ -61,6 +61,16 @@ class SensorSuite:
                 reported[name] = np.empty(entities[name].mask.shape, np.bool_)
         ego = np.empty((worlds, s.robots, len(EGO_FEATURES)), np.float32)
         return Observation(ego, entities, sensors, reported)
+
+    def _room(self, name: str, worlds: int, *shape: int) -> Floats:
+        """Return room for values of all robots; NaN for a registered sensor, which may forget some.
+
+        `observe` then finds those that it did not write.
+        """
+        room = np.empty((worlds, self.scenario.robots, *shape), np.float32)
+        if name in self.scenario.sensors:
+            room.fill(np.nan)
+        return room
 
     def observe(self, state: State, worlds: Bools, observation: Observation) -> None:
         """Write the observations of some worlds [E]."""

@@ -8,6 +8,7 @@ import numpy as np
 
 from mrsan.choices import LidarSees
 from mrsan.kernels.lidar import observe_route, observe_walls, scan
+from mrsan.kernels.structs import by_reference
 from mrsan.se2 import unit_vectors
 from mrsan.sensors.sensor import EntitySensor, ValueSensor
 from mrsan.state import Bools, Floats, State
@@ -66,7 +67,7 @@ class Lidar(ValueSensor):
         s = scenario
         self.shape = (s.lidar_rays,)
         disturbed = 0.0 if ideal else 1.0
-        self._parameters = LidarParameters(
+        parameters = LidarParameters(
             range=np.float32(s.lidar_range),
             noise=np.float32(disturbed * s.lidar_noise),
             noise_share=np.float32(disturbed * s.lidar_noise_share),
@@ -74,6 +75,7 @@ class Lidar(ValueSensor):
             sees_agents=s.lidar_sees is LidarSees.all,
             robot_radius=np.float32(s.robot_radius),
         )
+        self._parameters = by_reference(parameters)
         angles = ray_angles(s.lidar_rays, s.lidar_fov_degrees)
         self._cosines, self._sines = unit_vectors(angles).astype(np.float32).T.copy()
 

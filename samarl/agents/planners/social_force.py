@@ -6,7 +6,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
 from mrsan import Observation
@@ -65,7 +64,8 @@ class SocialForce(Agent):
 
 @kernel
 def _social_force(
-    chunks,
+    first,
+    last,
     ego,
     humans,
     humans_visible,
@@ -82,39 +82,38 @@ def _social_force(
     wall_reach,
     action,
 ):
-    total, no_margin = ego.shape[0], np.float32(0.0)
-    for chunk in prange(chunks):
-        rows, scratch = orca_room(1 + humans.shape[2] + robots.shape[2])
-        walls = np.empty((WALL_ROWS, segments.shape[2] + 1), np.float32)
-        for e in range(chunk * total // chunks, (chunk + 1) * total // chunks):
-            for i in range(ego.shape[1]):
-                count = gather_rows(
-                    ego[e, i],
-                    humans[e, i],
-                    humans_visible[e, i],
-                    robots[e, i],
-                    robots_visible[e, i],
-                    no_margin,
-                    no_margin,
-                    rows,
-                )
-                seen = gather_walls(segments[e, i], segments_visible[e, i], walls)
-                near_walls(walls, seen, no_margin, no_margin, _WALL_RANGE, scratch)
-                preferred_x, preferred_y = preferred_velocity(targets[e, i], p)
-                vx, vy = social_force_velocity(
-                    rows,
-                    count,
-                    0,
-                    preferred_x,
-                    preferred_y,
-                    p.robot_speed,
-                    relaxation_time,
-                    strength,
-                    reach,
-                    wall_strength,
-                    wall_reach,
-                    p.time_step,
-                    scratch,
-                )
-                speed = math.sqrt(rows[0, 2] * rows[0, 2] + rows[0, 3] * rows[0, 3])
-                track_velocity(vx, vy, speed, action[e, i], p)
+    no_margin = np.float32(0.0)
+    rows, scratch = orca_room(1 + humans.shape[2] + robots.shape[2])
+    walls = np.empty((WALL_ROWS, segments.shape[2] + 1), np.float32)
+    for e in range(first, last):
+        for i in range(ego.shape[1]):
+            count = gather_rows(
+                ego[e, i],
+                humans[e, i],
+                humans_visible[e, i],
+                robots[e, i],
+                robots_visible[e, i],
+                no_margin,
+                no_margin,
+                rows,
+            )
+            seen = gather_walls(segments[e, i], segments_visible[e, i], walls)
+            near_walls(walls, seen, no_margin, no_margin, _WALL_RANGE, scratch)
+            preferred_x, preferred_y = preferred_velocity(targets[e, i], p)
+            vx, vy = social_force_velocity(
+                rows,
+                count,
+                0,
+                preferred_x,
+                preferred_y,
+                p.robot_speed,
+                relaxation_time,
+                strength,
+                reach,
+                wall_strength,
+                wall_reach,
+                p.time_step,
+                scratch,
+            )
+            speed = math.sqrt(rows[0, 2] * rows[0, 2] + rows[0, 3] * rows[0, 3])
+            track_velocity(vx, vy, speed, action[e, i], p)

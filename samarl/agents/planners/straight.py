@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
 from mrsan import Observation, Scenario
@@ -44,12 +43,10 @@ def drive_towards(
 
 
 @kernel
-def _drive_towards(chunks, ego, targets, p, action):
-    total = ego.shape[0]
-    for chunk in prange(chunks):
-        for e in range(chunk * total // chunks, (chunk + 1) * total // chunks):
-            for i in range(ego.shape[1]):
-                x, y = targets[e, i, 0], targets[e, i, 1]
-                scale = p.robot_speed / max(np.sqrt(x * x + y * y), np.float32(1e-6))
-                speed = np.sqrt(ego[e, i, VELOCITY_X] ** 2 + ego[e, i, VELOCITY_Y] ** 2)
-                track_velocity(x * scale, y * scale, speed, action[e, i], p)
+def _drive_towards(first, last, ego, targets, p, action):
+    for e in range(first, last):
+        for i in range(ego.shape[1]):
+            x, y = targets[e, i, 0], targets[e, i, 1]
+            scale = p.robot_speed / max(np.sqrt(x * x + y * y), np.float32(1e-6))
+            speed = np.sqrt(ego[e, i, VELOCITY_X] ** 2 + ego[e, i, VELOCITY_Y] ** 2)
+            track_velocity(x * scale, y * scale, speed, action[e, i], p)

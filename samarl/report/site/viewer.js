@@ -2,8 +2,8 @@
 "use strict";
 
 const element = (id) => document.getElementById(id);
-const entries = JSON.parse(element("entries").textContent);
-const replays = new Map(); // episodes by key
+const entries = Object.entries(replays.entries).map(([key, entry]) => ({ key, ...entry })); // from replays/index.js
+const loaded = new Map(); // episodes by key
 const state = { time: 0, playing: false, robot: 0, steps: 0, shown: [] }; // time in steps, shown: episodes
 const sides = [...document.querySelectorAll(".side")].map((section) => ({
   section,
@@ -23,7 +23,7 @@ function replay(key, data) {
     const [xs, ys] = [sums(x), sums(y)];
     return xs.map((value, t) => [value / 100, ys[t] / 100]);
   });
-  replays.set(key, {
+  loaded.set(key, {
     ...data,
     last: data.robots[0][0].length - 1,
     robots: points(data.robots),
@@ -34,11 +34,11 @@ function replay(key, data) {
 }
 
 function load(key) {
-  if (replays.has(key)) return Promise.resolve(replays.get(key));
+  if (loaded.has(key)) return Promise.resolve(loaded.get(key));
   return new Promise((resolve, reject) => {
     const script = document.createElement("script");
     script.src = `replays/${key}.js`;
-    script.onload = () => resolve(replays.get(key));
+    script.onload = () => resolve(loaded.get(key));
     script.onerror = () => reject(new Error(`replays/${key}.js could not be loaded`));
     document.head.append(script);
   });
@@ -591,14 +591,19 @@ darkness.addEventListener("change", () => { readColours(); draw(); });
 new ResizeObserver(draw).observe(element("stage"));
 
 readColours();
+if (entries.length < replays.total) {
+  element("progress").textContent = `${entries.length} of ${replays.total} replays are recorded so far. Reload this page to see more.`;
+}
 const initial = Object.fromEntries(new URLSearchParams(location.hash.slice(1)));
 state.time = Math.max(0, Math.trunc(initial.step)) || 0;
 state.robot = Math.max(0, Math.trunc(initial.robot)) || 0;
 // By default SAMARL and ORCA with a view of 360°, or the two methods that succeed most often.
 const successes = (method) => entries.filter((e) => e.method === method && e.success).length;
 const ranking = distinct(entries, "method").sort((a, b) => successes(b) - successes(a));
-const [best, second = ""] = [...["samarl", "orca"].filter((m) => ranking.includes(m)),
-  ...ranking.filter((m) => !["samarl", "orca"].includes(m))];
+const [best, second = ""] = [...["SAMARL", "ORCA"].filter((m) => ranking.includes(m)),
+  ...ranking.filter((m) => !["SAMARL", "ORCA"].includes(m))];
 const column = distinct(entries, "column").find((name) => name.startsWith("360°"));
-updateOptions({ column, left: best, right: second, ...initial });
-show();
+if (entries.length) {
+  updateOptions({ column, left: best, right: second, ...initial });
+  show();
+}
