@@ -191,10 +191,11 @@ def _function_digest(function: FunctionType) -> str:
 def _parts(function: FunctionType) -> Iterator[bytes]:
     code = function.__code__
     yield code.co_code
-    outer = [cell.cell_contents for cell in function.__closure__ or ()]
-    for value in (code.co_names, code.co_varnames, code.co_consts, function.__defaults__, outer):
+    for value in (code.co_names, code.co_varnames, code.co_consts, function.__defaults__):
         yield _description(value).encode()
-    for value in _values_of(function.__globals__, set(code.co_names)):
+    outer = [cell.cell_contents for cell in function.__closure__ or ()]
+    namespace = function.__globals__ | dict(zip(code.co_freevars, outer, strict=True))
+    for value in _values_of(namespace, {*code.co_names, *code.co_freevars}):
         yield _description(value).encode()
     is_plugin = not function.__module__.startswith(("mrsan.", "samarl."))
     if is_plugin and os.path.exists(code.co_filename):  # it may use other features of Numba

@@ -1,6 +1,7 @@
 """Compiled kernels lie in one folder of the user and are used while their code is the same."""
 
 import os
+import re
 import subprocess
 import sys
 import time
@@ -144,7 +145,8 @@ def test_kernels_are_compiled_side_by_side_before_the_first_episode(
     kernels = ["spawn.begin_episodes", "sensing.observe", "step.advance_orca"]
     assert compiled == [f"mrsan.kernels.{name}" for name in kernels]
     lines = capsys.readouterr().err.splitlines()
-    assert lines[:2] == ["compiling: 0 s, 3 of 3 kernels", "compiling: 0 s, 3 of 3 kernels"]
+    assert len(lines) > 1
+    assert all(re.fullmatch(r"compiling: \d+ s, 3 of 3 kernels", line) for line in lines)
     with compile_ahead.compile_ahead(world) as compiles:
         assert not compiles
     assert capsys.readouterr().err == ""
