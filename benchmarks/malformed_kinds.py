@@ -47,6 +47,7 @@ from samarl.prediction.learner import Learner
 from samarl.prediction.training import Training
 from samarl.report.figures import read_curve
 from samarl.report.leaderboard import ranked
+from samarl.training.run import build_trainer
 
 COMMANDS = {
     "evaluate": evaluate,
