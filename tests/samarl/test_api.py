@@ -9,16 +9,14 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from hydra.core.override_parser.overrides_parser import OverridesParser
 from PIL import Image
 
 import samarl
-from mrsan import ConfigurationError, Kinematics, Reward, Scenario, Split
+from mrsan import ConfigurationError, Kinematics, Observation, Reward, Scenario, Split
 from samarl.agents import build_agent
 from samarl.agents.learned import Learned
 from samarl.agents.planners.orca import Orca
 from samarl.agents.shielded import Shielded
-from samarl.commands.overrides import as_override
 from samarl.configuration import load_agent_config
 from samarl.evaluation.runner import run_cases
 from samarl.evaluation.trajectory import record_episode
@@ -27,7 +25,7 @@ from samarl.policies.checkpoint import load_policy
 from tests.samarl.test_workflows import run
 
 SMALL = Scenario(humans=3, robots=2, time_limit=10.0)
-SHORT_TRAINING = {"steps": 32, "rollout": 4, "validation_cases": 2, "threads": 1}
+SHORT_TRAINING = {"seed": 3, "steps": 32, "rollout": 4, "validation_cases": 2, "threads": 1}
 
 
 def test_importing_samarl_is_cheap() -> None:
@@ -96,7 +94,6 @@ def test_files_may_have_any_name_and_extend_others(tmp_path: Path) -> None:
         (lambda: samarl.evaluate("orca", cases=[4, 4]), r"cases is \[4, 4\]; .* different"),
         (lambda: samarl.evaluate("orca", split="tset"), r"split is 'tset'; .* test"),
         (lambda: samarl.record("orca", case=-1), r"case index is -1"),
-        (lambda: samarl.train("-m", "trainer.seed=1,2"), "call train for each"),
         (lambda: samarl.train(trainer={"stepps": 2}), r"trainer\.stepps is not .* trainer\.steps"),
         (
             lambda: build_agent("samarl", Scenario()),
@@ -229,33 +226,51 @@ def test_a_training_can_be_evaluated_and_resumed(
         "worlds": 4,
         "run_dir": tmp_path / "run (1)",
     }
-    folder = samarl.train(["trainer.seed=3"], trainer=SHORT_TRAINING, **arguments)
-    assert folder == tmp_path / "run (1)"
+    trained = samarl.train(trainer=SHORT_TRAINING, **arguments)
+    folder = tmp_path / "run (1)"
+    assert trained.folder == folder
+    assert trained.scenario == scenario
+    assert trained.curves().steps.iloc[-1] == 32
     provenance = json.loads((folder / "last.json").read_text())["provenance"]
     (stage,) = provenance["configuration"]["curriculum"]["stages"]
     assert (stage["worlds"], stage["begin"]) == (4, 0.0)
     assert stage["scenario"] == json.loads(json.dumps(vars(scenario), default=_as_saved))
-    assert provenance["command"].startswith("samarl-train trainer.seed=3 trainer.steps=32 ")
+    assert provenance["command"].startswith("samarl.train(run_dir=")
     result = samarl.evaluate(folder, scenario, cases=2)
     assert result.row["method"] == "run (1)"
-    assert len(result.success) == 2
+    capsys.readouterr()
+    for other in (trained.evaluate(cases=2), samarl.evaluate(folder, cases=2)):
+        assert (other.episodes.path_length == result.episodes.path_length).all()
+    note = capsys.readouterr().err
+    assert str(folder) in note
+    assert "the scenario of its training" in note
 
     more = {**SHORT_TRAINING, "steps": 64}
-    samarl.train("trainer.seed=3", trainer=more, **arguments)
+    samarl.train(trainer=more, **arguments)
     assert "resuming at step 32 of 64" in capsys.readouterr().out
+    trained.resume(steps=96)
+    assert "resuming at step 64 of 96" in capsys.readouterr().out
     with pytest.raises(ConfigurationError, match=r"trainer\.seed is 4; the run in .* has 3"):
-        samarl.train("trainer.seed=4", trainer=more, **arguments)
+        samarl.train(trainer=more | {"seed": 4}, **arguments)
+
+
+def test_functions_and_objects_are_evaluated() -> None:
+    class Mine:
+        def act(self, observation: Observation) -> np.ndarray:
+            return towards_goals(observation)
+
+    def towards_goals(observation: Observation) -> np.ndarray:
+        assert observation.ego.shape[1:2] == (2,)
+        return np.zeros((*observation.ego.shape[:2], 2), np.float32)
+
+    of_function = samarl.evaluate(towards_goals, SMALL, cases=2)
+    of_object = samarl.evaluate(Mine(), SMALL, cases=2)
+    assert [r.row["method"] for r in (of_function, of_object)] == ["towards_goals", "Mine"]
+    assert not of_function.success.any()
+    assert (of_function.episodes.path_length == of_object.episodes.path_length).all()
+    with pytest.raises(ConfigurationError, match=r"agent is 3; it must be"):
+        samarl.evaluate(3, SMALL, cases=2)
 
 
 def _as_saved(value: object) -> object:
     return vars(value) if hasattr(value, "__dataclass_fields__") else str(value)
-
-
-@pytest.mark.parametrize(
-    "value",
-    [3, 0.25, True, None, [1, 2], {"a": [{"b": None, "c": False}], "d": "x, y"}, ["it's", "1"]],
-)
-def test_values_survive_the_grammar_of_hydra(value: object) -> None:
-    override = OverridesParser.create().parse_override(as_override("x.y", value))
-    assert override.key_or_group == "x.y"
-    assert override.value() == value
