@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from functools import partial
 from importlib import import_module
@@ -25,7 +26,9 @@ COMMANDS = {
 
 
 def run(command: str) -> None:
-    """Run a command with the words of `sys.argv`."""
+    """Run a command with the words of `sys.argv`, in UTF-8 whatever the locale."""
+    if sys.getfilesystemencoding() != "utf-8":  # else paths and output lack most characters
+        os.execv(sys.executable, [sys.executable, "-X", "utf8", *sys.orig_argv[1:]])
     try:
         import_module(f"samarl.commands.{command}").main()
     except KeyboardInterrupt:

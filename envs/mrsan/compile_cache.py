@@ -110,7 +110,7 @@ class KernelCache:
         if fcntl is None:
             yield
             return
-        with open(cache_folder() / f"{self._name}.lock", "w") as file:
+        with open(cache_folder() / f"{self._name}.lock", "wb") as file:
             fcntl.flock(file, fcntl.LOCK_EX)  # which ends with the process
             yield
 

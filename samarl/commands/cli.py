@@ -199,7 +199,7 @@ def _sweep_name(words: Sequence[str]) -> str:
     settings = sorted(w for w in words if "=" in w and not w.startswith("hydra"))
     swept = [w.partition("=")[0].rpartition(".")[2] for w in settings if "," in w or "(" in w]
     settings = [w for w in settings if w.partition("=")[0] not in _SAME_SWEEP]
-    digest = hashlib.sha256("\n".join(settings).encode()).hexdigest()[:8]
+    digest = hashlib.sha256("\n".join(settings).encode(errors="replace")).hexdigest()[:8]
     return "-".join([*(re.sub(r"\W+", "_", key) for key in swept[:4]), digest])
 
 

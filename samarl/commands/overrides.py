@@ -53,6 +53,8 @@ class CommandLine:
         folder = None
         remaining = iter(words)
         for word in remaining:
+            if word != word.encode(errors="ignore").decode():  # bytes of another encoding
+                raise ConfigurationError(f"{word!r} is not UTF-8; rename its file or folder")
             name, equals, value = word.partition("=")
             if not word.startswith("-"):
                 settings.append(word)

@@ -107,7 +107,7 @@ def predict_outcomes(
         robots,
         *tracks.agents,
         *seen_walls(tracks),
-        target,
+        np.ascontiguousarray(target),
         commands,
         kernel_parameters(scenario),
         *following,

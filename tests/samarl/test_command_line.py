@@ -215,13 +215,13 @@ def test_recordings_in_folders_with_special_characters_are_played(
     words += [f"scenario.recording={recording}", "hydra.run.dir=rows (1), here"]
     monkeypatch.setattr(sys, "argv", ["samarl-evaluate", *words])
     evaluate.main()
-    saved = json.loads(Path("rows (1), here/row.json").read_text())
+    saved = json.loads(Path("rows (1), here/row.json").read_text(encoding="utf-8"))
     assert saved["config"]["scenario"]["recording"] == str(recording)
     # The row's command is all it takes to play it again, and is shown as it was written.
     program, *words = shlex.split(saved["row"]["command"])
     monkeypatch.setattr(sys, "argv", [program, *words, "hydra.run.dir=again"])
     evaluate.main()
-    again = json.loads(Path("again/row.json").read_text())
+    again = json.loads(Path("again/row.json").read_text(encoding="utf-8"))
     assert again["config"] == saved["config"]
     assert row_settings(again["row"])[-1].startswith("scenario.recording=")
 
@@ -281,7 +281,9 @@ def test_a_group_takes_one_name(group: str) -> None:
 def test_the_command_samarl_lists_and_runs_the_others(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    scripts = tomllib.loads(Path("pyproject.toml").read_text())["project"]["scripts"]
+    scripts = tomllib.loads(Path("pyproject.toml").read_text(encoding="utf-8"))["project"][
+        "scripts"
+    ]
     assert set(scripts) == {"samarl", *(f"samarl-{name}" for name in main.COMMANDS)}
     monkeypatch.setattr(sys, "argv", ["samarl"])
     main.main()
@@ -301,7 +303,7 @@ def test_the_command_samarl_lists_and_runs_the_others(
     for argv, run in ((["samarl", "evaluate"], main.main), (["samarl-evaluate"], main.evaluate)):
         monkeypatch.setattr(sys, "argv", [*argv, *words])
         run()
-        row = json.loads(Path("here/row.json").read_text())["row"]
+        row = json.loads(Path("here/row.json").read_text(encoding="utf-8"))["row"]
         assert row["command"] == "samarl-evaluate agent=straight evaluation.cases=2"
 
 

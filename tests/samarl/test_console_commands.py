@@ -1,5 +1,9 @@
-"""Commands with options that need no configuration: samarl-curves and samarl-examples."""
+"""Commands with options that need no configuration: samarl-curves, samarl-examples, samarl-map."""
 
+import os
+import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -9,6 +13,7 @@ from samarl.files import find_folder
 from samarl.report.curves import read_run_folders
 from tests.commands import run_module
 
+MAPS = Path(__file__).parents[1] / "data/maps"
 HEADER = "steps,seconds,charts/success,losses/critic"
 
 
@@ -71,3 +76,49 @@ def test_mistakes_are_one_line(command: str, tmp_path: Path) -> None:
         assert value in done.stderr, words
         assert len(done.stderr.splitlines()) == 1, words
     assert "FOLDER" in run_module(f"samarl.commands.{command}", "--help", cwd=tmp_path).stdout
+
+
+@pytest.mark.parametrize(
+    ("name", "file_format", "area"),
+    [("open_0.196.yaml", "ROS", "96."), ("z.geojson", "GeoJSON", "94.")],
+)
+def test_what_is_understood_of_a_map(
+    name: str, file_format: str, area: str, tmp_path: Path
+) -> None:
+    words = [str(MAPS / name), "--figure", "map.png"]
+    done = run_module("samarl.commands.map", *words, cwd=tmp_path)
+    assert (done.returncode, done.stderr) == (0, "")
+    rows = dict(line.split(maxsplit=1) for line in done.stdout.splitlines() if line[0] != " ")
+    assert file_format in rows["format"]
+    assert rows["floor"].startswith(area)
+    assert ("cells" in rows) == (file_format == "ROS")
+    with Image.open(tmp_path / "map.png") as picture:
+        assert picture.width > 300
+
+
+def test_a_map_of_another_program_is_refused_with_the_formats_that_are_read(tmp_path: Path) -> None:
+    done = run_module("samarl.commands.map", str(MAPS / "irsim.yaml"), cwd=tmp_path)
+    assert done.returncode == 2
+    (line,) = done.stderr.splitlines()
+    assert line.startswith("error: ")
+    assert all(word in line for word in ("irsim.yaml", "GeoJSON", "ROS"))
+
+
+def test_paths_outside_of_the_locale(tmp_path: Path) -> None:
+    shutil.copy(MAPS / "metres.geojson", tmp_path / "Zürich.geojson")
+    variables = {**os.environ, "LC_ALL": "C", "PYTHONUTF8": "0"}
+
+    def start(*words: str | bytes) -> subprocess.CompletedProcess[str]:
+        command = [sys.executable, "-c", "from samarl.main import main; main()", *words]
+        return subprocess.run(
+            command, cwd=tmp_path, env=variables, capture_output=True, encoding="utf-8"
+        )
+
+    done = start("map", "Zürich.geojson")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "m²" in done.stdout
+    done = start("evaluate", b"scenario.map=Z\xfcrich.yaml")  # Latin-1
+    assert done.returncode == 2
+    (line,) = done.stderr.splitlines()
+    assert line.startswith("error: 'scenario.map=Z")
+    assert "UTF-8" in line

@@ -177,7 +177,7 @@ def exported(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def anchors(page: Path) -> set[str]:
     """The anchors of the headings of a page."""
-    headings = re.findall(r"^#+ (.+)$", page.read_text(), re.MULTILINE)
+    headings = re.findall(r"^#+ (.+)$", page.read_text(encoding="utf-8"), re.MULTILINE)
     return {re.sub(r"[^\w\- ]", "", text.lower()).strip().replace(" ", "-") for text in headings}
 
 
@@ -185,7 +185,9 @@ def anchors(page: Path) -> set[str]:
     "page", [DOCS.parent / "README.md", *sorted(DOCS.glob("*.md"))], ids=lambda page: page.stem
 )
 def test_links_have_targets(page: Path) -> None:
-    for target, _, anchor in re.findall(r"\]\(([^)#\s]*)(#?)([^)\s]*)\)", page.read_text()):
+    for target, _, anchor in re.findall(
+        r"\]\(([^)#\s]*)(#?)([^)\s]*)\)", page.read_text(encoding="utf-8")
+    ):
         if "://" in target:
             continue
         path = page.parent / target if target else page

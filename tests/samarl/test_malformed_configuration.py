@@ -437,7 +437,9 @@ def test_files_whose_aliases_would_fill_the_memory_are_rejected(
     for above, below in zip("abcdefgh", "bcdefghi", strict=True):
         lines.append(f"{below}: &{below} [{', '.join([f'*{above}'] * 10)}]")
     Path("mine/agent").mkdir(parents=True)
-    Path("mine/agent/bomb.yaml").write_text("&a [*a]" if bomb == "recursive" else "\n".join(lines))
+    Path("mine/agent/bomb.yaml").write_text(
+        "&a [*a]" if bomb == "recursive" else "\n".join(lines), encoding="utf-8"
+    )
     for extra in ([], ["--help"]):
         assert run(["--config-dir=mine", "agent=bomb", *extra], monkeypatch) == 2
         assert "agent/bomb.yaml has more than 100000 values" in capsys.readouterr().err

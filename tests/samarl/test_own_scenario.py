@@ -125,7 +125,9 @@ def test_the_recipe_of_the_guide(tmp_path: Path) -> None:
 
 
 def _stages_of(card: Path) -> list[tuple[Any, ...]]:
-    saved = json.loads(card.read_text())["provenance"]["configuration"]["curriculum"]["stages"]
+    saved = json.loads(card.read_text(encoding="utf-8"))["provenance"]["configuration"][
+        "curriculum"
+    ]["stages"]
     names = ("name", "humans", "layout")
     return [(stage["worlds"], *(stage["scenario"][name] for name in names)) for stage in saved]
 

@@ -105,7 +105,10 @@ def test_converted_files_are_plain_tables(run) -> None:
     truth = np.loadtxt(CASES / "plain.txt")
     np.testing.assert_array_equal(rows, truth[np.lexsort((truth[:, 1], truth[:, 0]))])
     run(CASES / "pedpy_id_first.txt", "--output", "new.csv")
-    assert Path("new.csv").read_text().splitlines()[:2] == ["frame,id,x,y", "0,6,6.8002,12.4359"]
+    assert Path("new.csv").read_text(encoding="utf-8").splitlines()[:2] == [
+        "frame,id,x,y",
+        "0,6,6.8002,12.4359",
+    ]
 
 
 def test_implausible_recordings_are_drawn_but_not_converted(run) -> None:

@@ -178,7 +178,7 @@ def test_a_run_stopped_within_a_round_goes_on_bit_for_bit(
             with pytest.raises(SystemExit) as left:
                 main()
             assert left.value.code == 130
-            assert Path("run/progress.csv").read_text().count("\n") == 1 + 3
+            assert Path("run/progress.csv").read_text(encoding="utf-8").count("\n") == 1 + 3
             del left  # and with it the trainer, which has the folder to itself
             gc.collect()
         main()
