@@ -63,7 +63,7 @@ def find_policy(name: str, field: str = "checkpoint") -> Path:
 def is_policy(name: str) -> bool:
     """Return whether `find_policy` finds a policy."""
     try:
-        return find_policy(name).is_file()
+        return find_policy(name).suffix == ".safetensors"
     except ConfigurationError:
         return False
 

@@ -87,10 +87,10 @@ def test_files_may_have_any_name_and_extend_others(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: samarl.load_agent("smarl"), r"agent is 'smarl'; .* did you mean samarl"),
-        (lambda: samarl.load_agent("a.yaml"), r"agent is 'a\.yaml'; there is no such file"),
+        (lambda: samarl.load_agent("smarl"), r"agent is 'smarl', .* did you mean samarl"),
+        (lambda: samarl.load_agent("a.yaml"), r"agent is 'a\.yaml', which does not exist"),
         (lambda: samarl.load_agent("orca", reach=1), r"agent\.reach is not known"),
-        (lambda: samarl.load_scenario("10p3"), r"scenario: .* '10p3'; did you mean 10p3r"),
+        (lambda: samarl.load_scenario("10p3"), r"scenario is '10p3', .* did you mean 10p3r"),
         (lambda: samarl.evaluate("orca", cases=[4, 4]), r"cases is \[4, 4\]; .* different"),
         (lambda: samarl.evaluate("orca", split="tset"), r"split is 'tset'; .* test"),
         (lambda: samarl.record("orca", case=-1), r"case index is -1"),
@@ -261,7 +261,7 @@ def test_functions_and_objects_are_evaluated() -> None:
 
     def towards_goals(observation: Observation) -> np.ndarray:
         assert observation.ego.shape[1:2] == (2,)
-        return np.zeros((*observation.ego.shape[:2], 2), np.float32)
+        return np.zeros((*observation.ego.shape[:2], 3), np.float32)
 
     of_function = samarl.evaluate(towards_goals, SMALL, cases=2)
     of_object = samarl.evaluate(Mine(), SMALL, cases=2)

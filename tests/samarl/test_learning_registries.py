@@ -144,7 +144,7 @@ def test_every_name_trains_and_its_checkpoint_drives_as_before(choice: str, tmp_
         ("policy", {"name": None}, r"policy\.name .*None.*flat"),
         ("encoder", {"name": "gru", "width": 8, "wdith": 8}, r"encoder\.wdith"),
         ("encoder", {"name": "gru", "width": 0, "features": 8}, r"encoder\.width .*0.* \[?\d+"),
-        ("encoder", {"name": "gru", "width": "wide", "features": 8}, r"encoder\.width .*wide"),
+        ("encoder", {"name": "gru", "width": "wide", "features": 8}, r"encoder\.width.*wide"),
         ("encoder", {"name": "gru", "width": 8}, r"encoder\.features"),
     ],
 )
