@@ -21,8 +21,8 @@ from benchmarks.workload import add_output, interruptible, positive_number, prov
 from mrsan import ConfigurationError, Scenario, World
 from mrsan.threads import use_threads
 from samarl.agents import Agent, build_agent
+from samarl.agents.agent import Controller
 from samarl.configuration import available_agents, load_agent_config, load_scenario
-from samarl.evaluation.runner import Controller
 from samarl.evaluation.table import markdown_table
 from samarl.export import export_agent
 from samarl.files import machine, write_json

@@ -43,18 +43,19 @@ def as_spaces(scenario: Scenario) -> tuple[spaces.Dict, spaces.Box]:
     low = np.full(len(EGO_FEATURES), -FARTHEST, np.float32)
     high = -low
     low[[HEADING_COS, HEADING_SIN]], high[[HEADING_COS, HEADING_SIN]] = -1.0, 1.0
-    low[[RADIUS, PREFERRED_SPEED, TIME]], high[TIME] = 0.0, 1.0
-
+    low[[RADIUS, PREFERRED_SPEED, TIME]] = 0.0
+    high[[RADIUS, PREFERRED_SPEED, TIME]] = scenario.robot_radius, scenario.robot_speed, 1.0
     entries: dict[str, spaces.Space[Any]] = {"ego": spaces.Box(low, high, dtype=np.float32)}
     for key, array in arrays_in_space(SensorSuite(scenario).empty(1)).items():
         if key != "ego":
             shape = array.shape[2:]
             bound = _LARGEST if key in scenario.sensors else FARTHEST
-            entries[key] = (
-                spaces.Box(0, 1, shape, np.int8)
-                if array.dtype == np.int8
-                else spaces.Box(-bound, bound, shape, np.float32)
-            )
+            if array.dtype == np.int8:
+                entries[key] = spaces.Box(0, 1, shape, np.int8)
+            elif key == "lidar":
+                entries[key] = spaces.Box(0.0, np.float32(scenario.lidar_range), shape, np.float32)
+            else:
+                entries[key] = spaces.Box(-bound, bound, shape, np.float32)
     return spaces.Dict(entries), spaces.Box(-1.0, 1.0, (scenario.action_size,), np.float32)
 
 

@@ -83,12 +83,14 @@ def sum_of_terms(state: State, scenario: Scenario, driving: Bools) -> Floats:
     """Return the weighted sum of the custom terms after a step, [E, N]; zero where not `driving`.
 
     Raises:
-        PluginError: a term has another shape or is not finite.
+        PluginError: a term has another shape, or it or the sum is not finite.
     """
     total = np.zeros(driving.shape, np.float32)
     for name, weight in scenario.reward.terms.items():
         term = as_numbers(f"reward term {name}", REWARD_TERMS[name](state, scenario))
         check_shape(f"reward term {name}", term.shape, total.shape)
         check_finite(f"reward term {name}", term, state, driving)
-        total[driving] += np.float32(weight) * term[driving]
+        with np.errstate(over="ignore"):  # reported by the last check
+            total[driving] += np.float32(weight) * term[driving]
+    check_finite("the weighted sum of the reward terms", total, state)
     return total

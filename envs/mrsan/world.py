@@ -7,12 +7,13 @@ frame of the observing robot (x ahead, y to the left).
 
 from __future__ import annotations
 
+import re
 from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 from numba.core.errors import NumbaError
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from mrsan.choices import Crowd
 from mrsan.compile_ahead import compile_missing
@@ -340,11 +341,10 @@ class World:
         except NumbaError as error:
             if self.scenario.crowd in Crowd.__members__:
                 raise
-            reason = " ".join(str(error).split())
             raise PluginError(
                 f"crowd {self.scenario.crowd} cannot be compiled; it must return two numbers, the "
-                f"velocity of a person: {reason:.300}"
-            ) from error
+                f"velocity of a person: {_reason(error):.200}"
+            ) from None
         return reward, RewardParts(*terms)
 
     def _add_lookahead(
@@ -370,20 +370,43 @@ class World:
         return mask
 
     def _checked_actions(self, actions: ArrayLike) -> Floats:
-        try:
-            action = np.ascontiguousarray(actions, np.float32)
-        except (TypeError, ValueError) as error:
-            raise ActionError(f"actions are not an array of numbers ({error})") from error
         shape = (self.worlds, self.scenario.robots, self.scenario.action_size)
-        if action.shape != shape:
-            raise ActionError(f"actions have shape {action.shape}; they must have {shape}")
-        if not (np.abs(action) <= 1.0).all():  # also False for NaN
-            e, n = np.argwhere(~(np.abs(action) <= 1.0).all(-1))[0]
-            raise ActionError(
-                f"action of robot {n} in world {e} is {action[e, n].tolist()} at step "
-                f"{self.state.clock[e]}; every element must lie in [-1, 1]"
-            )
-        return action
+        return checked_actions(actions, shape, self.state.clock)
+
+
+def checked_actions(
+    actions: Any, shape: tuple[int, int, int], clock: NDArray[Any], source: str = ""
+) -> Floats:
+    """Return actions as an array.
+
+    Args:
+        actions: [E, N, A] of all robots.
+        shape: that they must have.
+        clock: [E] the steps of each world so far, for the message.
+        source: who chose them, such as `agent orca: `.
+
+    Raises:
+        ActionError: an action is not a number, is out of range or has the wrong shape.
+    """
+    try:
+        action = np.ascontiguousarray(actions, np.float32)
+    except (TypeError, ValueError) as error:
+        raise ActionError(f"{source}actions are not an array of numbers ({error})") from error
+    if action.shape != shape:
+        raise ActionError(f"{source}actions have shape {action.shape}; they must have {shape}")
+    if not (np.abs(action) <= 1.0).all():  # also False for NaN
+        e, n = np.argwhere(~(np.abs(action) <= 1.0).all(-1))[0]
+        raise ActionError(
+            f"{source}action of robot {n} in world {e} is {action[e, n].tolist()} at step "
+            f"{clock[e]}; every element must lie in [-1, 1]"
+        )
+    return action
+
+
+def _reason(error: NumbaError) -> str:
+    """Return the line of a message of Numba that says what is wrong."""
+    lines = re.sub(r"\x1b\[\d*m", "", str(error)).splitlines()  # without colours
+    return next((line for line in lines if line and not line.startswith("Failed in")), lines[0])
 
 
 def _empty_state(e: int, scenario: Scenario, history: int) -> State:

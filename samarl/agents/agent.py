@@ -7,18 +7,53 @@ import inspect
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mrsan import Observation, Scenario
+from mrsan.features import TIME
 from mrsan.fields import check_numbers, short_repr
+from mrsan.world import checked_actions
 from samarl.policies.explanation import Explanation
 
 
 class ScopeWarning(UserWarning):
     """An agent is used in a scenario outside of those of its training."""
+
+
+class Controller(Protocol):
+    """What drives all robots; `Agent` is one."""
+
+    def reset(self, worlds: NDArray[np.bool_]) -> None:
+        """Clear the memory of the worlds [E] in which an episode begins."""
+
+    def act(self, observation: Observation) -> NDArray[np.float32]:
+        """Return the action of every robot, [E, N, A]."""
+
+
+def checked_act(
+    agent: Controller, observation: Observation, scenario: Scenario, role: str = "agent"
+) -> NDArray[np.float32]:
+    """Return the actions of an agent, [E, N, A].
+
+    Args:
+        agent: it acts.
+        observation: what it acts on.
+        scenario: the task.
+        role: of the agent, for messages.
+
+    Raises:
+        ActionError: an action is not a number, is out of range or has the wrong shape; the message
+            names the agent.
+    """
+    return checked_actions(
+        agent.act(observation),
+        (*observation.ego.shape[:2], scenario.action_size),
+        np.rint(observation.ego[:, 0, TIME] * scenario.time_limit_steps).astype(int),
+        f"{role} {getattr(agent, 'label', '') or type(agent).__name__}: ",
+    )
 
 
 @dataclass

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrsan import Observation, Scenario
-from samarl.agents.agent import Agent
+from samarl.agents.agent import Agent, checked_act
 from samarl.planning.shield import Shield, apply_shield
 from samarl.planning.track_predictor import TrackPredictor
 from samarl.policies.explanation import Explanation
@@ -62,7 +62,7 @@ class Shielded(Agent):
 
     def act(self, observation: Observation) -> NDArray[np.float32]:
         """Return the agent's actions [E, N, A], with unsafe ones replaced by the shield."""
-        action = self.agent.act(observation)
+        action = checked_act(self.agent, observation, self.scenario)
         tracks, predicted_offset = self._track_predictor.update(observation)
         checked = apply_shield(tracks, action, self.scenario, self.shield, predicted_offset)
         self._replaced = (checked != action).any(-1)

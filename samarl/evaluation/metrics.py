@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mrsan import Episodes, Outcome, social_score
+from mrsan import Episodes, Outcome, PluginError, social_score
 
 Value = float | None  # None: undefined, as there is nothing to measure
 Measure = Callable[[Episodes], Any]  # returns a value, or a tuple with one per field
@@ -50,15 +50,22 @@ class Metric:
         """Return the fields of this metric in a row, rounded.
 
         Raises:
-            ValueError: `measure` returns another number of values than there are fields.
+            PluginError: `measure` returns another number of values than there are fields, or one
+                that is neither a finite number nor None.
         """
         result = self.measure(episodes)
         values = result if isinstance(result, tuple) else (result,)
         if len(values) != len(self.fields):
-            raise ValueError(
+            raise PluginError(
                 f"metric {self.fields[0]} returns {len(values)} values; it must return "
                 f"{len(self.fields)}: {', '.join(self.fields)}"
             )
+        for name, value in zip(self.fields, values, strict=True):
+            is_number = isinstance(value, int | float | np.number)
+            if value is not None and not (is_number and math.isfinite(value)):
+                raise PluginError(
+                    f"metric {name} is {value!r:.60}; it must be a finite number, or None"
+                )
         return {
             name: None if value is None else round(float(value), self.decimals)
             for name, value in zip(self.fields, values, strict=True)

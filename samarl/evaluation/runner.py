@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mrsan import ActionError, Episodes, Observation, Scenario, Split, World
+from mrsan import Episodes, Scenario, Split, World
 from mrsan.fields import check_numbers, number, setting
 from mrsan.metrics import episodes_of
+from samarl.agents.agent import Controller, checked_act
 
 
 @dataclass
@@ -45,16 +46,6 @@ def warm_up(agent: Controller, scenario: Scenario) -> None:
     agent.act(world.observe())
 
 
-class Controller(Protocol):
-    """The methods of an agent that `run_cases` calls; `focus` of an agent only if it has it."""
-
-    def reset(self, worlds: NDArray[np.bool_]) -> None:
-        """Clear the memory of the worlds [E] in which an episode begins."""
-
-    def act(self, observation: Observation) -> NDArray[np.float32]:
-        """Return the action of every robot, [E, N, A]."""
-
-
 def run_cases(
     agent: Controller,
     scenario: Scenario,
@@ -67,7 +58,7 @@ def run_cases(
     A world whose episode has ended starts the next case immediately, so the batch stays full.
 
     Args:
-        agent: the controller of all robots.
+        agent: the controller of all robots; its method `focus` is called if it has one.
         scenario: the task.
         cases: [B] case numbers, all different.
         batch: number of worlds simulated in parallel.
@@ -86,10 +77,7 @@ def run_cases(
             agent.reset(is_init)
         if focus is not None:
             focus((current >= 0)[:, None] & ~world.state.arrived)
-        try:
-            step = world.step(agent.act(observation))
-        except ActionError as error:
-            raise ActionError(f"agent {type(agent).__name__}: {error}") from None
+        step = world.step(checked_act(agent, observation, scenario))
         observation = step.observation
         ended = (step.terminated | step.truncated) & (current >= 0)
         is_init = np.zeros(worlds, np.bool_)

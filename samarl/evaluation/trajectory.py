@@ -13,6 +13,7 @@ from mrsan.kernels.social_state import GROUP, REACTION
 from mrsan.metrics import episodes_of
 from mrsan.rendering import walls_of
 from samarl.agents import Agent, Explanation
+from samarl.agents.agent import checked_act
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -67,7 +68,7 @@ def record_episode(agent: Agent, scenario: Scenario, case: int) -> Trajectory:
     state = world.state
     snapshots, explanations = [_snapshot(state, observation)], []
     while not state.done[0]:
-        action = agent.act(observation)
+        action = checked_act(agent, observation, scenario)
         explanations.append(agent.explain() or Explanation())
         observation = world.step(action).observation
         snapshots.append(_snapshot(state, observation))

@@ -29,6 +29,7 @@ from mrsan.features import (
     TIME,
     VELOCITY,
 )
+from mrsan.plugin_values import PluginError, check_shape
 from mrsan.se2 import rotate, untransform
 from mrsan.sensors.suite import SensorSuite
 from samarl.observations.frames import EntityFeatures, FeatureSizes, Frames
@@ -288,9 +289,7 @@ def _additional_group(
     name: str, observed: NDArray[np.float32], known: NDArray[np.bool_], scenario: Scenario
 ) -> EntityFeatures:
     """Return the features of a further group of entities."""
-    features = torch.as_tensor(observed).flatten(0, 1)
-    if name in ADDITIONAL_FEATURES:
-        features = ADDITIONAL_FEATURES[name](features, scenario)
+    features = _registered_features(name, torch.as_tensor(observed).flatten(0, 1), scenario, 2)
     return _masked(features, torch.as_tensor(known).flatten(0, 1))
 
 
@@ -306,11 +305,38 @@ def _additional_sensors(
     for name, values in observed.items():
         if name == "route":  # part of the robots' own features
             continue
-        features = torch.as_tensor(values).flatten(0, 1)
-        if name in ADDITIONAL_FEATURES:
-            features = ADDITIONAL_FEATURES[name](features, scenario)
+        features = _registered_features(name, torch.as_tensor(values).flatten(0, 1), scenario, 1)
         sensors[name] = features.unsqueeze(1)
     return sensors
+
+
+def _registered_features(name: str, observed: Tensor, scenario: Scenario, axes: int) -> Tensor:
+    """Return the registered features of what is observed, [B, ...], or what is observed itself.
+
+    Args:
+        name: of the group or the sensor.
+        observed: of all robots.
+        scenario: the task.
+        axes: number of leading axes that features share with what is observed.
+
+    Raises:
+        PluginError: the features have another leading shape, or one is not finite.
+    """
+    if name not in ADDITIONAL_FEATURES:
+        return observed
+    features = ADDITIONAL_FEATURES[name](observed, scenario)
+    if torch.onnx.is_in_onnx_export():
+        return features
+    expected = (*observed.shape[:axes], *features.shape[axes:])
+    check_shape(f"features {name}", tuple(features.shape), expected)
+    if features.isfinite().all():
+        return features
+    row, *index = (~features.isfinite()).nonzero()[0].tolist()
+    world, robot = divmod(row, scenario.robots)
+    raise PluginError(
+        f"features {name} are {float(features[(row, *index)])} for robot {robot} in world {world} "
+        f"at index {index}; they must be finite"
+    )
 
 
 @register_features("walls")

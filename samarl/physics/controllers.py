@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from mrsan import Observation
 from mrsan.parameters import kernel_parameters
 from samarl.agents import Agent
+from samarl.agents.agent import checked_act
 from samarl.agents.learned import Learned
 from samarl.agents.shielded import Shielded
 from samarl.export import export_agent
@@ -100,7 +101,8 @@ class PlannerController:
 
     def decide(self, observation: Observation, driving: NDArray[np.bool_], time: float) -> Motion:
         """Return the motion of every robot; see `Controller.decide`."""
-        action, motion = self.agent.act(observation), _no_motion(len(driving))
+        action = checked_act(self.agent, observation, self.agent.scenario)
+        motion = _no_motion(len(driving))
         for i in np.flatnonzero(driving):
             ego, own = observation.ego[:, i : i + 1], action[:, i : i + 1]
             motion.speed[i], motion.turn[i], *_ = action_to_motion(ego, own, self._parameters)

@@ -25,6 +25,7 @@ from mrsan.prediction import (
     shapes,
 )
 from mrsan.se2 import unrotate_vectors
+from samarl.errors import TrainingError
 from samarl.files import write_json
 from samarl.policies.checkpoint import attribute_errors_to, check_finite, write_tensors
 from samarl.prediction.training import Training
@@ -107,7 +108,11 @@ class Learner:
             self.restore()
 
     def learn(self) -> None:
-        """Run the remaining rounds; the state is saved after every tenth."""
+        """Run the remaining rounds; the state is saved after every tenth.
+
+        Raises:
+            TrainingError: a gradient is not finite.
+        """
         rounds = range(self.round, self.training.rounds)
         bar = progress_bar(
             rounds, total=self.training.rounds, initial=self.round, desc="training", unit="round"
@@ -135,7 +140,11 @@ class Learner:
             loss = ((offset - target[batch]).square().sum(-1) + ROUNDING).sqrt().mean()
             self.optimiser.zero_grad()
             loss.backward()
-            nn.utils.clip_grad_norm_(self.network.parameters(), t.max_gradient_norm)
+            norm = nn.utils.clip_grad_norm_(self.network.parameters(), t.max_gradient_norm)
+            if not torch.isfinite(norm):
+                raise TrainingError(
+                    f"training stopped in round {self.round}: the gradient is not finite"
+                )
             self.optimiser.step()
             losses.append(float(loss.detach()))
         return float(np.mean(losses))

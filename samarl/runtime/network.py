@@ -38,11 +38,26 @@ class Network:
         """
         if not Path(path).is_file():
             raise ConfigurationError(f"there is no file {path}; samarl-export writes one")
+        self._load(Path(path).read_bytes(), path)
+        self.reset()
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the file's content and the memory; onnxruntime's session cannot be pickled."""
+        return {"content": self._content, "memory": self._memory, "is_init": self._is_init}
+
+    def __setstate__(self, saved: dict[str, Any]) -> None:
+        """Continue where the pickled or copied network was."""
+        self._load(saved["content"], "the pickled network")
+        self._memory, self._is_init = dict(saved["memory"]), saved["is_init"]
+
+    def _load(self, content: bytes, path: str | Path) -> None:
+        """Read the content of a file; `path` is for messages."""
+        self._content = content
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = options.inter_op_num_threads = 1  # the network is small
         try:
             self._session = onnxruntime.InferenceSession(
-                str(path), options, providers=["CPUExecutionProvider"]
+                content, options, providers=["CPUExecutionProvider"]
             )
         except Exception as error:  # onnxruntime has a separate class for every kind of damage
             reason = str(error).splitlines()[0]
@@ -62,7 +77,6 @@ class Network:
         }
         # The number of walls that the network observes; 0 if it observes none.
         self.walls = self._inputs["walls"].shape[2] if "walls" in self._inputs else 0
-        self.reset()
 
     def reset(self) -> None:
         """Clear the memory."""

@@ -11,9 +11,9 @@ from tensordict import TensorDict
 from torch import Tensor
 from torch.utils._pytree import tree_leaves, tree_map
 
-from mrsan import Episodes, Observation, Split, World
+from mrsan import ActionError, Episodes, Observation, Split, World
 from mrsan.metrics import episodes_of
-from samarl.agents.agent import Agent
+from samarl.agents.agent import Agent, checked_act
 from samarl.observations.features import speed_of, state_features, true_state
 from samarl.observations.frames import Frames
 from samarl.observations.tracker import Tracks
@@ -156,7 +156,8 @@ class RolloutCollector:
             self.active,
         )
         if self.teacher is not None:
-            self.teacher_action = torch.from_numpy(self.teacher.act(self.observation))
+            action = checked_act(self.teacher, self.observation, scenario, "teacher")
+            self.teacher_action = torch.from_numpy(action)
         column = self.past + step
         for buffer, tensor in zip(
             self.frames.tensors(), self.decision.features.tensors(), strict=True
@@ -205,7 +206,10 @@ class RolloutCollector:
     def _step(self, episodes: list[Episodes]) -> dict[Any, Tensor]:
         """Execute the decision; return its outcome by the keys of `Rollout.steps`."""
         world = self.world
-        result = world.step(self.decision.action)
+        try:
+            result = world.step(self.decision.action)
+        except ActionError as error:
+            raise ActionError(f"policy {type(self.policy).__name__}: {error}") from None
         stood_too_long = self._update_standstill(result.observation)
         rewards = level_rewards(
             self.policy,

@@ -110,6 +110,8 @@ class Trainer:
         self.algorithm.set_progress(self.steps_done / c.steps)
         folder = self.run_dir.folder
         health = Health()
+        for row in progress.rows:  # before this run was resumed
+            health.update(row, row["steps"] / c.steps)
         logger = Logger(folder, c.wandb, self.configuration, self.steps_done, c.steps)
         with self._report_failure(), logger:
             while self.steps_done < c.steps:

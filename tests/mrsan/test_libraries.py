@@ -149,8 +149,7 @@ def test_the_state_of_everybody_is_flat_and_true() -> None:
 
 
 def test_bounded_where_bounds_are_known() -> None:
-    env = GymnasiumEnv(humans=1)
+    env = GymnasiumEnv(humans=1, robot_radius=0.25, robot_speed=1.5)
     low, high = env.observation_space["ego"].low, env.observation_space["ego"].high
     assert low[6:].tolist() == [-1, -1, 0, 0, 0]
-    assert high[6:8].tolist() == [1, 1]
-    assert high[10] == 1
+    assert high[6:].tolist() == [1, 1, 0.25, 1.5, 1]

@@ -1,6 +1,15 @@
 """Warnings about training runs that are likely to fail."""
 
+from pathlib import Path
+
+import pytest
+
+from mrsan import Scenario
+from samarl.training.config import TrainerConfig
+from samarl.training.curriculum import CurriculumStage
 from samarl.training.health import Health
+from samarl.training.trainer import Trainer
+from tests.learning import PPO_NUMBERS, policy_numbers
 
 
 def test_each_warning_is_given_once() -> None:
@@ -21,3 +30,29 @@ def test_one_success_is_enough() -> None:
     health = Health()
     assert health.update({"validation/success_90_10h_3r": 0.1}, 0.2) == []
     assert health.update({"charts/success": 0.0}, 0.9) == []
+
+
+def test_a_resumed_run_knows_what_was_before(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It succeeded before it was resumed, and its gradients once were too large."""
+    config = TrainerConfig(
+        steps=40,
+        rollout=4,
+        seed=0,
+        threads=1,
+        validate_every=10**6,
+        validation_cases=1,
+        save_every=10**6,
+        ema_decay=0.9,
+    )
+    stages = [CurriculumStage(2, scenario=Scenario(humans=1, robots=1))]
+    policy, algorithm = policy_numbers("flat", "gru"), {"name": "mappo", **PPO_NUMBERS}
+    run = Trainer(tmp_path, config, policy, algorithm, stages, "test")
+    run.progress.rows.append(
+        {"steps": 2.0, "charts/success": 0.1, "losses/actor_gradient_norm": 5000.0}
+    )
+    run.run()
+    shown = capsys.readouterr().err
+    assert "no episode has succeeded" not in shown
+    assert shown.count("warning about this run: losses/actor_gradient_norm is 5e+03") == 1

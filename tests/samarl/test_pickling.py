@@ -17,7 +17,9 @@ from mrsan.pettingzoo_env import PettingZooEnv
 from mrsan.sb3_env import SB3VecEnv
 from mrsan.torchrl_env import TorchRLEnv
 from samarl.agents import build_agent
+from samarl.agents.learned import DeployedPolicy
 from samarl.configuration import available_agents, load_agent_config
+from tests import learning
 
 SMALL = {"robots": 2, "humans": 3}
 
@@ -108,3 +110,18 @@ def test_reprs_are_short_and_true() -> None:
         agent = build_agent(load_agent_config(name), scenario)
         assert len(repr(agent)) < 5 * 80
         assert repr(scenario) in repr(agent)
+
+
+def test_policies_continue_identically() -> None:
+    """Their memory is apart from them, and both are copied or pickled together."""
+    world = World(Scenario(**SMALL), 2)
+    for name in ("hierarchical", "flat", "squashed"):
+        driver = DeployedPolicy(learning.policy(name), world.scenario)
+        observation = world.reset([0, 1])
+        for _ in range(2):
+            observation = world.step(driver.act(observation)).observation
+        twins = copies(driver)
+        action = driver.act(observation)
+        for twin in twins:
+            assert twin.policy is not driver.policy
+            np.testing.assert_array_equal(action, twin.act(observation), err_msg=name)

@@ -1,7 +1,9 @@
 """The runtime on a robot: clocks that jitter, people who are missed, and no torch."""
 
+import copy
 import json
 import math
+import pickle
 import subprocess
 import sys
 from functools import partial
@@ -101,6 +103,17 @@ def test_the_first_step_needs_no_past_and_reset_is_one(path: Path, driver: Drive
     assert np.abs(later - first).max() > 1e-5
     other = Driver.load(path)
     assert np.array_equal(other.step(OWN, [PERSON], 0.0).action, first[0])
+
+
+def test_pickled_and_copied_drivers_go_on_alike(driver: Driver) -> None:
+    people = [PERSON, Detection(3.0, 1.0, -0.5, 0.0, id="bert")]
+    for step in range(3):
+        driver.step(OWN, people, 0.25 * step)
+    twins = [copy.deepcopy(driver), pickle.loads(pickle.dumps(driver))]
+    expected = [driver.step(OWN, people[:1], 0.25 * step).action for step in range(3, 6)]
+    for twin in twins:
+        actions = [twin.step(OWN, people[:1], 0.25 * step).action for step in range(3, 6)]
+        np.testing.assert_array_equal(actions, expected)
 
 
 @pytest.mark.parametrize("gap", [0.15, 0.4, 30.0])

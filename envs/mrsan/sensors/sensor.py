@@ -11,7 +11,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any, TypeVar
 
+import numpy as np
+
 from mrsan.fields import ConfigurationError, check_numbers
+from mrsan.plugin_values import PluginError
 from mrsan.state import Bools, Floats, State
 
 if TYPE_CHECKING:
@@ -136,11 +139,25 @@ def check_sensors(sensors: Any) -> None:
 
 
 def make_sensors(scenario: Scenario) -> dict[str, EntitySensor | ValueSensor]:
-    """Return the sensors that a scenario adds, by name."""
-    return {
-        name: SENSORS[name].cls(scenario, _sensor_settings(name, values))
-        for name, values in scenario.sensors.items()
-    }
+    """Return the sensors that a scenario adds, by name.
+
+    Raises:
+        PluginError: a sensor does not say how many values it has.
+    """
+    sensors = {}
+    for name, values in scenario.sensors.items():
+        sensor = SENSORS[name].cls(scenario, _sensor_settings(name, values))
+        is_group = isinstance(sensor, EntitySensor)
+        for field in ("slots", "features") if is_group else ("shape",):
+            size = getattr(sensor, field, None)
+            numbers = (size,) if is_group else size
+            if not isinstance(numbers, tuple) or not all(
+                isinstance(number, int | np.integer) and number >= 0 for number in numbers
+            ):
+                form = "a whole number" if is_group else "a tuple of whole numbers"
+                raise PluginError(f"sensor {name} has {field} {size!r}; it must be {form}")
+        sensors[name] = sensor
+    return sensors
 
 
 def _sensor_settings(name: Any, values: Any) -> Any:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from mrsan.kernels.team import share_tracks
 from mrsan.kernels.walled import observe_past_walls
 from mrsan.observation import Entities, Observation
 from mrsan.parameters import SensorParameters, kernel_parameters
-from mrsan.plugin_values import check_finite
+from mrsan.plugin_values import PluginError, check_finite
 from mrsan.scenario import Scenario
 from mrsan.sensors.sensor import EntitySensor, make_sensors
 from mrsan.sensors.walls import wall_sensors
@@ -88,14 +89,18 @@ class SensorSuite:
                 observation.reported["robots"],
             )
         for name, sensor in self._sensors.items():
-            if isinstance(sensor, EntitySensor):
-                values, mask = observation.entities[name]
-                sensor.observe(state, worlds, values, mask)
-            else:
-                values = observation.sensors[name]
-                sensor.observe(state, worlds, values)
-            if name in self.scenario.sensors:
-                check_finite(f"sensor {name}", values, state, worlds)
+            arrays: tuple[Any, ...] = observation.entities.get(name) or (observation.sensors[name],)
+            if name not in self.scenario.sensors:
+                sensor.observe(state, worlds, *arrays)
+                continue
+            try:
+                sensor.observe(state, worlds, *arrays)
+            except (IndexError, ValueError) as error:  # of NumPy, for other shapes
+                raise PluginError(
+                    f"sensor {name}, whose values have shape {arrays[0].shape}, raised "
+                    f"{type(error).__name__}: {error}"
+                ) from error
+            check_finite(f"sensor {name}", arrays[0], state, worlds)
 
 
 def _without_limits(scenario: Scenario) -> Scenario:
