@@ -18,9 +18,9 @@ from hydra.core.global_hydra import GlobalHydra
 
 from mrsan import Reward, Scenario
 from samarl.commands import evaluate
-from samarl.configuration import reject_alias_bombs
 from samarl.evaluation.runner import Evaluation
 from samarl.files import find_folder
+from samarl.user_files import reject_alias_bomb
 
 CHUNKS, CHUNK = 4, 100
 OWNERS = {"scenario": Scenario, "scenario.reward": Reward, "evaluation": Evaluation}
@@ -447,5 +447,5 @@ def test_files_whose_aliases_would_fill_the_memory_are_rejected(
 
 def test_common_uses_of_aliases_are_accepted(tmp_path: Path) -> None:
     (tmp_path / "few.yaml").write_text("a: &a {x: 1}\nb: [*a, *a]\nc: {<<: *a}\n")
-    reject_alias_bombs(tmp_path)
-    reject_alias_bombs(find_folder("conf"))
+    for file in (tmp_path / "few.yaml", *find_folder("conf").rglob("*.yaml")):
+        reject_alias_bomb(file)

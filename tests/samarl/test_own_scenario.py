@@ -6,16 +6,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hydra import compose, initialize_config_dir
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
 from mrsan import ConfigurationError, Layout, Scenario
-from samarl.commands.cli import prepare_hydra
-from samarl.commands.train import resumed_config, stages_in, train_schema
-from samarl.configuration import load_scenario
-from samarl.files import find_folder
+from samarl.commands.train import settings_in
+from samarl.configuration import composed, hydra_tree, load_scenario, register_schemas
 from samarl.training.curriculum import CurriculumStage
+from samarl.training.settings import train_schema
 from tests.samarl.test_workflows import run
 
 SHORT = ["trainer.steps=64", "trainer.rollout=4", "trainer.validation_cases=2", "encoder.width=16"]
@@ -26,17 +24,17 @@ def _own_hydra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(HydraConfig.instance(), "cfg", None)
 
 
-def composed(*words: str) -> DictConfig:
+def training(*words: str) -> DictConfig:
     """The configuration of `samarl-train` with these settings."""
-    prepare_hydra(train_schema=train_schema())
-    with initialize_config_dir(str(find_folder("conf").resolve()), version_base="1.3"):
-        config = compose("train", list(words), return_hydra_config=True)
+    register_schemas(train_schema=train_schema())
+    with hydra_tree():
+        config = composed("train", words)
     HydraConfig.instance().set_config(config)
     return config
 
 
 def stages(*words: str) -> list[CurriculumStage]:
-    return stages_in(composed(*words))
+    return settings_in(training(*words)).stages
 
 
 def test_a_scenario_replaces_those_of_the_curriculum() -> None:
@@ -52,9 +50,9 @@ def test_a_scenario_replaces_those_of_the_curriculum() -> None:
 
 
 def test_an_experiment_may_set_the_scenario() -> None:
-    config = composed()
+    config = training()
     config.scenario.layout = Layout.square  # as the text of a file in experiment/ would
-    assert [s.scenario.layout for s in stages_in(config)] == [Layout.square]
+    assert [s.scenario.layout for s in settings_in(config).stages] == [Layout.square]
 
 
 def test_a_stage_may_name_its_scenario() -> None:
@@ -134,5 +132,5 @@ def _stages_of(card: Path) -> list[tuple[Any, ...]]:
 
 def test_a_resumed_run_has_no_scenario_of_its_own(tmp_path: Path) -> None:
     run("train", "scenario.humans=2", "worlds=4", "run_dir=run", *SHORT, cwd=tmp_path)
-    config = composed(f"resume={tmp_path / 'run'}")
-    assert stages_in(resumed_config(config)) == stages("scenario.humans=2", "worlds=4")
+    config = training(f"resume={tmp_path / 'run'}")
+    assert settings_in(config).stages == stages("scenario.humans=2", "worlds=4")

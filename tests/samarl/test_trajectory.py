@@ -15,7 +15,6 @@ from PIL import Image, ImageColor
 from mrsan import ConfigurationError, Observation, Outcome, Scenario, World
 from samarl.agents import Agent, build_agent
 from samarl.agents.learned import DeployedPolicy
-from samarl.commands.render import picture_writer
 from samarl.encoders.transformer_layers import Pool
 from samarl.evaluation.trajectory import record_episode
 from samarl.policies.checkpoint import save_policy
@@ -26,6 +25,7 @@ from samarl.report.animation import (
     playback_speed,
     save_animation,
 )
+from samarl.report.pictures import picture_writer
 from samarl.report.replays import as_replay
 from samarl.report.style import COLOURS
 from samarl.report.trajectories import save_trajectories
