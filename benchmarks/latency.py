@@ -22,7 +22,7 @@ from mrsan import ConfigurationError, Scenario, World
 from mrsan.threads import use_threads
 from samarl.agents import Agent, build_agent
 from samarl.agents.agent import Controller
-from samarl.configuration import available_agents, load_agent_config, load_scenario
+from samarl.configuration import available_agents, load_method_config, load_scenario
 from samarl.evaluation.table import markdown_table
 from samarl.export import export_agent
 from samarl.files import machine, write_json
@@ -43,7 +43,8 @@ def main() -> None:
     """Measure every agent, print the table and write the JSON file."""
     arguments = _parse()
     use_threads(1)
-    agents = {name: load_agent_config(name) for name in arguments.agents or available_agents()}
+    methods = arguments.agents or [*available_agents(), "perimeter shield=true"]
+    agents = {method: load_method_config(method) for method in methods}
     if arguments.checkpoint is not None:
         target = "samarl.agents.learned.Learned"
         agents["checkpoint"] = {"_target_": target, "checkpoint": str(arguments.checkpoint)}

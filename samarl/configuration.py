@@ -23,6 +23,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from mrsan import ConfigurationError, Scenario
 from mrsan.suggestions import choice_hint
+from samarl.evaluation.methods import split_method
 from samarl.evaluation.runner import Evaluation
 from samarl.files import find_folder
 from samarl.messages import describe, explain
@@ -163,6 +164,20 @@ def load_agent_config(name: str, field: str = "agent") -> dict[str, Any]:
     config = OmegaConf.to_container(_chosen("agent", name, field).agent)
     assert isinstance(config, dict)
     return {str(key): value for key, value in config.items()}
+
+
+def load_method_config(method: str, field: str = "agents") -> dict[str, Any]:
+    """Return the configuration of an agent with settings, such as `cadrl shield=true`.
+
+    Args:
+        method: the agent, see `load_agent_config`, and the settings.
+        field: name of the setting that holds `method`, for error messages.
+
+    Raises:
+        ConfigurationError: there is no such agent.
+    """
+    name, settings = split_method(method)
+    return load_agent_config(name, field) | settings
 
 
 def load_scenario(name: str, field: str = "scenario") -> Scenario:

@@ -20,28 +20,28 @@ METHODS = (
     ("ORCA", "orca"),
     ("Sampling planner (`model_predictive`)", "model_predictive"),
     ("Around the crowd (`perimeter`)", "perimeter"),
-    ("Around the crowd, shielded", "perimeter_shielded"),
+    ("Around the crowd, shielded", "perimeter shield=true"),
     ("CADRL", "cadrl"),
-    ("CADRL, shielded", "cadrl_shielded"),
-    ("SAMARL-PPO without its shield", "samarl_ppo_unshielded"),
+    ("CADRL, shielded", "cadrl shield=true"),
+    ("SAMARL-PPO without its shield", "samarl_ppo shield=false"),
     ("SAMARL-PPO", "samarl_ppo"),
-    ("SAMARL without its shield", "samarl_unshielded"),
+    ("SAMARL without its shield", "samarl shield=false"),
     ("SAMARL", "samarl"),
 )
 # Methods without a policy for 90°, also in the README.
 ONE_LEVEL = (
-    ("One level without its shield", "samarl_flat_unshielded"),
+    ("One level without its shield", "samarl_flat shield=false"),
     ("One level (`samarl_flat`)", "samarl_flat"),
 )
 # Rows of the documentation in addition to those of the README.
 OTHER_METHODS = (
-    ("SAMARL-SRNN without its shield", "samarl_srnn_unshielded"),
+    ("SAMARL-SRNN without its shield", "samarl_srnn shield=false"),
     ("SAMARL-SRNN", "samarl_srnn"),
 )
 # Methods without a policy for 90°.
 WIDE_METHODS = (
     ("SAMARL with the paper's transformer", "samarl_transformer"),
-    ("SAMARL with the paper's transformer, without its shield", "samarl_transformer_unshielded"),
+    ("SAMARL with the paper's transformer, without its shield", "samarl_transformer shield=false"),
 )
 
 # What the settings of table `robustness` change, in words.
@@ -118,7 +118,7 @@ def _seeds_table(agents: Sequence[str], columns: Sequence[str], heads: Sequence[
 
 
 def _with_unshielded(names: Iterable[str]) -> list[str]:
-    return [agent for name in names for agent in (name, f"{name}_unshielded")]
+    return [agent for name in names for agent in (name, f"{name} shield=false")]
 
 
 @table
@@ -181,12 +181,12 @@ def robustness() -> str:
     """Return the success rate by changed setting and method."""
     methods = {
         "samarl": "SAMARL",
-        "samarl_unshielded": "SAMARL, no shield",
+        "samarl shield=false": "SAMARL, no shield",
         "samarl_general": "SAMARL, general",
         "samarl_planned": "SAMARL, planned",
         "cadrl": "CADRL",
         "model_predictive": "sampling planner",
-        "perimeter_shielded": "perimeter, shielded",
+        "perimeter shield=true": "perimeter, shielded",
         "orca": "ORCA",
     }
     settings: dict[str, dict[str, str]] = {}
@@ -334,7 +334,7 @@ def _range(numbers: Sequence[int]) -> str:
 def latency() -> str:
     """Return the duration of a decision of the main agents."""
     lines = []
-    for agent in ("orca", "perimeter_shielded", "model_predictive", "samarl_flat", "samarl",
+    for agent in ("orca", "perimeter shield=true", "model_predictive", "samarl_flat", "samarl",
                   "samarl_general", "cadrl", "samarl_planned"):  # fmt: skip
         entry = find_value("latency", f"agents.{agent}")
         exported = entry["exported_ms"]

@@ -11,7 +11,7 @@ and how to print it.
   list is chosen by its index or by one of its values. Example:
   `throughput full_step.world_steps_per_second round3 ,.0f`.
 
-`$` stands for a space in a condition or in a key of a path.
+`$` stands for a space in a method, in a condition or in a key of a path.
 """
 
 from __future__ import annotations
@@ -59,6 +59,7 @@ def find_row(name: str, method: str, column: str, conditions: Sequence[str] = ()
         values = column_of(row)._asdict()
         return all(_text(values[key]) == value for key, value in fields.items())
 
+    method = method.replace("$", " ")
     rows = [row for row in result_rows(name) if row["method"] == method and matches(row)]
     if len(rows) != 1:
         cell = " ".join([column, *conditions])

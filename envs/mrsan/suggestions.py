@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Iterable
 
 _MAX_LISTED = 20  # names in an error message
@@ -27,8 +28,20 @@ _SYNONYMS = {
     "max_steps": "time_limit",
     "timestep": "time_step",
 }
-# Settings of earlier versions, and what they are now: a name, or a name with a value.
+# Settings of earlier versions, and what they are now: a name, or a name with a value or settings.
 RENAMED = {
+    "ablation_cross_modal": "samarl agent.checkpoint=ablation_cross_modal agent.shield=false",
+    "ablation_graph": "samarl agent.checkpoint=ablation_graph agent.shield=false",
+    "ablation_history": "samarl agent.checkpoint=ablation_history agent.shield=false",
+    "ablation_local_critics": "samarl agent.checkpoint=ablation_local_critics agent.shield=false",
+    "ablation_one_block": "samarl agent.checkpoint=ablation_one_block agent.shield=false",
+    "model_predictive_recurrent": "model_predictive agent.predictor=recurrent",
+    "msa3cpred_transfer": "msa3cpred agent.track_velocity=true",
+    "samarl_first_waypoint": "samarl agent.waypoints=first",
+    "samarl_lookahead": "samarl agent.checkpoint=samarl_lookahead",
+    "samarl_random_waypoints": "samarl agent.waypoints=random",
+    "samarl_shuffled_waypoints": "samarl agent.waypoints=shuffled",
+    "samarl_transfer": "samarl_transformer agent.track_velocity=true agent.shield=false",
     "local_discount": "discount",
     "robots_visible": "crowd_reaction=reciprocal",
 }
@@ -37,7 +50,10 @@ RENAMED = {
 def renamed(name: str, names: Iterable[str]) -> str | None:
     """Return what a setting of an earlier version is now, if that is among `names`."""
     new = RENAMED.get(name)
-    return new if new is not None and new.partition("=")[0] in names else None
+    for ending, value in (("_unshielded", "false"), ("_shielded", "true")):
+        if new is None and name.endswith(ending):
+            new = f"{name.removesuffix(ending)} agent.shield={value}"
+    return new if new is not None and re.split("[= ]", new)[0] in names else None
 
 
 def _synonym(name: str) -> str | None:

@@ -61,7 +61,8 @@ def _build(config: DictConfig) -> Agent:
     if _given_checkpoint(config):
         _check_policy_kind(name, str(settings.checkpoint))
     agent = build_agent(settings, _scenario(config))
-    agent.label = label_of(name)
+    settings = [word.removeprefix("agent.") for word in _overrides() if word.startswith("agent.")]
+    agent.label = " ".join([label_of(name), *settings])
     return agent
 
 

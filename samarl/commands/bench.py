@@ -19,14 +19,14 @@ from samarl.agents import build_agent
 from samarl.commands.cli import run_command
 from samarl.commands.recordings import recordings_in
 from samarl.configuration import (
-    available_agents,
     evaluation_in,
     import_plugins,
-    load_agent_config,
+    load_method_config,
     load_scenario,
     open_mapping,
     scenario_of,
 )
+from samarl.evaluation.methods import method_name, method_words, split_method
 from samarl.evaluation.page import improvement_figure, page
 from samarl.evaluation.regression import beside_committed, compare
 from samarl.evaluation.runner import Evaluation, run_cases
@@ -68,8 +68,7 @@ class Bench:
 
     name: str = MISSING
     about: str = MISSING
-    agents: list[str] | None = None
-    leave_out: list[str] = field(default_factory=list)
+    agents: list[Any] | None = None  # names, `NAME SETTING=VALUE`, or mappings, see `method_name`
     headline: list[str] = field(default_factory=list)
     only_headline: bool = False
     improvement_of: list[str] = field(default_factory=list)
@@ -168,7 +167,8 @@ def _scenarios(config: DictConfig) -> list[Scenario]:
 class _Task(NamedTuple):
     """The evaluation of one row."""
 
-    agent: str  # name or path, see `load_agent_config`
+    method: str  # an agent with its settings, see `samarl.evaluation.methods`
+    label: str  # the method in the row
     variants: list[dict[str, Any]]  # configurations of the agent, one per training seed
     scenario: Scenario
     evaluation: Evaluation
@@ -185,38 +185,40 @@ def _tasks(config: DictConfig, scenarios: Sequence[Scenario]) -> tuple[list[_Tas
     evaluation = evaluation_in(config)
     cases = evaluation.cases if config.learned_cases is None else config.learned_cases
     learned_evaluation = replace(evaluation, cases=min(cases, evaluation.cases))
-    names = [str(name) for name in _agent_names(config)]
-    if len({*map(label_of, names)}) < len(names):
-        raise ConfigurationError(f"agents is {names!r:.200}; their names in the table must differ")
-    agents = {name: load_agent_config(name, "agents") for name in names}
+    labels = _methods(config)
+    agents = {method: load_method_config(method) for method in labels}
     tasks: list[_Task] = []
     scope_warnings: dict[str, str] = {}
     for scenario in scenarios:
-        for name, agent in agents.items():
+        for method, agent in agents.items():
             if warning := build_agent(agent, scenario).scope_warning():
-                scope_warnings.setdefault(name, warning)
+                scope_warnings.setdefault(labels[method], warning)
                 continue
             seeds = other_seeds(str(agent.get("checkpoint"))) if config.seeds else []
             variants = [agent, *({**agent, "checkpoint": seed} for seed in seeds)]
-            learned = "checkpoint" in agent
-            tasks.append(
-                _Task(name, variants, scenario, learned_evaluation if learned else evaluation)
-            )
+            protocol = learned_evaluation if "checkpoint" in agent else evaluation
+            tasks.append(_Task(method, labels[method], variants, scenario, protocol))
     return tasks, scope_warnings
 
 
-def _agent_names(config: DictConfig) -> Sequence[str]:
-    """Return the agents to evaluate.
+def _methods(config: DictConfig) -> dict[str, str]:
+    """Return the methods to evaluate, with their names in the rows.
 
     Raises:
-        ConfigurationError: there are none.
+        ConfigurationError: there are none, or two have the same name.
     """
-    names = config.headline if config.only_headline else config.agents
-    if names is None:
-        return [name for name in available_agents() if name not in config.leave_out]
-    if not names:
+    entries = config.headline if config.only_headline else config.agents
+    if not entries:
         raise ConfigurationError("agents is empty; it must name at least one")
-    return list(names)
+    labels: dict[str, str] = {}
+    for entry in entries:
+        method, label = method_name(entry)
+        name, _ = split_method(method)
+        label = label or method.replace(name, label_of(name), 1)
+        if method in labels or label in labels.values():
+            raise ConfigurationError(f"agents has {label!r} twice; names in the table must differ")
+        labels[method] = label
+    return labels
 
 
 def _run(tasks: Sequence[_Task], config: DictConfig, committed: Sequence[Row]) -> list[Row]:
@@ -295,15 +297,15 @@ def _row(
     The row is that of the first variant; the others differ in their training seed.
     """
     import_plugins(plugins)
-    name, variants, scenario, evaluation = task
+    method, label, variants, scenario, evaluation = task
     cases = evaluation.case_numbers()
-    command = _command(name, scenario, named, evaluation, plugins)
+    command = _command(method, scenario, named, evaluation, plugins)
     rows = []
     for variant in variants:
         agent = build_agent(variant, scenario)
         episodes = run_cases(agent, scenario, cases, evaluation.batch, advance)
         first = int(cases[0])
-        rows.append(summarise(episodes, scenario, label_of(name), command, commit, first, named))
+        rows.append(summarise(episodes, scenario, label, command, commit, first, named))
     if "checkpoint" not in variants[0]:
         return rows[0]
     checkpoints = [str(variant["checkpoint"]) for variant in variants]
@@ -353,9 +355,7 @@ def _earlier_rows(config: DictConfig, path: Path, tasks: Sequence[_Task]) -> lis
     earlier = read_rows(path)
     if earlier is None:
         raise ConfigurationError(f"merge is true; {path} must be a table, or be removed")
-    cases = {
-        (label_of(task.agent), _column(task.scenario)): task.evaluation.cases for task in tasks
-    }
+    cases = {(task.label, _column(task.scenario)): task.evaluation.cases for task in tasks}
     for row in earlier:
         new_cases = cases.get((row["method"], column_of(row)))
         if new_cases is None:
@@ -385,14 +385,14 @@ def merged(rows: Sequence[Row], earlier: Sequence[Row]) -> list[Row]:
 
 
 def _command(
-    name: str,
+    method: str,
     scenario: Scenario,
     named: Scenario,
     evaluation: Evaluation,
     plugins: Sequence[str] = (),
 ) -> str:
     """Return the command that evaluates one row: its column and all changed fields."""
-    words = ["samarl-evaluate", f"agent={name}"]
+    words = ["samarl-evaluate", *method_words(method)]
     if plugins:
         words.append(f"plugins=[{','.join(plugins)}]")
     words.append(f"scenario={scenario.name}")  # not that of the training of a policy

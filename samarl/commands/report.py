@@ -17,7 +17,7 @@ from samarl.agents import Agent, build_agent
 from samarl.commands.cli import command_line, run_command
 from samarl.configuration import (
     available_agents,
-    load_agent_config,
+    load_method_config,
     load_scenario,
     scenario_of,
 )
@@ -137,10 +137,10 @@ def _methods(names: list[str] | None, results: Path) -> dict[str, dict[str, Any]
     """
     shipped = {path.stem: str(path) for path in (results / "checkpoints").glob("*.safetensors")}
     methods = {}
-    for name in map(str, available_agents() if names is None else names):
-        config = load_agent_config(name, "agents")
+    for method in map(str, available_agents() if names is None else names):
+        config = load_method_config(method)
         checkpoint = config.get("checkpoint")
-        methods[name] = (
+        methods[method] = (
             config | {"checkpoint": shipped[checkpoint]} if checkpoint in shipped else config
         )
     return methods

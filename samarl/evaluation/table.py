@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from mrsan import Layout, Scenario
-from samarl.evaluation.labels import label_of
+from samarl.evaluation.methods import label_of
 from samarl.evaluation.metrics import METRICS, Metric, Tables
 from samarl.evaluation.papers import PAPER_CO_PLANNING, PAPER_NAME, PAPER_SUCCESS
 from samarl.evaluation.summary import Column, Row, column_of

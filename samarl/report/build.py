@@ -13,7 +13,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from matplotlib.figure import Figure
 
 from mrsan import ConfigurationError
-from samarl.evaluation.labels import labelled
+from samarl.evaluation.methods import labelled
 from samarl.evaluation.metrics import Tables
 from samarl.evaluation.seeds import without_seed
 from samarl.evaluation.summary import Row, read_rows

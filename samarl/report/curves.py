@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from mrsan import ConfigurationError, Layout
-from samarl.evaluation.labels import label_of
+from samarl.evaluation.methods import is_ablation, label_of, method_of_policy
 from samarl.files import read_json
 from samarl.report.figures import (
     Curve,
@@ -22,7 +22,6 @@ from samarl.report.figures import (
     mean_and_range,
     read_curve,
 )
-from samarl.report.leaderboard import is_ablation
 
 Runs = dict[str, list[Curve]]  # the curves of all seeds, by run
 _POINTS = 60  # per line of the chart
@@ -109,9 +108,9 @@ def chart_data(groups: Mapping[str, Runs]) -> list[dict[str, Any]]:
         quantities = [{"key": c, "title": curve_title(c), "unit": curve_unit(c)} for c in order]
         entries = [
             {
-                "name": label_of(name),
+                "name": label_of(method_of_policy(name)),
                 "seeds": len(curves),
-                "main": not is_ablation(name),
+                "main": not is_ablation(method_of_policy(name)),
                 "lines": {column: line for column in order if (line := _line(curves, column))},
             }
             for name, curves in runs.items()

@@ -10,7 +10,7 @@ from typing import Any
 import yaml
 
 from samarl.configuration import available_agents, load_agent_config
-from samarl.evaluation.labels import label_of
+from samarl.evaluation.methods import is_ablation, label_of, split_method
 from samarl.evaluation.summary import Row, column_of
 from samarl.evaluation.table import grid_of
 from samarl.files import find_folder
@@ -60,16 +60,12 @@ def is_best(row: Row, rows: Sequence[Row]) -> bool:
 
 def _line(name: str, rows: list[Row | None]) -> Line:
     """Return the line of a method; methods without a configuration file count as planners."""
-    checkpoint = _configuration(name).get("checkpoint")
+    agent, settings = split_method(name)
+    checkpoint = (_configuration(agent) | settings).get("checkpoint")
     group = "planner" if checkpoint is None else "learned"
     if is_ablation(name):
         group = "ablation"
-    return Line(name, group, _description(name), checkpoint, rows)
-
-
-def is_ablation(name: str) -> bool:
-    """Return whether a method is an ablation: its name or the comment in its file says so."""
-    return name.startswith("ablation_") or _description(name).startswith("An ablation")
+    return Line(name, group, _description(agent), checkpoint, rows)
 
 
 @cache

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from mrsan import Outcome
 from mrsan.sensors.walls import ray_angles
 from samarl.configuration import load_scenario
-from samarl.evaluation.labels import label_of
+from samarl.evaluation.methods import label_of
 from samarl.evaluation.summary import scenario_column
 from samarl.evaluation.table import column_title
 from samarl.evaluation.trajectory import Trajectory

@@ -41,7 +41,6 @@ def test_an_agent_is_loaded_with_the_shield_of_its_file() -> None:
     assert isinstance(agent, Shielded)
     assert agent.agent == Learned(SMALL, "samarl")
     assert agent.scenario == SMALL
-    assert samarl.load_agent("samarl_unshielded", SMALL) == Learned(SMALL, "samarl")
     assert samarl.load_agent("samarl", SMALL, shield=False) == Learned(SMALL, "samarl")
     assert samarl.load_agent("orca", safety_space=0.1) == Orca(
         Scenario(), **{**_fields("orca"), "safety_space": 0.1}
@@ -88,6 +87,10 @@ def test_files_may_have_any_name_and_extend_others(tmp_path: Path) -> None:
     ("call", "message"),
     [
         (lambda: samarl.load_agent("smarl"), r"agent is 'smarl', .* did you mean samarl"),
+        (
+            lambda: samarl.load_agent("cadrl_shielded"),
+            r"agent is 'cadrl_shielded', .* now cadrl agent\.shield=true",
+        ),
         (lambda: samarl.load_agent("a.yaml"), r"agent is 'a\.yaml', which does not exist"),
         (lambda: samarl.load_agent("orca", reach=1), r"agent\.reach is not known"),
         (lambda: samarl.load_scenario("10p3"), r"scenario is '10p3', .* did you mean 10p3r"),
@@ -186,7 +189,8 @@ def test_waypoints_and_the_shield_are_recorded() -> None:
     assert robots[is_last].waypoint_x.isna().all()
     assert robots[(robots.step == 0)].waypoint_x.notna().all()
     assert not robots[is_last].shielded.any()
-    assert not samarl.record("samarl_unshielded", SMALL, case=1).shielded.any()
+    free = samarl.load_agent("samarl", SMALL, shield=False)
+    assert not samarl.record(free, case=1).shielded.any()
 
 
 def test_two_agents_are_drawn_side_by_side(tmp_path: Path) -> None:

@@ -107,7 +107,7 @@ def test_a_dataset_holds_every_robot_of_every_case_bit_for_bit(
 
 
 def test_episodes_do_not_depend_on_the_batch() -> None:
-    agent = samarl.load_agent("perimeter_shielded", SCENARIO)
+    agent = samarl.load_agent("perimeter", SCENARIO, shield=True)
     batches = {n: list(robot_episodes(agent, TEST_CASES, ignore, n)) for n in (3, CASES)}
     assert [len(chunk) for chunk in batches[3]] == [6, 6, 4]
     (whole,) = batches[CASES]

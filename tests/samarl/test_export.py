@@ -244,7 +244,10 @@ def test_the_file_says_what_it_is(tmp_path: Path) -> None:
     ("agent", "message"),
     [
         (load_agent_config("orca"), r"agent .*mine"),
-        (load_agent_config("samarl_first_waypoint"), r"agent\.waypoints .*first.*learned"),
+        (
+            load_agent_config("samarl") | {"waypoints": "first"},
+            r"agent\.waypoints .*first.*learned",
+        ),
         (
             {**load_agent_config("samarl_flat"), "shield": {"predictor": "recurrent"}},
             r"agent\.shield\.predictor .*recurrent.*constant_velocity",

@@ -10,12 +10,12 @@ from mrsan import Observation, Outcome, Scenario, Split
 from samarl.agents import Agent, build_agent
 from samarl.agents.planners.straight import drive_towards
 from samarl.agents.shielded import Shielded
-from samarl.configuration import load_agent_config
+from samarl.configuration import load_method_config
 from samarl.evaluation.runner import run_cases
 from samarl.observations.route import next_point
 from samarl.planning.shield import Shield
 
-PLANNERS = ["orca", "model_predictive", "model_predictive_shielded"]
+PLANNERS = ["orca", "model_predictive", "model_predictive shield=true"]
 
 
 @dataclass
@@ -35,7 +35,7 @@ def outcomes(agent: Agent, cases: int) -> NDArray[np.int8]:
 @pytest.mark.parametrize("name", PLANNERS)
 def test_a_planner_arrives_and_hits_no_wall(name: str, layout: str) -> None:
     scenario = Scenario(layout=layout, robots=1, humans=0)
-    outcome = outcomes(build_agent(load_agent_config(name), scenario), 20)
+    outcome = outcomes(build_agent(load_method_config(name), scenario), 20)
     assert (outcome == Outcome.arrived).sum() >= 19
     assert not (outcome == Outcome.hit_wall).any()
 

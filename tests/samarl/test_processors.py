@@ -26,13 +26,13 @@ VECTORISED = {  # functions whose last bit differs between NumPy's vector instru
 }
 PLANNERS = (
     "perimeter",
-    "perimeter_shielded",
+    "perimeter shield=true",
     "orca",
     "straight",
     "social_force",
     "model_predictive",
-    "model_predictive_shielded",
-    "model_predictive_recurrent",
+    "model_predictive shield=true",
+    "model_predictive predictor=recurrent",
 )
 EPISODES = """
 import hashlib
@@ -42,7 +42,7 @@ import numpy as np
 
 from mrsan import Layout, LidarSees, Reward, Scenario, World
 from samarl.agents import build_agent
-from samarl.configuration import load_agent_config
+from samarl.configuration import load_method_config
 from samarl.runtime import Detection, Driver, OwnState
 
 CASES = np.arange(12)
@@ -53,21 +53,21 @@ for name in planners:
     digest = hashlib.sha256()
     for scenario in (circle, doorway):
         world = World(scenario, len(CASES), auto_reset=False)
-        agent = build_agent(load_agent_config(name), scenario)
+        agent = build_agent(load_method_config(name), scenario)
         observation = world.reset(CASES)
         agent.reset(np.ones(len(CASES), np.bool_))
-        for _ in range(40 if name.startswith("model_predictive_") else 200):  # these are slow
+        for _ in range(40 if name.startswith("model_predictive ") else 200):  # these are slow
             step = world.step(agent.act(observation))
             observation = step.observation
             for array in (step.reward, *world.state, *observation.arrays().values()):
                 digest.update(np.ascontiguousarray(array).tobytes())
-    print(name, digest.hexdigest())
+    print(name, digest.hexdigest(), sep=":")
 driver, digest = Driver.load(exported), hashlib.sha256()
 for k in range(8):
     people = [Detection(4.0 - 0.3 * k, 3.0, -1.2, 0.2, id="anna"), Detection(5.0, 1.7, -0.4, 0.1)]
     command = driver.step(OwnState(1.0, 2.0, 0.1, 0.5, 0.3, 6.0, 2.0), people, 0.25 * k)
     digest.update(command.action.tobytes() + repr(command[1:]).encode())
-print("driver", digest.hexdigest())
+print("driver", digest.hexdigest(), sep=":")
 """
 
 
@@ -94,7 +94,7 @@ def digests(exported: Path, **variables: str) -> dict[str, str]:
         check=True,
         cwd=ROOT,
     )
-    return dict(line.split() for line in done.stdout.splitlines())  # type: ignore[misc]
+    return dict(line.split(":") for line in done.stdout.splitlines())  # type: ignore[misc]
 
 
 def test_episodes_do_not_depend_on_vector_instructions(exported: Path) -> None:

@@ -13,7 +13,7 @@ from mrsan import CrowdReaction, Groups, Layout, Reactions, Scenario, TeamPercep
 from samarl.agents import build_agent
 from samarl.commands.report import _methods
 from samarl.configuration import available_agents, load_agent_config
-from samarl.evaluation.labels import label_of
+from samarl.evaluation.methods import label_of
 from samarl.evaluation.metrics import metric_fields
 from samarl.evaluation.summary import HEADLINE, Row, column_of
 from samarl.evaluation.trajectory import record_episode
@@ -106,22 +106,22 @@ def test_methods_are_in_groups_best_first() -> None:
     groups = {line.name: line.group for line in ranking}
     assert [*dict.fromkeys(groups.values())] == ["learned", "planner"]
     assert groups["orca"] == "planner"
-    for name in ("samarl", "samarl_unshielded", "samarl_flat", "samarl_flat_unshielded"):
+    for name in ("samarl", "samarl shield=false", "samarl_flat", "samarl_flat shield=false"):
         assert groups[name] == "learned", name
-    (ablation,) = ranked([rows[0] | {"method": "samarl_first_waypoint"}])
+    (ablation,) = ranked([rows[0] | {"method": "samarl waypoints=first"}])
     assert ablation.group == "ablation"
     for group in GROUPS:
         order = [(-line.rows.count(None), line.success) for line in ranking if line.group == group]
         assert order == sorted(order, reverse=True)
     assert len({column_of(row) for row in rows if is_best(row, rows)}) == 4
     named = {line.name: line for line in ranking}
-    assert named["samarl_unshielded"].checkpoint == "samarl"
+    assert named["samarl shield=false"].checkpoint == "samarl"
     assert all(line.description for line in ranking)
     tables = read_tables(find_folder("results"))
     assert [table.name for table in tables][:2] == ["Table 1", "Table 2"]
     best = tables[0].best("planner")
     assert best is not None
-    assert best.name == "perimeter_shielded"
+    assert best.name == "perimeter shield=true"
 
 
 def test_rows_of_another_version_are_shown(tmp_path: Path) -> None:
@@ -141,7 +141,7 @@ def test_every_method_of_the_results_has_a_label_of_its_own() -> None:
     labels = {method: label_of(method) for method in methods}
     assert [method for method, label in labels.items() if method == label] == []
     assert len(set(labels.values())) == len(labels)
-    assert label_of("mine_shielded") == "mine, shielded"
+    assert label_of("mine shield=true") == "mine, shielded"
 
 
 def test_replays_are_kept_unless_what_they_depend_on_changes(tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ import pytest
 from mrsan import ConfigurationError, Crowd, Kinematics, Observation, Scenario, Split, World
 from mrsan.features import GOAL
 from samarl.agents import Agent, build_agent
-from samarl.configuration import load_agent_config
+from samarl.configuration import load_agent_config, load_method_config
 from samarl.evaluation.runner import run_cases
 from samarl.planning.shield import Shield, apply_shield
 
@@ -81,8 +81,8 @@ def test_invalid_shield_fields_are_reported(shield: object, message: str) -> Non
 def test_a_configured_shield_equals_a_wrapped_agent(name: str) -> None:
     scenario = Scenario(humans=16, fov_degrees=120.0)
     policy = build_agent(load_agent_config(name), scenario)
-    free = build_agent(load_agent_config(f"{name}_unshielded"), scenario)
-    wrapped = shielded_agent(f"{name}_unshielded", scenario)
+    free = build_agent(load_method_config(f"{name} shield=false"), scenario)
+    wrapped = shielded_agent(name, scenario)
     world = World(scenario, 30)
     observation = world.reset(CASES[:30])
     replaced = 0
@@ -147,9 +147,9 @@ def test_robots_that_block_each_other_arrive(kinematics: Kinematics, standoff: s
     assert state.arrived.all()
 
 
-@pytest.mark.parametrize("name", ["samarl", "samarl_flat", "perimeter_shielded"])
+@pytest.mark.parametrize("name", ["samarl", "samarl_flat", "perimeter shield=true"])
 def test_robots_without_people_arrive(name: str) -> None:
     scenario = Scenario(robots=5, humans=0)
     cases = Split.validation.case(0) + np.arange(40)
-    episodes = run_cases(build_agent(load_agent_config(name), scenario), scenario, cases, batch=40)
+    episodes = run_cases(build_agent(load_method_config(name), scenario), scenario, cases, batch=40)
     assert episodes.success.all()

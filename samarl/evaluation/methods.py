@@ -1,0 +1,121 @@
+"""Methods: agents with settings, as rows of tables name them, and their labels for readers.
+
+`cadrl shield=true` is the agent `cadrl` of `conf/agent/` with `agent.shield=true`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import yaml
+
+from mrsan import ConfigurationError
+from samarl.evaluation.summary import Row
+
+_LABELS = {
+    "cadrl": "CADRL",
+    "masac": "MASAC",
+    "mlga2c": "MLGA2C",
+    "model_predictive": "Motion-primitive planner",
+    "model_predictive predictor=recurrent": "Motion-primitive planner, learned prediction",
+    "msa3c": "MSA3C",
+    "msa3c_one_frame": "MSA3C without TSG",
+    "msa3cpred": "MSA3CPred",
+    "msa3cpred track_velocity=true": "MSA3CPred, tracked",
+    "msa3cpred_concatenation": "MSA3CPred, concatenating critics",
+    "msa3cpred_f5": "MSA3CPred, 5 m",
+    "orca": "ORCA",
+    "perimeter": "Around the crowd",
+    "samarl": "SAMARL",
+    "samarl checkpoint=ablation_cross_modal": "SAMARL-Transformer without cross-modal attention",
+    "samarl checkpoint=ablation_graph": "SAMARL-Transformer without graph convolution",
+    "samarl checkpoint=ablation_history": "SAMARL-Transformer without history",
+    "samarl checkpoint=ablation_local_critics": "SAMARL-Transformer with local critics",
+    "samarl checkpoint=ablation_one_block": "SAMARL-Transformer with one block",
+    "samarl checkpoint=samarl_lookahead": "SAMARL-Lookahead",
+    "samarl waypoints=first": "SAMARL, first waypoint",
+    "samarl waypoints=random": "SAMARL, random waypoints",
+    "samarl waypoints=shuffled": "SAMARL, shuffled waypoints",
+    "samarl_10p3r": "SAMARL-10p3r",
+    "samarl_flat": "One level",
+    "samarl_general": "SAMARL-General",
+    "samarl_places": "SAMARL-Places",
+    "samarl_places_flat": "SAMARL-Places, one level",
+    "samarl_planned": "SAMARL-Planned",
+    "samarl_ppo": "SAMARL-PPO",
+    "samarl_recorded": "SAMARL-Recorded",
+    "samarl_srnn": "SAMARL-SRNN",
+    "samarl_transformer": "SAMARL-Transformer",
+    "samarl_transformer track_velocity=true": "SAMARL, tracked",
+    "sarl": "SARL",
+    "social_force": "Social force",
+    "social_force_places": "Social force for walled environments",
+    "straight": "Straight",
+}
+_SHIELD = {" shield=true": ", shielded", " shield=false": ", no shield"}
+
+
+def method_name(entry: Any) -> tuple[str, str | None]:
+    """Return the method of an entry of `agents`, and its label if the entry has one.
+
+    Args:
+        entry: `NAME`, `NAME SETTING=VALUE ...`, or `{agent: NAME, SETTING: VALUE, label: LABEL}`.
+
+    Raises:
+        ConfigurationError: it is none of these.
+    """
+    if isinstance(entry, str):
+        return " ".join(entry.split()) if "=" in entry else entry, None
+    if not isinstance(entry, Mapping) or "agent" not in entry:
+        raise ConfigurationError(
+            f"agents has {entry!r:.60}; it must be a name, or a mapping with the name as `agent`"
+        )
+    settings = {str(key): value for key, value in entry.items() if key not in ("agent", "label")}
+    words = [f"{key}={_text(value)}" for key, value in settings.items()]
+    return " ".join([str(entry["agent"]), *words]), entry.get("label")
+
+
+def split_method(method: str) -> tuple[str, dict[str, Any]]:
+    """Return the agent of a method, which may be a path with blanks, and its settings."""
+    words = method.split(" ")
+    count = len(words)
+    while count > 1 and "=" in words[count - 1]:
+        count -= 1
+    settings = dict(word.split("=", 1) for word in words[count:])
+    return " ".join(words[:count]), {key: yaml.safe_load(text) for key, text in settings.items()}
+
+
+def method_words(method: str) -> list[str]:
+    """Return the words that select a method on a command line."""
+    agent, settings = split_method(method)
+    return [f"agent={agent}", *(f"agent.{key}={_text(value)}" for key, value in settings.items())]
+
+
+def method_of_policy(policy: str) -> str:
+    """Return the method that drives with an included policy by its name."""
+    of_ablation = f"samarl checkpoint={policy}"
+    return of_ablation if of_ablation in _LABELS else policy
+
+
+def is_ablation(method: str) -> bool:
+    """Return whether a method is an included agent with other waypoints or weights."""
+    return not split_method(method)[1].keys().isdisjoint(("waypoints", "checkpoint"))
+
+
+def label_of(method: str) -> str:
+    """Return the name of a method for readers; that of a custom agent is its own."""
+    for ending, words in _SHIELD.items():
+        if method.endswith(ending):
+            return label_of(method.removesuffix(ending)) + words
+    return _LABELS.get(method, method)
+
+
+def labelled(rows: Sequence[Row]) -> list[Row]:
+    """Return rows whose methods have their labels as names."""
+    return [row | {"method": label_of(row["method"])} for row in rows]
+
+
+def _text(value: Any) -> str:
+    """Return a value as in YAML, on one line."""
+    return yaml.safe_dump(value, default_flow_style=True, width=10**6).splitlines()[0]
