@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -49,6 +50,7 @@ class DeployedPolicy:
         """
         policy.check(scenario)
         if isinstance(policy, HierarchicalPolicy):
+            policy = copy.copy(policy)  # others may drive with it
             policy.waypoint_source, policy.team_size = waypoints, scenario.robots
         elif waypoints is not Waypoints.learned:
             raise ConfigurationError(

@@ -14,7 +14,7 @@ from samarl.agents.learned import DeployedPolicy
 from samarl.algorithms.action_limits import action_limits, excess
 from samarl.encoders import ENCODERS
 from samarl.observations.features import to_body
-from samarl.policies.macro_actions import decode_waypoint
+from samarl.policies.macro_actions import Waypoints, decode_waypoint
 from samarl.policies.policy import LOCAL, MACRO, WAYPOINT_FEATURES, PolicyState
 from tests.learning import SCENARIO, algorithm, collector, policy
 
@@ -291,3 +291,13 @@ def test_waypoints_are_tried_further_apart_once_they_are_followed(
     assert std[MACRO].tolist() == pytest.approx([macro] * 2)
     assert (std[LOCAL] <= 0.6 - 0.5 * share + 1e-6).all()
     assert (std[LOCAL] <= learned + 1e-6).all()  # nothing raises the local level's
+
+
+def test_agents_of_one_policy_keep_their_own_waypoints() -> None:
+    model, world = policy(), World(SCENARIO, 3)
+    observation = world.reset([1, 2, 3])
+    learned = DeployedPolicy(model, SCENARIO)
+    before = learned.act(observation)
+    DeployedPolicy(model, replace(SCENARIO, robots=5), Waypoints.random)
+    learned.reset(np.ones(3, np.bool_))
+    np.testing.assert_array_equal(learned.act(observation), before)
