@@ -25,7 +25,8 @@ from samarl.report.improvement import draw_improvements
 
 def test_the_command_names_all_changed_fields() -> None:
     column = Scenario(fov_degrees=90.0, humans=4, robots=2)
-    plain = "samarl-evaluate agent=orca scenario.fov_degrees=90 scenario.humans=4 scenario.robots=2"
+    plain = "samarl-evaluate agent=orca scenario=samarl"
+    plain += " scenario.fov_degrees=90 scenario.humans=4 scenario.robots=2"
     assert _command("orca", column, Scenario(), Evaluation()) == plain
     assert (
         _command("orca", column, Scenario(), Evaluation(batch=7)) == plain
