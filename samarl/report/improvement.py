@@ -12,6 +12,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.figure import Figure
 
+from samarl.evaluation.labels import label_of
 from samarl.evaluation.seeds import Improvements
 from samarl.evaluation.table import column_name
 from samarl.report.style import INK, STYLE
@@ -79,7 +80,7 @@ def _draw_matrix(axes: Axes, matrix: Improvements) -> None:
         )
     names = [column_name(column).replace(" ", "\n") for _, column in matrix.columns]
     axes.set_xticks(np.arange(len(names)) + 0.5, names)
-    axes.set_yticks(np.arange(len(matrix.others)) + 0.5, matrix.others)
+    axes.set_yticks(np.arange(len(matrix.others)) + 0.5, list(map(label_of, matrix.others)))
     axes.xaxis.tick_top()
     axes.set_title(matrix.quantity, loc="left", weight="bold", pad=24)
     x = 0
@@ -88,7 +89,7 @@ def _draw_matrix(axes: Axes, matrix: Improvements) -> None:
         if x:
             axes.axvline(x, color="white", linewidth=5)
         axes.annotate(
-            method,
+            label_of(method),
             (x + count / 2, 1.0),
             (0, 36),  # above the names of the columns
             xycoords=("data", "axes fraction"),
