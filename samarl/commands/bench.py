@@ -27,6 +27,7 @@ from samarl.configuration import (
     open_mapping,
     scenario_of,
 )
+from samarl.evaluation.labels import label_of, labelled
 from samarl.evaluation.page import improvement_figure, page
 from samarl.evaluation.regression import beside_committed, compare
 from samarl.evaluation.runner import Evaluation, run_cases
@@ -138,8 +139,10 @@ def _cases(rows: Sequence[Row]) -> str:
 
 def _write_page(config: DictConfig, path: Path, rows: Sequence[Row]) -> None:
     """Write the page of a table and its figure beside its rows in `path`."""
-    matrices = improvements(rows, config.improvement_of)
-    text = page(config.name, config.about, rows, matrices, config.headline)
+    rows = labelled(rows)
+    matrices = improvements(rows, list(map(label_of, config.improvement_of)))
+    headline = list(map(label_of, config.headline))
+    text = page(config.name, config.about, rows, matrices, headline)
     write_text(path.with_suffix(".md"), text)
     if matrices:
         from samarl.report.improvement import draw_improvements  # imports matplotlib

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from samarl.evaluation.labels import label_of, labelled
 from samarl.evaluation.seeds import Improvements
 from samarl.evaluation.summary import Column, Row, case_successes, column_of
 from samarl.evaluation.table import (
@@ -40,7 +39,6 @@ def page(
     """
     commits = ", ".join(sorted({row["commit"] for row in rows}))
     selection = [row for method in headline for row in rows if row["method"] == method]
-    rows, selection = labelled(rows), labelled(selection)
     short = f"{grids_as_markdown(selection)}\n\n## All methods\n\n" if selection else ""
     return f"""# {about}
 {short}{grids_as_markdown(rows)}
@@ -78,9 +76,9 @@ def _improvement(name: str, improvement: Sequence[Improvements]) -> str:
     """
     tables = []
     for matrix in improvement:
-        heads = [f"{label_of(method)}, {column_name(column)}" for method, column in matrix.columns]
+        heads = [f"{method}, {column_name(column)}" for method, column in matrix.columns]
         lines = [
-            [label_of(other), *map(_estimate, estimates)]
+            [other, *map(_estimate, estimates)]
             for other, estimates in zip(matrix.others, matrix.estimates, strict=True)
         ]
         table = markdown_table(["better than", *heads], lines)

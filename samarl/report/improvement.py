@@ -12,7 +12,6 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.figure import Figure
 
-from samarl.evaluation.labels import label_of
 from samarl.evaluation.seeds import Improvements
 from samarl.evaluation.table import column_name
 from samarl.report.style import INK, STYLE
@@ -80,7 +79,7 @@ def _draw_matrix(axes: Axes, matrix: Improvements) -> None:
         )
     names = [column_name(column).replace(" ", "\n") for _, column in matrix.columns]
     axes.set_xticks(np.arange(len(names)) + 0.5, names)
-    axes.set_yticks(np.arange(len(matrix.others)) + 0.5, list(map(label_of, matrix.others)))
+    axes.set_yticks(np.arange(len(matrix.others)) + 0.5, matrix.others)
     axes.xaxis.tick_top()
     axes.set_title(matrix.quantity, loc="left", weight="bold", pad=24)
     x = 0
@@ -89,7 +88,7 @@ def _draw_matrix(axes: Axes, matrix: Improvements) -> None:
         if x:
             axes.axvline(x, color="white", linewidth=5)
         axes.annotate(
-            label_of(method),
+            method,
             (x + count / 2, 1.0),
             (0, 36),  # above the names of the columns
             xycoords=("data", "axes fraction"),
