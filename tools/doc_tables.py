@@ -6,6 +6,7 @@ import json
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from statistics import fmean
+from typing import Any
 
 from samarl.evaluation.labels import label_of
 from samarl.evaluation.papers import PAPER_SUCCESS
@@ -271,48 +272,36 @@ def _mean_and_range(values: Sequence[float | None], unit: float, form: str) -> s
 
 @table
 def policies() -> str:
-    """Return steps and training time of every included policy, over its training seeds."""
-    groups: dict[str, list[dict[str, object]]] = {}
+    """Return how long every included policy but the ablations was trained, and where."""
+    groups: dict[str, list[dict[str, Any]]] = {}
     for path in sorted((RESULTS / "checkpoints").glob("*.json")):
-        card = json.loads(path.read_text(encoding="utf-8"))
         name, _, seed = path.stem.rpartition("_seed")
-        groups.setdefault(name if seed.isdigit() else path.stem, []).append(card)
-    lines = []
-    for name, cards in groups.items():
-        provenance = [card["provenance"] for card in cards]
-        minutes = sorted(round(p["seconds"] / 60) for p in provenance)  # type: ignore[index]
-        low, high = minutes[0], minutes[-1]
-        steps = provenance[0]["steps"] / 1e6  # type: ignore[index]
-        duration = str(low) if low == high else f"{low} to {high}"
-        kind = f"`{cards[0]['policy']}`"
-        lines.append([f"`{name}`", kind, str(len(cards)), f"{steps:.1f}", duration])
-    header = ["name", "`policy=`", "seeds", "million steps", "minutes"]
-    return markdown_table(header, lines)
-
-
-@table
-def training_ranges() -> str:
-    """Return the scenarios with which every included policy was trained."""
-    lines = []
-    for path in sorted((RESULTS / "checkpoints").glob("*.json")):
-        if path.stem.rpartition("_seed")[2].isdigit():
-            continue  # the same scenarios as another seed
         card = json.loads(path.read_text(encoding="utf-8"))
-        stages = card["provenance"]["configuration"]["curriculum"]["stages"]
-        scenarios = [stage["scenario"] for stage in stages]
+        groups.setdefault(name if seed.isdigit() else path.stem, []).append(card["provenance"])
+    lines = []
+    for name, runs in groups.items():
+        if name.startswith("ablation_"):
+            continue
+        scenarios = [
+            stage["scenario"] for stage in runs[0]["configuration"]["curriculum"]["stages"]
+        ]
         people = [s["humans"] for s in scenarios]
         people += [s["humans"] if (few := s.get("humans_min")) is None else few for s in scenarios]
         layouts = [str(s.get("layout", "circle")).rpartition(".")[2] for s in scenarios]
         lines.append(
             [
-                f"`{path.stem}`",
+                f"`{name}`",
+                str(len(runs)),
+                f"{runs[0]['steps'] / 1e6:.1f}",
+                _range([round(run["seconds"] / 60) for run in runs]),
                 ", ".join(f"`{layout}`" for layout in dict.fromkeys(layouts)),
                 _range([s["robots"] for s in scenarios]),
                 _range(people),
                 ", ".join(f"{view:g}" for view in sorted({s["fov_degrees"] for s in scenarios})),
             ]
         )
-    return markdown_table(["policy", "layouts", "robots", "people", "views, degrees"], lines)
+    header = ["policy", "seeds", "million steps", "minutes", "layouts", "robots", "people"]
+    return markdown_table([*header, "views, degrees"], lines)
 
 
 def _range(numbers: Sequence[int]) -> str:
