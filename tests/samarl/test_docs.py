@@ -301,5 +301,5 @@ def test_seed_means_and_ranges_in_the_docs_are_those_of_the_table() -> None:
             r"\d+\.\d \[\d+\.\d, \d+\.\d\]", re.sub(other_tables, "", page.read_text())
         )
     ]
-    assert len(quoted) > 50
+    assert len(quoted) > 40
     assert set(quoted) <= committed
