@@ -27,6 +27,7 @@ from samarl.configuration import (
     open_mapping,
     scenario_of,
 )
+from samarl.evaluation.labels import label_of, labelled
 from samarl.evaluation.page import improvement_figure, page
 from samarl.evaluation.regression import beside_committed, compare
 from samarl.evaluation.runner import Evaluation, run_cases
@@ -54,7 +55,7 @@ from samarl.files import (
 )
 from samarl.policies.card import find_policy
 from samarl.progress import progress_bar, shared_counts, shared_progress
-from samarl.user_files import label_of
+from samarl.user_files import name_of
 
 STATUS = """\
 (same: equal to the committed row; close: within its 95 % intervals, since processors round
@@ -140,8 +141,10 @@ def _cases(rows: Sequence[Row]) -> str:
 
 def _write_page(config: DictConfig, path: Path, rows: Sequence[Row]) -> None:
     """Write the page of a table and its figure beside its rows in `path`."""
-    matrices = improvements(rows, config.improvement_of)
-    text = page(config.name, config.about, rows, matrices, config.headline)
+    rows = labelled(rows)
+    matrices = improvements(rows, list(map(label_of, config.improvement_of)))
+    headline = list(map(label_of, config.headline))
+    text = page(config.name, config.about, rows, matrices, headline)
     write_text(path.with_suffix(".md"), text)
     if matrices:
         from samarl.report.improvement import draw_improvements  # imports matplotlib
@@ -186,7 +189,7 @@ def _tasks(config: DictConfig, scenarios: Sequence[Scenario]) -> tuple[list[_Tas
     cases = evaluation.cases if config.learned_cases is None else config.learned_cases
     learned_evaluation = replace(evaluation, cases=min(cases, evaluation.cases))
     names = [str(name) for name in _agent_names(config)]
-    if len({*map(label_of, names)}) < len(names):
+    if len({*map(name_of, names)}) < len(names):
         raise ConfigurationError(f"agents is {names!r:.200}; their names in the table must differ")
     agents = {name: load_agent_config(name, "agents") for name in names}
     tasks: list[_Task] = []
@@ -303,7 +306,7 @@ def _row(
         agent = build_agent(variant, scenario)
         episodes = run_cases(agent, scenario, cases, evaluation.batch, advance)
         first = int(cases[0])
-        rows.append(summarise(episodes, scenario, label_of(name), command, commit, first, named))
+        rows.append(summarise(episodes, scenario, name_of(name), command, commit, first, named))
     if "checkpoint" not in variants[0]:
         return rows[0]
     checkpoints = [str(variant["checkpoint"]) for variant in variants]
@@ -353,9 +356,7 @@ def _earlier_rows(config: DictConfig, path: Path, tasks: Sequence[_Task]) -> lis
     earlier = read_rows(path)
     if earlier is None:
         raise ConfigurationError(f"merge is true; {path} must be a table, or be removed")
-    cases = {
-        (label_of(task.agent), _column(task.scenario)): task.evaluation.cases for task in tasks
-    }
+    cases = {(name_of(task.agent), _column(task.scenario)): task.evaluation.cases for task in tasks}
     for row in earlier:
         new_cases = cases.get((row["method"], column_of(row)))
         if new_cases is None:

@@ -64,7 +64,7 @@ def test_rows_with_fewer_cases_are_not_merged(
     rows = read_rows(path)
     assert rows is not None
     assert [row["method"] for row in rows] == ["straight", "samarl_flat", "orca"]
-    assert "orca" in (path.with_suffix(".md")).read_text()
+    assert "| ORCA " in path.with_suffix(".md").read_text()
     before = path.read_bytes()
     with pytest.raises(SystemExit):
         played(monkeypatch, "agents=[straight]", "merge=true", columns, "evaluation.cases=2")
@@ -86,6 +86,7 @@ def test_a_page_is_written_again_with_its_figure(
     assert path.read_bytes() == before
     page = path.with_suffix(".md").read_text()
     assert "](table1_improvement.png)" in page
+    assert "| One level (3 seeds) |" in page
     with Image.open(tmp_path / "mine/table1_improvement.png") as image:
         assert 900 < image.width < 1100  # pixels, which fit in a page
     (success, _) = draw_improvements(improvements(rows, ["samarl"])).axes[:2]
