@@ -39,10 +39,12 @@ results: setup ## Rewrite results/ and the figures in the documentation (RECORDI
 sweeps: setup ## Evaluate the sweeps of results/sweeps/, or resume them (hours)
 	@$(BIN)/python -m tools.run_sweeps
 
-pictures: report ## Draw the pictures of the documentation: an animated case and the tables as figures
+pictures: setup ## Draw the pictures of the documentation: layouts, tables as figures and an animated case
+	@$(BIN)/python -m tools.draw_layouts docs/images
+	@$(BIN)/samarl-report cases=[] output=outputs/pictures
+	@cp outputs/pictures/figures/table-1.png docs/images/table1.png
+	@cp outputs/pictures/figures/transfer-recorded-people.png docs/images/recorded.png
 	@$(BIN)/samarl-render agent=samarl against=orca case=$(PICTURE_CASE) output=docs/images/case.gif
-	@cp results/report/figures/table-1.png docs/images/table1.png
-	@cp results/report/figures/transfer-recorded-people.png docs/images/recorded.png
 
 report: setup ## Build web pages with tables, curves and replays in results/report/
 	@$(BIN)/samarl-report

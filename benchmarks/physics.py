@@ -16,6 +16,7 @@ import samarl
 from benchmarks.workload import add_output, interruptible, positive_whole_number, provenance
 from mrsan import Scenario
 from samarl.configuration import load_scenario
+from samarl.evaluation.methods import label_of
 from samarl.evaluation.summary import Row
 from samarl.evaluation.table import markdown_table
 from samarl.files import read_json, write_json, write_text
@@ -139,10 +140,10 @@ def page(rows: list[Row], cases: int) -> str:
         for agent in agents:
             for name, run in zip(_ENGINES, engines_of(scenario, agent), strict=True):
                 if (row := row_of(run)) is not None:
-                    lines.append([agent, name, *_cells(row)])
+                    lines.append([label_of(agent), name, *_cells(row)])
             if scenario == "20p3r" and agent in PAPER_INTRUSIONS:
                 figures = ["", "", "", "", f"{PAPER_INTRUSIONS[agent]:.2f}", "", "", ""]
-                lines.append([agent, "paper: PyBullet", *figures])
+                lines.append([label_of(agent), "paper: PyBullet", *figures])
         text += f"## {_TITLES[scenario]}\n\n{markdown_table(_HEADER, lines)}\n\n"
     ideal, *in_physics = engines_of("samarl", "samarl")
     baseline = row_of(ideal)

@@ -28,7 +28,7 @@ from samarl.physics.engine import Engine, MrsanEngine
 from samarl.policies.card import is_policy
 from samarl.progress import progress_bar
 from samarl.report.pictures import film_physics, picture_writer, title_of
-from samarl.user_files import label_of
+from samarl.user_files import name_of
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -89,7 +89,7 @@ def load_agent(agent: Name, scenario: Name | Scenario | None = None, **overrides
         if configuration.is_own_policy(name):
             scenario = scenario_of_training(name)
     loaded = build_agent({**settings, **overrides}, load_scenario(scenario))
-    loaded.label = label_of(name)
+    loaded.label = name_of(name)
     return loaded
 
 

@@ -29,7 +29,7 @@ from samarl.files import find_folder
 from samarl.messages import describe, explain
 from samarl.physics.engine import ENGINES, Engine
 from samarl.policies.card import find_policy, is_policy, read_card
-from samarl.user_files import YAML, PathChoices, label_of
+from samarl.user_files import YAML, PathChoices, name_of
 
 T = TypeVar("T")
 
@@ -68,7 +68,7 @@ def register_schemas(**schemas: Any) -> None:
             defaults lists.
     """
     OmegaConf.register_new_resolver("first", first, replace=True)
-    OmegaConf.register_new_resolver("label", label_of, replace=True)
+    OmegaConf.register_new_resolver("label", name_of, replace=True)
     Plugins.instance().register(PathChoices)
     store = ConfigStore.instance()
     for name, schema in schemas.items():

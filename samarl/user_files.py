@@ -80,7 +80,7 @@ class PathChoices(ConfigSource):
         return True
 
 
-def label_of(choice: str) -> str:
+def name_of(choice: str) -> str:
     """Return the name of an agent in tables: that of its file, or the folder of its training."""
     path = Path(choice)
     if path.name in (BEST, LAST):

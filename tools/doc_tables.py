@@ -6,7 +6,9 @@ import json
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from statistics import fmean
+from typing import Any
 
+from samarl.evaluation.methods import label_of
 from samarl.evaluation.papers import PAPER_SUCCESS
 from samarl.evaluation.summary import Column, Row, column_of
 from samarl.evaluation.table import markdown_table, setting_name
@@ -15,34 +17,23 @@ from tools.figures import RESULTS, find_row, find_value, print_row, result_rows
 NONE = "-"  # in cells without a value
 TABLES: dict[str, Callable[[], str]] = {}
 COLUMNS = [Column(90.0, 10, 3), Column(90.0, 10, 5), Column(360.0, 10, 5), Column(360.0, 10, 3)]
-# Rows of the README: name, agent.
+# Rows of the README.
 METHODS = (
-    ("ORCA", "orca"),
-    ("Sampling planner (`model_predictive`)", "model_predictive"),
-    ("Around the crowd (`perimeter`)", "perimeter"),
-    ("Around the crowd, shielded", "perimeter shield=true"),
-    ("CADRL", "cadrl"),
-    ("CADRL, shielded", "cadrl shield=true"),
-    ("SAMARL-PPO without its shield", "samarl_ppo shield=false"),
-    ("SAMARL-PPO", "samarl_ppo"),
-    ("SAMARL without its shield", "samarl shield=false"),
-    ("SAMARL", "samarl"),
+    "orca",
+    "model_predictive",
+    "perimeter",
+    "perimeter shield=true",
+    "cadrl",
+    "cadrl shield=true",
+    "samarl_ppo shield=false",
+    "samarl_ppo",
+    "samarl shield=false",
+    "samarl",
 )
-# Methods without a policy for 90°, also in the README.
-ONE_LEVEL = (
-    ("One level without its shield", "samarl_flat shield=false"),
-    ("One level (`samarl_flat`)", "samarl_flat"),
-)
+ONE_LEVEL = ("samarl_flat shield=false", "samarl_flat")  # also in the README, no policy for 90°
 # Rows of the documentation in addition to those of the README.
-OTHER_METHODS = (
-    ("SAMARL-SRNN without its shield", "samarl_srnn shield=false"),
-    ("SAMARL-SRNN", "samarl_srnn"),
-)
-# Methods without a policy for 90°.
-WIDE_METHODS = (
-    ("SAMARL with the paper's transformer", "samarl_transformer"),
-    ("SAMARL with the paper's transformer, without its shield", "samarl_transformer shield=false"),
-)
+OTHER_METHODS = ("samarl_srnn shield=false", "samarl_srnn")
+WIDE_METHODS = ("samarl_transformer shield=false", "samarl_transformer")  # no policy for 90°
 
 # What the settings of table `robustness` change, in words.
 CHANGES = {
@@ -72,18 +63,17 @@ def _cell(name: str, method: str, column: Column) -> str:
     return print_row(find_row(name, method, key), "both")
 
 
-def _method_lines(methods: Iterable[tuple[str, str]]) -> list[list[str]]:
-    return [[label, *(_cell("table1", method, c) for c in COLUMNS)] for label, method in methods]
-
-
-def _wide_lines(methods: Iterable[tuple[str, str]]) -> list[list[str]]:
-    """Return the lines of methods without a policy for 90°."""
+def _method_lines(methods: Iterable[str], view: float | None = None) -> list[list[str]]:
+    """Return the lines of methods in Table I, of one view only if it is given."""
     return [
         [
-            label,
-            *(_cell("table1", method, c) if c.fov_degrees == 360.0 else NONE for c in COLUMNS),
+            label_of(method),
+            *(
+                _cell("table1", method, c) if view in (None, c.fov_degrees) else NONE
+                for c in COLUMNS
+            ),
         ]
-        for label, method in methods
+        for method in methods
     ]
 
 
@@ -95,100 +85,101 @@ def _table1_header() -> list[str]:
 @table
 def headline() -> str:
     """Return Table I with a row for each method of the README."""
-    return markdown_table(_table1_header(), _method_lines(METHODS) + _wide_lines(ONE_LEVEL))
+    return markdown_table(
+        _table1_header(), _method_lines(METHODS) + _method_lines(ONE_LEVEL, 360.0)
+    )
 
 
 @table
 def table1_with_paper() -> str:
     """Return Table I with all methods, and with the paper's success rates."""
     lines = _method_lines((*METHODS, *OTHER_METHODS))
-    lines += _wide_lines((*ONE_LEVEL, *WIDE_METHODS))
+    lines += _method_lines((*ONE_LEVEL, *WIDE_METHODS), 360.0)
     for method in next(iter(PAPER_SUCCESS.values())):
         rates = [PAPER_SUCCESS.get(column, {}).get(method) for column in COLUMNS]
         lines.append([f"*paper: {method}*", *(NONE if r is None else f"*{r}*" for r in rates)])
     return markdown_table(_table1_header(), lines)
 
 
-def _seeds_table(agents: Sequence[str], columns: Sequence[str], heads: Sequence[str]) -> str:
+@table
+def seeds() -> str:
+    """Return success over training seeds in the columns of Table I."""
     lines = []
-    for agent in agents:
-        rows = [find_row("table1", agent, column) for column in columns]
-        lines.append([f"`{agent}`", *(print_row(row, "seeds") for row in rows)])
-    return markdown_table(["success %, mean [range]", *heads], lines)
+    for policy in ("", "_ppo", "_transformer", "_flat", "_general", "_planned"):
+        for method in (f"samarl{policy}", f"samarl{policy}_unshielded"):
+            rows = [row for row in result_rows("table1") if row["method"] == method]
+            cells = {column_of(row)[:3]: print_row(row, "seeds") for row in rows}
+            lines.append([label_of(method), *(cells.get(column[:3], NONE) for column in COLUMNS)])
+    return markdown_table(["success %, mean [range]", *_table1_header()[1:]], lines)
 
 
-def _with_unshielded(names: Iterable[str]) -> list[str]:
-    return [agent for name in names for agent in (name, f"{name} shield=false")]
-
-
-@table
-def seeds_wide() -> str:
-    """Return success over training seeds of the policies with a full view."""
-    others = ("ppo", "transformer", "flat", "general", "planned")
-    names = ("samarl", *(f"samarl_{name}" for name in others))
-    return _seeds_table(_with_unshielded(names), ["360/10/3", "360/10/5"], ["3 robots", "5 robots"])
-
-
-@table
-def seeds_narrow() -> str:
-    """Return success over training seeds of the policies with a view of 90°."""
-    agents = [*_with_unshielded(["samarl", "samarl_ppo"]), "samarl_general", "samarl_planned"]
-    return _seeds_table(agents, ["90/10/3", "90/10/5"], ["3 robots", "5 robots"])
-
-
-def _grid(rows: Iterable[Row], heading: Callable[[Row], str], kind: str, corner: str) -> str:
-    """Return methods by columns, in order of appearance."""
-    cells: dict[str, dict[str, str]] = {}
+def _grid(rows: Iterable[Row], heading: Callable[[Row], str], methods: Sequence[str]) -> str:
+    """Return success and social score of methods by columns, in order of appearance."""
+    cells: dict[str, dict[str, str]] = {method: {} for method in methods}
     heads: dict[str, None] = {}
     for row in rows:
         heads[heading(row)] = None
-        cells.setdefault(row["method"], {})[heading(row)] = print_row(row, kind)
-    lines = [[f"`{m}`", *(line.get(head, NONE) for head in heads)] for m, line in cells.items()]
-    return markdown_table([corner, *heads], lines)
+        if row["method"] in cells:
+            cells[row["method"]][heading(row)] = print_row(row, "both")
+    lines = [[label_of(m), *(line.get(head, NONE) for head in heads)] for m, line in cells.items()]
+    return markdown_table(["success % / social score", *heads], lines)
 
 
 @table
 def recorded() -> str:
-    """Return success and social score among recorded people."""
-    rows = [row for row in result_rows("transfer") if row.get("recording")]
-    return _grid(
-        rows,
-        lambda r: Path(r["recording"]).stem.replace("_", " "),
-        "both",
-        "success % / social score",
+    """Return success and social score among recorded people, of the main methods."""
+    methods = (
+        "model_predictive shield=true",
+        "perimeter shield=true",
+        "cadrl",
+        "samarl",
+        "samarl_flat",
+        "samarl_transformer",
+        "samarl_general",
+        "samarl_planned",
+        "samarl_recorded",
     )
+    rows = [row for row in result_rows("transfer") if row.get("recording")]
+    return _grid(rows, lambda row: Path(row["recording"]).stem.replace("_", " "), methods)
 
 
 @table
 def places() -> str:
-    """Return success and social score in places with walls."""
-    return _grid(result_rows("places"), lambda r: r["layout"], "both", "success % / social score")
+    """Return success and social score in walled environments, of the main methods."""
+    methods = (
+        "orca",
+        "social_force_places shield=true",
+        "model_predictive shield=true",
+        "cadrl shield=true",
+        "samarl_flat",
+        "samarl_places_flat",
+        "samarl_places",
+        "samarl_places shield=false",
+    )
+    return _grid(result_rows("places"), lambda row: row["layout"], methods)
 
 
 @table
 def ablations() -> str:
     """Return success and social score of the ablations."""
-    return _grid(
-        result_rows("ablations"),
-        lambda row: f"{row['robots']} robots",
-        "both",
-        "success % / social score",
-    )
+    rows = result_rows("ablations")
+    methods = list(dict.fromkeys(row["method"] for row in rows))
+    return _grid(rows, lambda row: f"{row['robots']} robots", methods)
 
 
 @table
 def robustness() -> str:
     """Return the success rate by changed setting and method."""
-    methods = {
-        "samarl": "SAMARL",
-        "samarl shield=false": "SAMARL, no shield",
-        "samarl_general": "SAMARL, general",
-        "samarl_planned": "SAMARL, planned",
-        "cadrl": "CADRL",
-        "model_predictive": "sampling planner",
-        "perimeter shield=true": "perimeter, shielded",
-        "orca": "ORCA",
-    }
+    methods = (
+        "samarl",
+        "samarl shield=false",
+        "samarl_general",
+        "samarl_planned",
+        "cadrl",
+        "model_predictive",
+        "perimeter shield=true",
+        "orca",
+    )
     settings: dict[str, dict[str, str]] = {}
     for row in result_rows("robustness"):
         name = setting_name(column_of(row)) or "as in Table I, 200 cases"
@@ -197,7 +188,7 @@ def robustness() -> str:
     lines = [
         [setting, *(cells.get(m, NONE) for m in methods)] for setting, cells in settings.items()
     ]
-    return markdown_table(["success %", *methods.values()], lines)
+    return markdown_table(["success %", *map(label_of, methods)], lines)
 
 
 @table
@@ -210,7 +201,7 @@ def co_planning() -> str:
         if not column.changes:
             text = f"{row['csr']:.1f} / {row['cr']:.1f}"
             cells.setdefault(row["method"], {})[column.scenario] = text
-    lines = [[f"`{m}`", *(line.get(s, NONE) for s in scenarios)] for m, line in cells.items()]
+    lines = [[label_of(m), *(line.get(s, NONE) for s in scenarios)] for m, line in cells.items()]
     return markdown_table(["CSR % / CR", *scenarios], lines)
 
 
@@ -281,48 +272,36 @@ def _mean_and_range(values: Sequence[float | None], unit: float, form: str) -> s
 
 @table
 def policies() -> str:
-    """Return steps and training time of every included policy, over its training seeds."""
-    groups: dict[str, list[dict[str, object]]] = {}
+    """Return how long every included policy but the ablations was trained, and where."""
+    groups: dict[str, list[dict[str, Any]]] = {}
     for path in sorted((RESULTS / "checkpoints").glob("*.json")):
-        card = json.loads(path.read_text(encoding="utf-8"))
         name, _, seed = path.stem.rpartition("_seed")
-        groups.setdefault(name if seed.isdigit() else path.stem, []).append(card)
-    lines = []
-    for name, cards in groups.items():
-        provenance = [card["provenance"] for card in cards]
-        minutes = sorted(round(p["seconds"] / 60) for p in provenance)  # type: ignore[index]
-        low, high = minutes[0], minutes[-1]
-        steps = provenance[0]["steps"] / 1e6  # type: ignore[index]
-        duration = str(low) if low == high else f"{low} to {high}"
-        kind = f"`{cards[0]['policy']}`"
-        lines.append([f"`{name}`", kind, str(len(cards)), f"{steps:.1f}", duration])
-    header = ["name", "`policy=`", "seeds", "million steps", "minutes"]
-    return markdown_table(header, lines)
-
-
-@table
-def training_ranges() -> str:
-    """Return the scenarios with which every included policy was trained."""
-    lines = []
-    for path in sorted((RESULTS / "checkpoints").glob("*.json")):
-        if path.stem.rpartition("_seed")[2].isdigit():
-            continue  # the same scenarios as another seed
         card = json.loads(path.read_text(encoding="utf-8"))
-        stages = card["provenance"]["configuration"]["curriculum"]["stages"]
-        scenarios = [stage["scenario"] for stage in stages]
+        groups.setdefault(name if seed.isdigit() else path.stem, []).append(card["provenance"])
+    lines = []
+    for name, runs in groups.items():
+        if name.startswith("ablation_"):
+            continue
+        scenarios = [
+            stage["scenario"] for stage in runs[0]["configuration"]["curriculum"]["stages"]
+        ]
         people = [s["humans"] for s in scenarios]
         people += [s["humans"] if (few := s.get("humans_min")) is None else few for s in scenarios]
         layouts = [str(s.get("layout", "circle")).rpartition(".")[2] for s in scenarios]
         lines.append(
             [
-                f"`{path.stem}`",
+                f"`{name}`",
+                str(len(runs)),
+                f"{runs[0]['steps'] / 1e6:.1f}",
+                _range([round(run["seconds"] / 60) for run in runs]),
                 ", ".join(f"`{layout}`" for layout in dict.fromkeys(layouts)),
                 _range([s["robots"] for s in scenarios]),
                 _range(people),
                 ", ".join(f"{view:g}" for view in sorted({s["fov_degrees"] for s in scenarios})),
             ]
         )
-    return markdown_table(["policy", "layouts", "robots", "people", "views, degrees"], lines)
+    header = ["policy", "seeds", "million steps", "minutes", "layouts", "robots", "people"]
+    return markdown_table([*header, "views, degrees"], lines)
 
 
 def _range(numbers: Sequence[int]) -> str:

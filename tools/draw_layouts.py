@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
-from matplotlib.patches import Circle
+from matplotlib.lines import Line2D
+from matplotlib.patches import Circle, Patch
 
 from mrsan import Layout, Scenario, World
 from mrsan.place import FAMILIES
@@ -17,19 +20,45 @@ from mrsan.rendering import ROBOT_COLOURS
 
 _CASE = 4
 _ROBOTS = 3
+_PERSON, _WAY, _WALL, _SOLID = "#8C8C8C", "#C8C8C8", "#222222", "#4A4A4A"
 _OPEN = [Layout.circle, Layout.crossing, Layout.opposite, Layout.square]
 
 
 def main(folder: Path) -> None:
     """Write the pictures of the layouts without walls and of those with walls."""
-    figure, axes = plt.subplots(1, 4, figsize=(10.5, 3.0), layout="constrained")
-    for place, layout in zip(axes.flat, _OPEN, strict=True):
-        _draw(place, Scenario(layout=layout, humans=10, robots=_ROBOTS))
-    figure.savefig(folder / "layouts.png", dpi=150)
-    figure, axes = plt.subplots(2, 3, figsize=(10.5, 7.0), layout="constrained")
-    for place, layout in zip(axes.flat, FAMILIES, strict=True):
-        _draw(place, Scenario(layout=layout, humans=5, robots=_ROBOTS))
-    figure.savefig(folder / "places.png", dpi=150)
+    open_floor = [Scenario(layout=layout, humans=10, robots=_ROBOTS) for layout in _OPEN]
+    _draw_all(open_floor, (1, 4), folder / "layouts.png")
+    walled = [Scenario(layout=layout, humans=5, robots=_ROBOTS) for layout in FAMILIES]
+    _draw_all(walled, (2, 3), folder / "places.png")
+
+
+def _draw_all(scenarios: Sequence[Scenario], grid: tuple[int, int], path: Path) -> None:
+    """Write one picture of several scenarios, with a legend."""
+    size = (10.5, 3.4 * grid[0])
+    figure, axes = plt.subplots(*grid, figsize=size, layout="constrained", squeeze=False)
+    for place, scenario in zip(axes.flat, scenarios, strict=True):
+        _draw(place, scenario)
+    colour = ROBOT_COLOURS[0]
+    marks: dict[str, Artist] = {
+        "robot": Line2D([], [], color=colour, marker="o", markersize=9, linestyle=""),
+        "its route": Line2D([], [], color=colour, linestyle="--", linewidth=1.2),
+        "its goal": Line2D([], [], color=colour, marker="x", markersize=8, linestyle=""),
+        "person": Line2D([], [], color=_PERSON, marker="o", markersize=9, linestyle=""),
+    }
+    if scenarios[0].has_walls:
+        marks["wall"] = Line2D([], [], color=_WALL, linewidth=2.0)
+        marks["obstacle"] = Patch(facecolor=_SOLID, edgecolor=_WALL)
+    else:
+        marks["where the person goes"] = Line2D([], [], color=_WAY, marker=">", linewidth=1.2)
+    figure.legend(
+        list(marks.values()),
+        list(marks),
+        loc="outside lower center",
+        ncols=len(marks),
+        fontsize=11,
+        frameon=False,
+    )
+    figure.savefig(path, dpi=150)
 
 
 def _draw(axes: Axes, scenario: Scenario) -> None:
@@ -49,7 +78,7 @@ def _draw(axes: Axes, scenario: Scenario) -> None:
             scale_units="xy",
             scale=1.0,
             width=0.005,
-            color="#C8C8C8",
+            color=_WAY,
         )
         axes.update_datalim(goal)
     for i in range(_ROBOTS):
@@ -64,7 +93,7 @@ def _draw(axes: Axes, scenario: Scenario) -> None:
         axes.add_patch(Circle(tuple(route[0]), scenario.robot_radius, color=colour, zorder=3))
     for j in np.flatnonzero(state.human_present[0]):
         centre = tuple(state.human_position[0, j])
-        axes.add_patch(Circle(centre, float(state.human_radius[0, j]), color="#8C8C8C", zorder=3))
+        axes.add_patch(Circle(centre, float(state.human_radius[0, j]), color=_PERSON, zorder=3))
     axes.set_aspect("equal")
     axes.set_axis_off()
 
@@ -75,8 +104,8 @@ def _fill(axes: Axes, world: World) -> None:
         if number == 0:
             axes.fill(*polygon.T, color="#F6F6F3", zorder=0)
         elif len(polygon) > 2:
-            axes.fill(*polygon.T, color="#4A4A4A", zorder=1)
-        axes.plot(*np.vstack([polygon, polygon[:1]]).T, color="#222222", linewidth=2.0, zorder=1)
+            axes.fill(*polygon.T, color=_SOLID, zorder=1)
+        axes.plot(*np.vstack([polygon, polygon[:1]]).T, color=_WALL, linewidth=2.0, zorder=1)
 
 
 if __name__ == "__main__":

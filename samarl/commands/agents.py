@@ -14,7 +14,7 @@ from samarl.agents import Agent, build_agent
 from samarl.api import scenario_of_training
 from samarl.configuration import is_own_policy, load_agent_config, scenario_in, training_scenario
 from samarl.policies.card import find_policy, read_card
-from samarl.user_files import AGENT_OF_POLICY, label_of
+from samarl.user_files import AGENT_OF_POLICY, name_of
 
 
 def agent_in(config: DictConfig) -> Agent:
@@ -62,7 +62,7 @@ def _build(config: DictConfig) -> Agent:
         _check_policy_kind(name, str(settings.checkpoint))
     agent = build_agent(settings, _scenario(config))
     settings = [word.removeprefix("agent.") for word in _overrides() if word.startswith("agent.")]
-    agent.label = " ".join([label_of(name), *settings])
+    agent.label = " ".join([name_of(name), *settings])
     return agent
 
 

@@ -26,7 +26,13 @@ from samarl.configuration import (
     open_mapping,
     scenario_of,
 )
-from samarl.evaluation.methods import method_name, method_words, split_method
+from samarl.evaluation.methods import (
+    label_of,
+    labelled,
+    method_name,
+    method_words,
+    split_method,
+)
 from samarl.evaluation.page import improvement_figure, page
 from samarl.evaluation.regression import beside_committed, compare
 from samarl.evaluation.runner import Evaluation, run_cases
@@ -54,7 +60,7 @@ from samarl.files import (
 )
 from samarl.policies.card import find_policy
 from samarl.progress import progress_bar, shared_counts, shared_progress
-from samarl.user_files import label_of
+from samarl.user_files import name_of
 
 STATUS = """\
 (same: equal to the committed row; close: within its 95 % intervals, since processors round
@@ -139,8 +145,10 @@ def _cases(rows: Sequence[Row]) -> str:
 
 def _write_page(config: DictConfig, path: Path, rows: Sequence[Row]) -> None:
     """Write the page of a table and its figure beside its rows in `path`."""
-    matrices = improvements(rows, config.improvement_of)
-    text = page(config.name, config.about, rows, matrices, config.headline)
+    rows = labelled(rows)
+    matrices = improvements(rows, list(map(label_of, config.improvement_of)))
+    headline = list(map(label_of, config.headline))
+    text = page(config.name, config.about, rows, matrices, headline)
     write_text(path.with_suffix(".md"), text)
     if matrices:
         from samarl.report.improvement import draw_improvements  # imports matplotlib
@@ -214,7 +222,7 @@ def _methods(config: DictConfig) -> dict[str, str]:
     for entry in entries:
         method, label = method_name(entry)
         name, _ = split_method(method)
-        label = label or method.replace(name, label_of(name), 1)
+        label = label or method.replace(name, name_of(name), 1)
         if method in labels or label in labels.values():
             raise ConfigurationError(f"agents has {label!r} twice; names in the table must differ")
         labels[method] = label

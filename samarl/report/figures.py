@@ -301,7 +301,7 @@ def draw_table(rows: Sequence[Row]) -> Figure:
                 text, colour = ("-", MUTED) if row is None else (f"{row['success_rate']:.0f}", INK)
                 axes.text(105, line, text, va="center", fontsize=8, color=colour)
             axes.set_xlim(0, 100)
-            axes.set_title(textwrap.fill(column_title(column), 20), loc="left")
+            axes.set_title(textwrap.fill(column_title(column), 21), loc="left", fontsize=10)
         panels[0].set_yticks(y, [line.label for line in lines])
         panels[0].set_ylim(len(lines) - 0.4, -0.6)  # of all
         handles, names = panels[0].get_legend_handles_labels()

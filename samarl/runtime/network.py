@@ -43,12 +43,13 @@ class Network:
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the file's content and the memory; onnxruntime's session cannot be pickled."""
-        return {"content": self._content, "memory": self._memory, "is_init": self._is_init}
+        names = ("_content", "_memory", "_is_init", "description")
+        return {name: getattr(self, name) for name in names}
 
     def __setstate__(self, saved: dict[str, Any]) -> None:
         """Continue where the pickled or copied network was."""
-        self._load(saved["content"], "the pickled network")
-        self._memory, self._is_init = dict(saved["memory"]), saved["is_init"]
+        self._load(saved["_content"], "the pickled network")
+        vars(self).update(saved, _memory=dict(saved["_memory"]))
 
     def _load(self, content: bytes, path: str | Path) -> None:
         """Read the content of a file; `path` is for messages."""

@@ -25,7 +25,8 @@ from samarl.report.improvement import draw_improvements
 
 def test_the_command_names_all_changed_fields() -> None:
     column = Scenario(fov_degrees=90.0, humans=4, robots=2)
-    plain = "samarl-evaluate agent=orca scenario.fov_degrees=90 scenario.humans=4 scenario.robots=2"
+    plain = "samarl-evaluate agent=orca scenario=samarl"
+    plain += " scenario.fov_degrees=90 scenario.humans=4 scenario.robots=2"
     assert _command("orca", column, Scenario(), Evaluation()) == plain
     assert (
         _command("orca", column, Scenario(), Evaluation(batch=7)) == plain
@@ -63,7 +64,7 @@ def test_rows_with_fewer_cases_are_not_merged(
     rows = read_rows(path)
     assert rows is not None
     assert [row["method"] for row in rows] == ["straight", "samarl_flat", "orca"]
-    assert "orca" in (path.with_suffix(".md")).read_text()
+    assert "| ORCA " in path.with_suffix(".md").read_text()
     before = path.read_bytes()
     with pytest.raises(SystemExit):
         played(monkeypatch, "agents=[straight]", "merge=true", columns, "evaluation.cases=2")
@@ -85,6 +86,7 @@ def test_a_page_is_written_again_with_its_figure(
     assert path.read_bytes() == before
     page = path.with_suffix(".md").read_text()
     assert "](table1_improvement.png)" in page
+    assert "| One level (3 seeds) |" in page
     with Image.open(tmp_path / "mine/table1_improvement.png") as image:
         assert 900 < image.width < 1100  # pixels, which fit in a page
     (success, _) = draw_improvements(improvements(rows, ["samarl"])).axes[:2]

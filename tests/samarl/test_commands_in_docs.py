@@ -58,6 +58,10 @@ def my_conf(tmp_path_factory: pytest.TempPathFactory) -> Path:
     shutil.copytree(ROOT / "examples/other_policies/agent", folder / "agent")
     agent = other_policies.split("```yaml\n")[1].split("```")[0]
     (folder / "agent/sarl_transfer.yaml").write_text(agent)
+    (folder / "outputs/mine").mkdir(parents=True)
+    for suffix in (".json", ".safetensors"):
+        policy = (ROOT / "results/checkpoints/samarl_flat").with_suffix(suffix)
+        shutil.copy(policy, folder / f"outputs/mine/best{suffix}")
     register_schemas()
     for name, schema in SCHEMAS.items():
         ConfigStore.instance().store(name=f"{name}_schema", node=schema)

@@ -354,7 +354,7 @@ def test_an_agent_without_its_checkpoint_is_skipped(tmp_path: Path) -> None:
         ("results=broken", "broken/table.json is not JSON"),
         ("results=partial", "partial/table.json has no success_low in row 1; every row must have"),
         ("cases=[-1]", "cases has -1; each must be a whole number in [0, 1e+09)"),
-        ("agents=[nobody]", "agents: there is no agent 'nobody'; "),
+        ("agents=[nobody]", "agents: agent is 'nobody', which does not exist; "),
     ],
 )
 def test_user_errors_are_one_line(tmp_path: Path, argument: str, message: str) -> None:
