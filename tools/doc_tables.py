@@ -106,7 +106,7 @@ def seeds() -> str:
     """Return success over training seeds in the columns of Table I."""
     lines = []
     for policy in ("", "_ppo", "_transformer", "_flat", "_general", "_planned"):
-        for method in (f"samarl{policy}", f"samarl{policy}_unshielded"):
+        for method in (f"samarl{policy}", f"samarl{policy} shield=false"):
             rows = [row for row in result_rows("table1") if row["method"] == method]
             cells = {column_of(row)[:3]: print_row(row, "seeds") for row in rows}
             lines.append([label_of(method), *(cells.get(column[:3], NONE) for column in COLUMNS)])

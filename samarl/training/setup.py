@@ -14,7 +14,7 @@ from samarl.agents import build_agent
 from samarl.agents.agent import Agent
 from samarl.algorithms import ALGORITHMS
 from samarl.algorithms.algorithm import Algorithm
-from samarl.configuration import load_agent_config
+from samarl.configuration import load_method_config
 from samarl.launch import per_process, rank, world_size
 from samarl.observations.features import empty_frames
 from samarl.policies.checkpoint import load_policy, make_policy
@@ -112,7 +112,7 @@ def build_teacher(name: str | None, scenario: Scenario) -> Agent | None:
     """
     if name is None:
         return None
-    return build_agent(load_agent_config(name, "algorithm.teacher"), scenario)
+    return build_agent(load_method_config(name, "algorithm.teacher"), scenario)
 
 
 def build_collectors(
