@@ -13,7 +13,14 @@ from samarl.evaluation.metrics import METRICS, Metric, Tables
 from samarl.evaluation.papers import PAPER_CO_PLANNING, PAPER_NAME, PAPER_SUCCESS
 from samarl.evaluation.summary import Column, Row, column_of
 
-_COLUMNS = ("agent=", "scenario=", "scenario.fov_degrees=", "scenario.humans=", "scenario.robots=")
+_COLUMNS = (
+    "agent=",
+    "agent.",
+    "scenario=",
+    "scenario.fov_degrees=",
+    "scenario.humans=",
+    "scenario.robots=",
+)
 _MAX_CHANGES = 3  # named in a column heading
 _CO_PLANNING = ("csr", "cr", "apl", "ntc", "cir")  # the metrics of MSA3C, Table 2
 

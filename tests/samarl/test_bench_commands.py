@@ -4,6 +4,7 @@ import re
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -37,6 +38,12 @@ def test_the_command_names_all_changed_fields() -> None:
         " scenario.occlusion=True scenario.crowd=still scenario.reward.arrival=3.0"
         " evaluation.split=validation evaluation.first_case=7 evaluation.cases=9"
     )
+
+
+def row_of(
+    method: str, variants: list[dict[str, Any]], scenario: Scenario, evaluation: Evaluation
+) -> Row:
+    return _row(_Task(method, method, variants, scenario, evaluation), scenario, "", [])
 
 
 def played(monkeypatch: pytest.MonkeyPatch, *words: str) -> None:
@@ -140,14 +147,10 @@ def test_a_policy_with_damaged_weights_differs(tmp_path: Path) -> None:
             parameter.zero_()  # it ignores people
     save_policy(tmp_path / "damaged.safetensors", policy, card.policy, {})
     agent, cases = load_agent_config("samarl_flat"), Evaluation(cases=25)
-    whole = compare(
-        _row(_Task("samarl_flat", [agent], Scenario(), cases), Scenario(), "", []), committed()
-    )
+    whole = compare(row_of("samarl_flat", [agent], Scenario(), cases), committed())
     assert whole.startswith(("same ", "close "))
     agent["checkpoint"] = str(tmp_path / "damaged.safetensors")
-    damaged = compare(
-        _row(_Task("samarl_flat", [agent], Scenario(), cases), Scenario(), "", []), committed()
-    )
+    damaged = compare(row_of("samarl_flat", [agent], Scenario(), cases), committed())
     assert damaged.startswith("DIFFERS ")
 
 
@@ -157,28 +160,23 @@ def test_a_row_of_a_policy_has_its_training_commands() -> None:
         load_agent_config("samarl_flat") | {"checkpoint": "samarl_flat_seed0"},
     ]
     scenario = Scenario(humans=0, robots=1)
-    row = _row(_Task("samarl_flat", agents, scenario, Evaluation(cases=1)), scenario, "", [])
+    row = row_of("samarl_flat", agents, scenario, Evaluation(cases=1))
     train = "samarl-train trainer.threads=1 trainer.seed=2 policy=flat run_dir=outputs/samarl_flat"
     assert row["from_training"] == (
         f"{train} && {row['command']} checkpoint=outputs/samarl_flat/last.safetensors"
     )
     other = train.replace("seed=2", "seed=0") + "_seed0"
     assert row["training_commands"] == [train, other]
-    straight = _row(
-        _Task("straight", [load_agent_config("straight")], scenario, Evaluation(cases=1)),
-        scenario,
-        "",
-        [],
-    )
+    planner = [load_agent_config("straight")]
+    straight = row_of("straight", planner, scenario, Evaluation(cases=1))
     assert "from_training" not in straight
 
 
 def test_a_planner_that_is_five_points_worse_differs() -> None:
     agent = load_agent_config("perimeter")
-    good = _row(_Task("perimeter", [agent], Scenario(), Evaluation()), Scenario(), "", [])
+    good = row_of("perimeter", [agent], Scenario(), Evaluation())
     assert compare(good, committed()).startswith(("same ", "close "))
-    task = _Task("perimeter", [{**agent, "radius": 7.0}], Scenario(), Evaluation())
-    worse = _row(task, Scenario(), "", [])
+    worse = row_of("perimeter", [{**agent, "radius": 7.0}], Scenario(), Evaluation())
     assert 4.0 < good["success_rate"] - worse["success_rate"] < 6.0
     assert compare(worse, committed()).startswith("DIFFERS ")
 
@@ -191,3 +189,16 @@ def test_a_wrong_number_is_named(
         played(monkeypatch, setting)
     name, _, value = setting.partition("=")
     assert f"error: {name} is {value}; it must be" in capsys.readouterr().err
+
+
+def test_methods_have_settings_and_labels(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.chdir(tmp_path)
+    entries = "[straight, straight shield=true, {agent: straight, shield: true, label: safe}]"
+    with pytest.raises(SystemExit):
+        played(monkeypatch, f"agents={entries}", "evaluation.cases=1")  # one is there twice
+    entries = "[straight, {agent: straight, shield: true, label: safe}]"
+    columns = "columns=[{humans: 0, robots: 1}]"
+    played(monkeypatch, f"agents={entries}", columns, "evaluation.cases=1", "merge=false")
+    rows = read_rows(tmp_path / "mine/table1.json") or []
+    assert [row["method"] for row in rows] == ["straight", "safe"]
+    assert "agent=straight agent.shield=true scenario=samarl" in rows[1]["command"]

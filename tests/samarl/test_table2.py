@@ -114,7 +114,7 @@ def test_the_command_of_a_named_scenario_has_only_its_changes() -> None:
     [
         (
             "{scenario: 7p3r}",
-            "columns: there is no scenario '7p3r'; did you mean 5p3r, 20p3r or 10p3r?",
+            "columns: scenario is '7p3r', which does not exist; did you mean 5p3r, 20p3r or 10p3r?",
         ),
         ("{scenario: 5p3r, humens: 3}", "humens is not known; did you mean humans?"),
     ],
@@ -163,11 +163,11 @@ def test_the_results_of_the_paper_are_below_ours(played: tuple[str, list[Row]]) 
     ]
     far = "20p3r sensing range 5.0"
     assert [line[:2] for line in cells] == [
-        ["5p3r", "straight"],
-        ["5p3r", "orca"],
+        ["5p3r", "Straight"],
+        ["5p3r", "ORCA"],
         *(["5p3r", f"paper: {name}"] for name in PAPER_CO_PLANNING["5p3r", ""]),
-        [far, "straight"],
-        [far, "orca"],
+        [far, "Straight"],
+        [far, "ORCA"],
         [far, "paper: MSA3CPred"],
     ]
     assert cells[-1][2:] == ["", "89.5", "16.6", "43.6", "84.3", "3.8"]
