@@ -68,8 +68,8 @@ places: setup ## Certify 10,000 cases of each family of places, and watch people
 physics: setup ## Play cases in MuJoCo beside the simulator, or resume an interrupted run (an hour)
 	@$(BIN)/python -m benchmarks.physics
 
-malformed: setup ## Load 10,000 malformed files and configurations: no traceback, no hang (minutes)
-	@$(BIN)/python -m benchmarks.malformed
+malformed: setup ## Damage files and settings in 10,000 ways: no traceback, no hang (minutes)
+	@$(BIN)/pytest -n auto --maxprocesses 8 --hypothesis-profile malformed tests/test_malformed.py
 
 kills: setup ## Kill a training and a sweep a hundred times: nothing may be lost (half an hour)
 	@$(BIN)/python -m benchmarks.kills

@@ -21,6 +21,9 @@ hypothesis.settings.register_profile(
     suppress_health_check=list(hypothesis.HealthCheck),
 )
 hypothesis.settings.load_profile("suite")
+hypothesis.settings.register_profile(  # --hypothesis-profile=malformed: see test_malformed.py
+    "malformed", hypothesis.settings.get_profile("suite"), max_examples=10_000, derandomize=False
+)
 
 
 @pytest.hookimpl(tryfirst=True)

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mrsan import ConfigurationError, Crowd, Episodes, Scenario, social_score
+from mrsan import ConfigurationError, Crowd, Episodes, Layout, Scenario, social_score
 from samarl.evaluation.metrics import METRICS, mean_interval, metric_fields, wilson_interval
 from samarl.files import read_json
 
@@ -64,7 +64,7 @@ HEADLINE = (
     "social_low",
     "social_high",
 )
-_STRING_FIELDS = ("method", "layout", "team_perception", "changes", "scenario", "command", "commit")
+_STRING_FIELDS = ("method", "team_perception", "changes", "scenario", "command", "commit")
 _INTEGER_FIELDS = ("humans", "robots", "episodes", "seed", "training_seeds")
 _SEED_STATISTICS = [
     f"{name}_seed_{key}" for name in ("success", "social") for key in ("mean", "min", "max")
@@ -252,6 +252,7 @@ def _invalid_fields(row: Row) -> Iterator[tuple[str, str]]:
         ),
         ("a number", (*_FLOAT_FIELDS, *HEADLINE), _is_number),
         ("a number or null", metric_fields(), lambda value: value is None or _is_number(value)),
+        ("the name of a layout", ["layout"], lambda value: value in list(Layout.__members__)),
         ("a string or null", ["recording"], lambda value: isinstance(value, str | None)),
         ("true or false", ["collisions_end"], lambda value: isinstance(value, bool)),
         ("hexadecimal digits", CASE_FIELDS, _is_hexadecimal),

@@ -158,7 +158,7 @@ def attribute_errors_to(path: Path, reason: str = "is damaged") -> Iterator[None
         RuntimeError,
     ) as error:
         cause = (str(error).splitlines() or [type(error).__name__])[0]
-        raise ConfigurationError(f"{path} {reason} ({cause})") from error
+        raise ConfigurationError(f"{path} {reason} ({cause:.300})") from error
 
 
 def check_finite(path: Path, tensors: Mapping[str, Tensor]) -> None:

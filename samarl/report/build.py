@@ -32,11 +32,11 @@ from samarl.report.figures import (
     draw_curves,
     draw_table,
     is_performance,
-    read_curve,
     sweep_figures,
 )
 from samarl.report.leaderboard import GROUPS, Line, is_best, ranked
 from samarl.report.style import PALETTE, save_figure
+from samarl.training.learning_curve import read_curve
 
 _TEMPLATES = Path(__file__).parent / "site"
 _MARKER = "site.css"  # identifies the folder of an earlier report

@@ -14,14 +14,13 @@ from mrsan import ConfigurationError, Layout
 from samarl.evaluation.methods import is_ablation, label_of, method_of_policy
 from samarl.files import read_json
 from samarl.report.figures import (
-    Curve,
     curve_title,
     curve_unit,
     is_performance,
     is_success,
     mean_and_range,
-    read_curve,
 )
+from samarl.training.learning_curve import Curve, read_curve
 
 Runs = dict[str, list[Curve]]  # the curves of all seeds, by run
 _POINTS = 60  # per line of the chart
@@ -62,9 +61,11 @@ def group_runs(runs: Runs, checkpoints: Path) -> dict[str, Runs]:
     groups: dict[str, Runs] = {}
     for name, curves in runs.items():
         card = checkpoints / f"{name}.json"
-        groups.setdefault(_task(read_json(card)) if card.is_file() else "Other runs", {})[name] = (
-            curves
-        )
+        try:
+            task = _task(read_json(card)) if card.is_file() else "Other runs"
+        except (LookupError, TypeError, AttributeError, ValueError):  # not the card of a policy
+            task = "Other runs"
+        groups.setdefault(task, {})[name] = curves
     return dict(sorted(groups.items(), key=lambda group: -len(group[1])))
 
 

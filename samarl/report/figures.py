@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import csv
 import math
 import re
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
-from pathlib import Path
 
 import numpy as np
 from matplotlib import rc_context
@@ -17,14 +15,13 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import EngFormatter
 from numpy.typing import NDArray
 
-from mrsan import ConfigurationError, Scenario
+from mrsan import Scenario
 from samarl.evaluation.summary import Column, Row, column_of
 from samarl.evaluation.table import column_name, column_title, grid_of, row_settings
 from samarl.report.leaderboard import ranked
 from samarl.report.style import COLOURS, INK, MUTED, STYLE
+from samarl.training.learning_curve import Curve, Points, number_in
 
-Points = tuple[NDArray[np.float64], NDArray[np.float64]]  # steps and values
-Curve = dict[str, Points]  # by column
 _AXES = {"fov_degrees": "field of view, degrees", "humans": "humans", "robots": "robots"}
 _UNITS = {  # of fields of the scenario that sweeps vary
     "position_noise": "m",
@@ -41,34 +38,6 @@ _DASHES = ("-", "--", ":", "-.")  # the next style once all colours are used
 _PANELS = 5  # of a table, per line
 _CURVE_PANELS = 3  # per line
 _LIGHT_TEXT, _DARK_TEXT = "#FDFDFD", "#111111"  # on a heat map, in light and dark mode
-
-
-def read_curve(path: Path) -> Curve:
-    """Read the columns of a learning curve over its steps, without missing values.
-
-    Raises:
-        ConfigurationError: the file is not a table of comma-separated values.
-    """
-    points: dict[str, list[tuple[float, float]]] = {}
-    try:
-        with path.open(newline="", encoding="utf-8") as file:
-            lines = list(csv.DictReader(file))
-    except (csv.Error, UnicodeDecodeError) as error:
-        raise ConfigurationError(f"{path} is not a learning curve ({error})") from error
-    for line in lines:
-        steps = _number(line.get("steps"))
-        for column, text in line.items():
-            value = _number(text)
-            if column not in ("steps", "seconds") and math.isfinite(steps + value):
-                points.setdefault(column, []).append((steps, value))
-    return {column: (np.array(p).T[0], np.array(p).T[1]) for column, p in points.items()}
-
-
-def _number(text: str | None) -> float:
-    try:
-        return float(text or "nan")
-    except (ValueError, TypeError):  # a list of the cells beyond the header
-        return math.nan
 
 
 def draw_curves(runs: Mapping[str, Sequence[Curve]], *columns: str) -> Figure:
@@ -389,6 +358,6 @@ def _single_number(labels: Sequence[str]) -> tuple[str, list[float]] | None:
         return None
     name = names.pop()
     default = str(getattr(Scenario(), name, ""))
-    values = [_number(value if sign else default) for _, sign, value in pairs]
+    values = [number_in(value if sign else default) for _, sign, value in pairs]
     title = ", ".join(filter(None, (name.replace("_", " "), _UNITS.get(name))))
     return (title, values) if np.isfinite(values).all() else None

@@ -37,10 +37,7 @@ class ReplayFolder:
             keys: of all planned replays; each contains a digest of what its replay depends on.
         """
         self._folder, self._keys = folder, keys
-        earlier: dict[str, Any] = {}
-        if (folder / _INDEX).is_file():
-            text = (folder / _INDEX).read_text(encoding="utf-8")
-            earlier = json.loads(text[len(_PREFIX) : -2])["entries"]
+        earlier = _read_entries(folder / _INDEX)
         scripts = {path.stem: path for path in folder.glob("*.js") if path.name != _INDEX}
         self._entries = {key: earlier[key] for key in keys if key in scripts and key in earlier}
         for key, script in scripts.items():
@@ -73,6 +70,15 @@ class ReplayFolder:
         order = [key for key in self._keys if key in self._entries]
         index = {"total": total, "entries": {key: self._entries[key] for key in order}}
         write_text(self._folder / _INDEX, f"{_PREFIX}{json.dumps(index)};\n")
+
+
+def _read_entries(index: Path) -> dict[str, Any]:
+    """Return the entries of an index; none if it is missing or damaged."""
+    try:
+        text = index.read_text(encoding="utf-8")
+        return dict(json.loads(text[len(_PREFIX) : -2])["entries"])
+    except (OSError, ValueError, LookupError, TypeError, RecursionError):
+        return {}
 
 
 def digest_of(*parts: Any) -> str:

@@ -63,18 +63,18 @@ class Description:
         return json.dumps({"format": FORMAT, **dataclasses.asdict(self)})
 
     @classmethod
-    def of_metadata(cls, metadata: dict[str, str], path: Any) -> Description:
+    def of_metadata(cls, metadata: dict[str, str]) -> Description:
         """Return the description in the metadata of a file.
 
         Raises:
             ConfigurationError: it has none, or one of another format.
         """
         if KEY not in metadata:
-            raise ConfigurationError(f"{path} was not written by samarl-export")
+            raise ConfigurationError("it was not written by samarl-export")
         content = json.loads(metadata[KEY])
         version = content.pop("format")
         if version != FORMAT:
-            raise ConfigurationError(f"{path} has format {version!r}; it must be {FORMAT}")
+            raise ConfigurationError(f"its format is {version!r}; it must be {FORMAT}")
         return cls(**content)
 
     @property

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mrsan import EGO_FEATURES, Entities, Observation
+from mrsan import EGO_FEATURES, ConfigurationError, Entities, Observation
 from mrsan.observation import parts_of_named
 from mrsan.parameters import kernel_parameters
 from mrsan.se2 import unrotate
@@ -69,16 +69,21 @@ class Driver:
         """Load a file that `samarl-export` wrote, ready for the first step.
 
         Raises:
-            ConfigurationError: there is no such file, or it is another kind of file.
+            ConfigurationError: there is no such file, or it is damaged or another kind of file.
         """
-        driver = cls(Network(path))
-        # One step compiles the kernels, or reads them from disk, before the robot moves.
-        zeros: dict[str, NDArray[Any]] = {
-            name: np.zeros(shape, dtype) for name, (shape, dtype) in driver.sensor_inputs.items()
-        }
-        own = OwnState(0.0, 0.0, 0.0, 0.0, 0.0, 4.0, 0.0)
-        driver.step(own, [Detection(2, 0, -1, 0)], 0.0, zeros)
-        driver.reset()
+        try:
+            driver = cls(Network(path))
+            # One step compiles the kernels, or reads them from disk, before the robot moves.
+            zeros: dict[str, NDArray[Any]] = {
+                name: np.zeros(shape, dtype)
+                for name, (shape, dtype) in driver.sensor_inputs.items()
+            }
+            own = OwnState(0.0, 0.0, 0.0, 0.0, 0.0, 4.0, 0.0)
+            driver.step(own, [Detection(2, 0, -1, 0)], 0.0, zeros)
+            driver.reset()
+        except Exception as error:  # a damaged file may lead to any
+            reason = (str(error).splitlines() or [type(error).__name__])[0]
+            raise ConfigurationError(f"{path} cannot be used: {reason:.300}") from error
         return driver
 
     @property

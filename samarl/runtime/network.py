@@ -34,11 +34,11 @@ class Network:
         """Load a file that `samarl-export` wrote.
 
         Raises:
-            ConfigurationError: there is no such file, or it is another kind of file.
+            ConfigurationError: there is no such file, or it is not described.
         """
         if not Path(path).is_file():
-            raise ConfigurationError(f"there is no file {path}; samarl-export writes one")
-        self._load(Path(path).read_bytes(), path)
+            raise ConfigurationError("there is no such file; samarl-export writes one")
+        self._load(Path(path).read_bytes())
         self.reset()
 
     def __getstate__(self) -> dict[str, Any]:
@@ -48,25 +48,18 @@ class Network:
 
     def __setstate__(self, saved: dict[str, Any]) -> None:
         """Continue where the pickled or copied network was."""
-        self._load(saved["_content"], "the pickled network")
+        self._load(saved["_content"])
         vars(self).update(saved, _memory=dict(saved["_memory"]))
 
-    def _load(self, content: bytes, path: str | Path) -> None:
-        """Read the content of a file; `path` is for messages."""
+    def _load(self, content: bytes) -> None:
         self._content = content
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = options.inter_op_num_threads = 1  # the network is small
-        try:
-            self._session = onnxruntime.InferenceSession(
-                content, options, providers=["CPUExecutionProvider"]
-            )
-        except Exception as error:  # onnxruntime has a separate class for every kind of damage
-            reason = str(error).splitlines()[0]
-            raise ConfigurationError(
-                f"{path} is not an ONNX file that can be run ({reason})"
-            ) from error
+        self._session = onnxruntime.InferenceSession(
+            content, options, providers=["CPUExecutionProvider"]
+        )
         metadata = self._session.get_modelmeta().custom_metadata_map
-        self.description = Description.of_metadata(metadata, path)
+        self.description = Description.of_metadata(metadata)
         self._inputs = {tensor.name: tensor for tensor in self._session.get_inputs()}
         self._outputs = [tensor.name for tensor in self._session.get_outputs()]
         self.looks_ahead = "value" in self._outputs

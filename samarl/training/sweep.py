@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import re
 import statistics
 from pathlib import Path
@@ -13,6 +12,7 @@ from omegaconf import DictConfig
 
 from samarl.evaluation.table import markdown_table
 from samarl.files import write_text
+from samarl.training.learning_curve import read_curve
 
 _SEED = re.compile(r"_?trainer\.seed-\d+_?")
 _SUCCESS = "validation/success_"
@@ -56,11 +56,11 @@ def summary(folder: Path) -> str:
 
 def _last_validation(path: Path) -> dict[str, float]:
     """Return the steps and the success rates of the last validation in a learning curve."""
-    with path.open(encoding="utf-8", newline="") as file:
-        rows = [row for row in csv.DictReader(file) if any(row[k] for k in row if _SUCCESS in k)]
-    if not rows:
+    curve = {key: points for key, points in read_curve(path).items() if _SUCCESS in key}
+    if not curve:
         return {}
-    return {k: float(v) for k, v in rows[-1].items() if v and (_SUCCESS in k or k == "steps")}
+    last = {key: float(values[-1]) for key, (_, values) in curve.items()}
+    return {"steps": max(float(steps[-1]) for steps, _ in curve.values()), **last}
 
 
 def _mean(rates: list[float]) -> str:

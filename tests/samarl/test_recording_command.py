@@ -117,7 +117,7 @@ def test_implausible_recordings_are_drawn_but_not_converted(run) -> None:
     assert code == 2
     assert re.search(r"verdict +implausible", printed)
     assert error.startswith("error: ")
-    assert "--frame-seconds=0.4" in error
+    assert "--frame-seconds to about 0.4" in error
     assert error.count("\n") == 1
     assert sorted(path.name for path in Path().iterdir()) == ["new.png"]
     assert run(*words, "--no-check")[0] == 0

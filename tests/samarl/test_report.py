@@ -23,12 +23,12 @@ from samarl.report.curves import chart_data, group_runs
 from samarl.report.figures import (
     draw_curves,
     draw_table,
-    read_curve,
     settings_labels,
     sweep_figures,
 )
 from samarl.report.leaderboard import GROUPS, is_best, ranked
 from samarl.report.replays import ReplayFolder, as_replay, digest_of
+from samarl.training.learning_curve import read_curve
 from tests.reporting import STRAIGHT, report, straight_trajectory
 
 VOID = {"meta", "link", "input", "img", "br", "wbr", "circle", "path", "rect"}
