@@ -18,6 +18,15 @@ class Entities(NamedTuple):
     mask: Bools  # [E, N, slots] what the robot perceives
 
 
+class KnownMap(NamedTuple):
+    """The map that robots know: views of the arrays of `State`, valid until the next step."""
+
+    place: Floats  # [E, 9]
+    walls: Floats  # [E, 12, W]
+    corners: Floats  # [E, 6, V]
+    corner_distance: Floats  # [E, V, V]
+
+
 class Observation(NamedTuple):
     """The observations of all robots.
 
@@ -33,6 +42,7 @@ class Observation(NamedTuple):
     entities: dict[str, Entities]
     sensors: dict[str, Floats]  # [E, N, ...] each
     reported: dict[str, Bools]  # of `humans` and `robots`; empty without team perception
+    map: KnownMap | None = None  # of places with walls, with `Scenario.map_known`; for planners
 
     @property
     def humans(self) -> Floats:
@@ -91,6 +101,7 @@ class Observation(NamedTuple):
             },
             {name: values[worlds] for name, values in self.sensors.items()},
             {name: mask[worlds] for name, mask in self.reported.items()},
+            None if self.map is None else KnownMap(*(array[worlds] for array in self.map)),
         )
 
 

@@ -33,6 +33,7 @@ _NOT_COPIED = {
     "fov_degrees",
     "team_perception",
     "team_delay",
+    "team_messages",
     "crowd_reaction",
     "recorded_start_clear",
     "recorded_slot_rest",

@@ -190,6 +190,11 @@ class Scenario:
     team_loss: float = number(
         0.0, 0.0, 1.0, help="probability of losing a report, per step, sender and receiver"
     )
+    team_messages: bool = setting(
+        False,
+        help="robots tell each other where they are, a random priority, whether their way to the "
+        "goal is clear, and their macro action",
+    )
 
     # The people.
     crowd: str = setting(

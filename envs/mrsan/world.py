@@ -31,7 +31,7 @@ from mrsan.kernels.tally import TALLY
 from mrsan.kernels.walls import PLACE_COLUMNS, WALL_ROWS, with_room_for_lanes
 from mrsan.lookahead import LookaheadReward
 from mrsan.metrics import Episodes, episodes_of
-from mrsan.observation import Observation
+from mrsan.observation import KnownMap, Observation
 from mrsan.parameters import kernel_parameters
 from mrsan.place import place_parameters
 from mrsan.plugin_values import PluginError, check_finite
@@ -39,6 +39,7 @@ from mrsan.reward import RewardParts
 from mrsan.reward_terms import sum_of_terms
 from mrsan.scenario import Scenario
 from mrsan.sensors.suite import SensorSuite
+from mrsan.sensors.team import MESSAGE_FEATURES
 from mrsan.state import Bools, Floats, State
 
 _FINITE = (  # arrays of a snapshot
@@ -157,6 +158,7 @@ class World:
 
     def _begin(self, worlds: Bools) -> None:
         """Begin the episode `state.episode` in some worlds [E]."""
+        self.state.macro_action[worlds] = 0
         numbers = np.flatnonzero(worlds)
         for first in range(0, len(numbers), _RESET_BATCH):
             group = np.zeros_like(worlds)
@@ -257,7 +259,32 @@ class World:
         sensors = self._all_seeing if all_seeing else self._sensors
         observation = sensors.empty(self.worlds)
         sensors.observe(self.state, np.ones(self.worlds, np.bool_), observation)
-        return observation
+        if not (self.scenario.has_walls and self.scenario.map_known):
+            return observation
+        s = self.state
+        return observation._replace(map=KnownMap(s.place, s.walls, s.corners, s.corner_distance))
+
+    def tell(self, macro_actions: ArrayLike) -> None:
+        """Set what robots tell their team-mates that they are doing, until they tell otherwise.
+
+        Args:
+            macro_actions: [E, N] whole numbers of at least 0, whose meaning is the agent's; below
+                2^24, as messages hold float32.
+
+        Raises:
+            ValueError: `scenario.team_messages` is false, or these are not such numbers.
+        """
+        if not self.scenario.team_messages:
+            raise ValueError("scenario.team_messages is false; it must be true for World.tell")
+        told, shape = np.asarray(macro_actions), (self.worlds, self.scenario.robots)
+        if told.shape != shape or not np.issubdtype(told.dtype, np.integer):
+            raise ValueError(
+                f"macro_actions have shape {told.shape} and type {told.dtype}; they must be "
+                f"{shape} whole numbers"
+            )
+        if (told < 0).any() or (told >= 2**24).any():
+            raise ValueError(f"macro_actions has {told.min()}; it must lie in [0, 2^24)")
+        self.state.macro_action[:] = told
 
     def step(self, actions: ArrayLike) -> Step:
         """Move every world by one time step.
@@ -412,7 +439,8 @@ def _reason(error: NumbaError) -> str:
 def _empty_state(e: int, scenario: Scenario, history: int) -> State:
     """Allocate the state of E worlds, with `history` past positions of each person."""
     f, n, m = np.float32, scenario.robots, scenario.humans
-    messages = scenario.team_delay_steps + 1 if scenario.team_tracks else 0
+    delay = scenario.team_delay_steps + 1
+    messages, told = delay * scenario.team_tracks, delay * scenario.team_messages
     walls, corners = with_room_for_lanes(scenario.most_walls), scenario.most_corners
     walled = int(walls > 0)
     return State(
@@ -457,4 +485,6 @@ def _empty_state(e: int, scenario: Scenario, history: int) -> State:
         route_corner=np.zeros((e, (m + n) * walled), np.int32),
         route_next=np.zeros((e, (m + n) * walled), np.int32),
         message_buffer=np.zeros((e, messages, n, m + n, len(OTHER_FEATURES)), f),
+        told=np.zeros((e, told, n, len(MESSAGE_FEATURES)), f),
+        macro_action=np.zeros((e, n), np.int32),
     )

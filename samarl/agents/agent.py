@@ -12,7 +12,7 @@ from typing import Any, Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from mrsan import Observation, Scenario
+from mrsan import Observation, Scenario, World
 from mrsan.features import TIME
 from mrsan.fields import check_numbers, short_repr
 from mrsan.world import checked_actions
@@ -54,6 +54,20 @@ def checked_act(
         np.rint(observation.ego[:, 0, TIME] * scenario.time_limit_steps).astype(int),
         f"{role} {getattr(agent, 'label', '') or type(agent).__name__}: ",
     )
+
+
+def act_and_tell(agent: Controller, observation: Observation, world: World) -> NDArray[np.float32]:
+    """Return the actions of an agent [E, N, A], after its robots have told what they do.
+
+    Raises:
+        ActionError: see `checked_act`.
+    """
+    action = checked_act(agent, observation, world.scenario)
+    if world.scenario.team_messages and isinstance(agent, Agent):
+        told = agent.macro_actions()
+        if told is not None:
+            world.tell(told)
+    return action
 
 
 @dataclass
@@ -129,6 +143,10 @@ class Agent(ABC):
     @abstractmethod
     def act(self, observation: Observation) -> NDArray[np.float32]:
         """Return the action of every robot, [E, N, A] in [-1, 1]."""
+
+    def macro_actions(self) -> NDArray[np.int32] | None:
+        """Return what robots tell team-mates that they are doing [E, N], or None (`World.tell`)."""
+        return None
 
     def explain(self) -> Explanation | None:
         """Return what led to the last action, for visualisation, or None."""

@@ -68,6 +68,10 @@ class Shielded(Agent):
         self._replaced = (checked != action).any(-1)
         return checked
 
+    def macro_actions(self) -> NDArray[np.int32] | None:
+        """Return what the robots of the wrapped agent tell."""
+        return self.agent.macro_actions()
+
     def explain(self) -> Explanation | None:
         """Return the agent's explanation, with a mask of the replaced actions."""
         return (self.agent.explain() or Explanation())._replace(shielded=self._replaced)

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from mrsan import ConfigurationError, Scenario, World
 from samarl.agents import Agent
-from samarl.agents.agent import checked_act
+from samarl.agents.agent import act_and_tell
 from samarl.files import check_writable, code_version
 
 _BATCH = 64  # worlds simulated in parallel
@@ -161,7 +161,7 @@ def _run(agent: Agent, world: World, advance: Callable[[int], Any]) -> _Steps:
     observation = world.observe()
     observations, steps = [arrays_in_space(observation)], []
     while not (done := world.state.done).all():
-        action = checked_act(agent, observation, world.scenario).copy()
+        action = act_and_tell(agent, observation, world).copy()
         step = world.step(action)
         observation = step.observation
         observations.append(arrays_in_space(observation))

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from mrsan import Episodes, Scenario, Split, World
 from mrsan.fields import check_numbers, number, setting
 from mrsan.metrics import episodes_of
-from samarl.agents.agent import Controller, checked_act
+from samarl.agents.agent import Controller, act_and_tell
 
 
 @dataclass
@@ -77,7 +77,7 @@ def run_cases(
             agent.reset(is_init)
         if focus is not None:
             focus((current >= 0)[:, None] & ~world.state.arrived)
-        step = world.step(checked_act(agent, observation, scenario))
+        step = world.step(act_and_tell(agent, observation, world))
         observation = step.observation
         ended = (step.terminated | step.truncated) & (current >= 0)
         is_init = np.zeros(worlds, np.bool_)

@@ -13,7 +13,7 @@ from mrsan.kernels.social_state import GROUP, REACTION
 from mrsan.metrics import episodes_of
 from mrsan.rendering import walls_of
 from samarl.agents import Agent, Explanation
-from samarl.agents.agent import checked_act
+from samarl.agents.agent import act_and_tell
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -68,7 +68,7 @@ def record_episode(agent: Agent, scenario: Scenario, case: int) -> Trajectory:
     state = world.state
     snapshots, explanations = [_snapshot(state, observation)], []
     while not state.done[0]:
-        action = checked_act(agent, observation, scenario)
+        action = act_and_tell(agent, observation, world)
         explanations.append(agent.explain() or Explanation())
         observation = world.step(action).observation
         snapshots.append(_snapshot(state, observation))

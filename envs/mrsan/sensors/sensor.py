@@ -29,6 +29,8 @@ _RESERVED = (
     "walls",
     "route",
     "lidar",
+    "messages",
+    "priority",
     "is_init",
 )  # other inputs of policies
 _RESERVED_ENDINGS = ("_visible", "_known", "_reported")

@@ -18,6 +18,7 @@ from mrsan.parameters import SensorParameters, kernel_parameters
 from mrsan.plugin_values import PluginError, check_finite
 from mrsan.scenario import Scenario
 from mrsan.sensors.sensor import EntitySensor, make_sensors
+from mrsan.sensors.team import team_sensors
 from mrsan.sensors.walls import wall_sensors
 from mrsan.state import Bools, Floats, State
 
@@ -37,7 +38,11 @@ class SensorSuite:
         self._view = by_reference(SensorParameters.of(self._parameters))
         walls_hide = self.scenario.has_walls and self.scenario.walls_hide
         self._observe = observe_past_walls() if walls_hide else observe
-        self._sensors = wall_sensors(self.scenario, all_seeing) | make_sensors(self.scenario)
+        self._sensors = (
+            wall_sensors(self.scenario, all_seeing)
+            | team_sensors(self.scenario)
+            | make_sensors(self.scenario)
+        )
 
     def empty(self, worlds: int) -> Observation:
         """Allocate the observation of E worlds."""
@@ -116,4 +121,6 @@ def _without_limits(scenario: Scenario) -> Scenario:
         radius_noise=0.0,
         missed_detection=0.0,
         team_perception=TeamPerception.none,
+        team_range=10000.0,
+        team_loss=0.0,
     )
