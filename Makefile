@@ -3,10 +3,11 @@
 PYTHON ?= python3
 PICTURE_CASE := 28
 BIN := .venv/bin
+PARALLEL := -n auto --maxprocesses 8 --dist worksteal --durations 20
 
 .DEFAULT_GOAL := help
-.PHONY: help setup bench test test-browser lint train results sweeps pictures report docs latency \
-  throughput soak physics malformed kills wheel check-wheel clean python
+.PHONY: help setup bench test test-all test-browser lint train results sweeps pictures report docs \
+  latency throughput soak physics malformed kills wheel check-wheel clean python
 
 help: python ## List all targets
 	@$(PYTHON) -m tools.list_targets $(firstword $(MAKEFILE_LIST))
@@ -19,8 +20,11 @@ bench: setup ## Evaluate the README's rows of Table I, 100 cases each (2 minutes
 	  $(if $(CASES)$(FULL),$(if $(CASES),evaluation.cases=$(CASES)),evaluation.cases=100) \
 	  $(if $(LEARNED_CASES),learned_cases=$(LEARNED_CASES))
 
-test: setup ## Run the tests on all cores
-	@$(BIN)/pytest -n auto --maxprocesses 8 --dist worksteal --durations 20
+test: setup ## Run the tests on all cores, without the slow ones (5 minutes on two cores)
+	@$(BIN)/pytest $(PARALLEL)
+
+test-all: setup ## Run all tests, also the slow ones (examples, kills, films)
+	@$(BIN)/pytest -m "not browser" $(PARALLEL)
 
 test-browser: setup ## Test the report in headless Chromium, which must be installed
 	@$(BIN)/pytest -m browser -n auto --maxprocesses 2

@@ -50,7 +50,7 @@ def agents_of(state: State, e: int):
 @pytest.mark.parametrize("layout", FAMILIES)
 def test_every_case_is_feasible(layout: Layout) -> None:
     """The route itself is the certificate: it is on the floor and keeps the clearance."""
-    number = 400
+    number = 150
     state = worlds_of(layout, number).state
     assert state.place[:, REDRAWS].mean() < 1.0
     for e in range(number):
@@ -134,7 +134,7 @@ def dijkstra(length: np.ndarray) -> float:
 @pytest.mark.parametrize("crowd", ["orca", "social_force"])
 @pytest.mark.parametrize("layout", [*FAMILIES])
 def test_nobody_walks_through_a_wall(layout: Layout, crowd: str) -> None:
-    number, steps = 64, 200
+    number, steps = 32, 200
     world = worlds_of(
         layout, number, crowd=crowd, humans=6, robots=1, collisions_end=False, pair_probability=0.2
     )

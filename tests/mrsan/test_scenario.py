@@ -12,7 +12,7 @@ from mrsan.parameters import kernel_parameters
 from samarl.evaluation.runner import Evaluation
 
 NUMBERS = [
-    (owner, field.name)
+    (owner, field)
     for owner in (Scenario, Reward, Evaluation)
     for field in dataclasses.fields(owner)
     if "low" in field.metadata
@@ -38,42 +38,42 @@ def make(owner: type, **fields: Any) -> Any:
     return owner(**fields)
 
 
-@pytest.mark.parametrize(("owner", "name"), NUMBERS)
-def test_each_number_out_of_its_range_is_refused_by_name(owner: type, name: str) -> None:
-    field = next(f for f in dataclasses.fields(owner) if f.name == name)
-    low, high, above = (field.metadata[key] for key in ("low", "high", "above"))
-    wrong: list[Any] = [math.nan, math.inf, -math.inf, "3", True, [1], 1j]
-    wrong += [np.nextafter(low, -np.inf), np.nextafter(high, np.inf), low - 1, high + 1]
-    wrong += [low] if above else []
-    wrong += [] if field.default is None else [None]
-    if "int" in str(field.type):
-        wrong.append(low + 0.5)
-    for value in wrong:
-        with pytest.raises(ConfigurationError) as error:
-            make(owner, **{name: value})
-        message = str(error.value)
-        assert message.startswith(f"{PATH[owner]}.{name} is {value!r}; it must")
-        assert f"{low:g}, {high:g}]" in message
+def test_each_number_out_of_its_range_is_refused_by_name() -> None:
+    for owner, field in NUMBERS:
+        low, high, above = (field.metadata[key] for key in ("low", "high", "above"))
+        wrong: list[Any] = [math.nan, math.inf, -math.inf, "3", True, [1], 1j]
+        wrong += [np.nextafter(low, -np.inf), np.nextafter(high, np.inf), low - 1, high + 1]
+        wrong += [low] if above else []
+        wrong += [] if field.default is None else [None]
+        if "int" in str(field.type):
+            wrong.append(low + 0.5)
+        for value in wrong:
+            with pytest.raises(ConfigurationError) as error:
+                make(owner, **{field.name: value})
+            message = str(error.value)
+            assert message.startswith(f"{PATH[owner]}.{field.name} is {value!r}; it must")
+            assert f"{low:g}, {high:g}]" in message
 
 
-@pytest.mark.parametrize(("owner", "name"), NUMBERS)
-@pytest.mark.parametrize("end", ["low", "high"])
-def test_the_ends_of_each_range_can_be_used(owner: type, name: str, end: str) -> None:
-    field = next(f for f in dataclasses.fields(owner) if f.name == name)
-    value = field.metadata[end]
-    if (name, end) == ("arena_radius", "low"):
-        value = 6.1  # it must hold the circle
-    if end == "low" and field.metadata["above"]:
-        value = 1e-3
-    others = {} if owner is not Scenario else dict(ROOM.get((name, end), {}))
-    configuration = make(owner, **{name: value}, **others)
-    assert getattr(configuration.reward if owner is Reward else configuration, name) == value
+def test_the_ends_of_each_range_can_be_used() -> None:
+    for owner, field in NUMBERS:
+        for end in ("low", "high"):
+            name, value = field.name, field.metadata[end]
+            if (name, end) == ("arena_radius", "low"):
+                value = 6.1  # it must hold the circle
+            if end == "low" and field.metadata["above"]:
+                value = 1e-3
+            others = ROOM.get((name, end), {}) if owner is Scenario else {}
+            configuration = make(owner, **{name: value}, **others)
+            actual = getattr(configuration.reward if owner is Reward else configuration, name)
+            assert actual == value, f"{PATH[owner]}.{name}"
 
 
-@pytest.mark.parametrize("name", [f.name for f in dataclasses.fields(Scenario) if f.type == "bool"])
-def test_switches_are_true_or_false(name: str) -> None:
-    with pytest.raises(ConfigurationError, match=rf"scenario.{name} is 1; it must be true or"):
-        Scenario(**{name: 1})
+def test_switches_are_true_or_false() -> None:
+    for field in dataclasses.fields(Scenario):
+        if field.type == "bool":
+            with pytest.raises(ConfigurationError, match=rf"{field.name} is 1; it must be true or"):
+                Scenario(**{field.name: 1})
 
 
 @pytest.mark.parametrize(

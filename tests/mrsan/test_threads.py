@@ -99,6 +99,7 @@ if __name__ == "__main__":
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="Windows has no fork")
 @pytest.mark.parametrize("first", ["import mrsan, torch", "import torch, mrsan"])
 def test_threads_and_processes_of_every_kind_play_the_same(first: str, tmp_path: Path) -> None:

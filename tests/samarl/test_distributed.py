@@ -256,6 +256,7 @@ def wait_for(done: Callable[[], bool]) -> None:
         time.sleep(0.02)
 
 
+@pytest.mark.slow
 def test_a_killed_process_ends_the_run_in_one_line_and_the_same_command_resumes(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
@@ -307,6 +308,7 @@ def test_numbers_that_cannot_be_divided_are_refused(monkeypatch: pytest.MonkeyPa
         init_process_group("mps")
 
 
+@pytest.mark.slow
 def test_a_command_starts_its_own_processes(tmp_path: Path) -> None:
     arguments = [*COMMAND[1:], "trainer.processes=2"]
     for steps in (64, 96):  # the second continues the run of the first

@@ -88,6 +88,7 @@ def test_a_table_of_your_own(tmp_path: Path) -> None:
     ]
 
 
+@pytest.mark.slow
 def test_a_predictor_of_your_own(tmp_path: Path) -> None:
     text = section("A predictor")
     (tmp_path / "my_predictor.py").write_text(block(text, "python"))
@@ -96,12 +97,14 @@ def test_a_predictor_of_your_own(tmp_path: Path) -> None:
     assert "| samarl " in output
 
 
+@pytest.mark.slow
 def test_a_crowd_model_of_your_own(tmp_path: Path) -> None:
     text = section("A crowd model")
     (tmp_path / "my_crowd.py").write_text(block(text, "python"))
     assert "crowd stroll crowd settings.pace 0.8" in run(text, tmp_path)
 
 
+@pytest.mark.slow
 def test_a_reward_term_of_your_own(tmp_path: Path) -> None:
     text = section("A term of the reward")
     (tmp_path / "my_terms.py").write_text(block(text, "python"))
@@ -111,6 +114,7 @@ def test_a_reward_term_of_your_own(tmp_path: Path) -> None:
     assert stage["scenario"]["reward"]["terms"] == {"calm": 0.1}
 
 
+@pytest.mark.slow
 def test_a_sensor_of_your_own(tmp_path: Path) -> None:
     text = section("A sensor")
     encoder = section("An encoder")
@@ -123,6 +127,7 @@ def test_a_sensor_of_your_own(tmp_path: Path) -> None:
     assert card["sizes"]["entities"]["posts"] == 2
 
 
+@pytest.mark.slow
 def test_an_encoder_of_your_own(tmp_path: Path) -> None:
     text = section("An encoder")
     (tmp_path / "my_conf/encoder").mkdir(parents=True)
@@ -135,6 +140,7 @@ def test_an_encoder_of_your_own(tmp_path: Path) -> None:
     assert "encoder.name is 'deep_sets'; it must be one of gru, pairwise, set_pool" in done.stderr
 
 
+@pytest.mark.slow
 def test_an_algorithm_in_samarl_train(tmp_path: Path) -> None:
     text = section("In samarl-train")
     (tmp_path / "my_conf/algorithm").mkdir(parents=True)
@@ -145,6 +151,7 @@ def test_an_algorithm_in_samarl_train(tmp_path: Path) -> None:
     assert provenance["configuration"]["algorithm"]["name"] == "happo"
 
 
+@pytest.mark.slow
 def test_an_algorithm_of_your_own(tmp_path: Path) -> None:
     text = section("A separate program").replace("2000000", "4096")
     (tmp_path / "my_conf/agent").mkdir(parents=True)
@@ -181,18 +188,14 @@ def anchors(page: Path) -> set[str]:
     return {re.sub(r"[^\w\- ]", "", text.lower()).strip().replace(" ", "-") for text in headings}
 
 
-@pytest.mark.parametrize(
-    "page", [DOCS.parent / "README.md", *sorted(DOCS.glob("*.md"))], ids=lambda page: page.stem
-)
-def test_links_have_targets(page: Path) -> None:
-    for target, _, anchor in re.findall(
-        r"\]\(([^)#\s]*)(#?)([^)\s]*)\)", page.read_text(encoding="utf-8")
-    ):
-        if "://" in target:
-            continue
-        path = page.parent / target if target else page
-        assert path.exists(), target
-        assert not anchor or anchor in anchors(path), f"{target}#{anchor}"
+def test_links_have_targets() -> None:
+    for page in (DOCS.parent / "README.md", *DOCS.glob("*.md")):
+        for target, _, anchor in re.findall(r"\]\(([^)#\s]*)(#?)([^)\s]*)\)", page.read_text()):
+            if "://" in target:
+                continue
+            path = page.parent / target if target else page
+            assert path.exists(), f"{page.name}: {target}"
+            assert not anchor or anchor in anchors(path), f"{page.name}: {target}#{anchor}"
 
 
 def test_the_environment_is_made_as_printed() -> None:
@@ -256,31 +259,27 @@ MACRO_SECONDS = MACRO_STEPS * Scenario().time_step
 RADII = [config(f"scenario/{name}.yaml")["circle_radius"] for name in ("5p3r", "10p3r", "20p3r")]
 
 
-@pytest.mark.parametrize(
-    ("page", "pattern", "numbers"),
-    [
-        ("concepts.md", r"K = (\d+) steps \(([\d.]+) s\)", [MACRO_STEPS, MACRO_SECONDS]),
-        (
-            "decisions.md",
-            r"every (\d+) steps \(([\d.]+) s, `policy.macro_steps`\)",
-            [MACRO_STEPS, MACRO_SECONDS],
-        ),
-        ("concepts.md", r"in \[-1, 1\], every ([\d.]+) s", [Scenario().time_step]),
-        ("environment.md", r"in \[-1, 1\], every ([\d.]+) s", [Scenario().time_step]),
-        ("environment.md", r"radius (\d+), (\d+) and (\d+) m", RADII),
-        ("concepts.md", r"(\d+) directions, at full speed", [DIRECTIONS]),
-        ("concepts.md", r"for (\w+) seconds of everybody the robot sees", [Shield().horizon]),
-    ],
-)
-def test_numbers_in_the_docs_agree_with_the_configuration(
-    page: str, pattern: str, numbers: list[float]
-) -> None:
-    match = re.search(pattern, (DOCS / page).read_text())
-    assert match, pattern
-    assert [float(WORDS.get(text, text)) for text in match.groups()] == numbers
-
-
 WORDS = {"two": "2"}
+NUMBERS: list[tuple[str, str, list[float]]] = [
+    ("concepts.md", r"K = (\d+) steps \(([\d.]+) s\)", [MACRO_STEPS, MACRO_SECONDS]),
+    (
+        "decisions.md",
+        r"every (\d+) steps \(([\d.]+) s, `policy.macro_steps`\)",
+        [MACRO_STEPS, MACRO_SECONDS],
+    ),
+    ("concepts.md", r"in \[-1, 1\], every ([\d.]+) s", [Scenario().time_step]),
+    ("environment.md", r"in \[-1, 1\], every ([\d.]+) s", [Scenario().time_step]),
+    ("environment.md", r"radius (\d+), (\d+) and (\d+) m", RADII),
+    ("concepts.md", r"(\d+) directions, at full speed", [DIRECTIONS]),
+    ("concepts.md", r"for (\w+) seconds of everybody the robot sees", [Shield().horizon]),
+]
+
+
+def test_numbers_in_the_docs_agree_with_the_configuration() -> None:
+    for page, pattern, numbers in NUMBERS:
+        match = re.search(pattern, (DOCS / page).read_text())
+        assert match, f"{page}: {pattern}"
+        assert [float(WORDS.get(text, text)) for text in match.groups()] == numbers, page
 
 
 def test_seed_means_and_ranges_in_the_docs_are_those_of_the_table() -> None:

@@ -3,23 +3,20 @@
 import doctest
 import importlib
 
-import pytest
-
-EXAMPLES = {
-    "mrsan.world": 4,
-    "mrsan.pettingzoo_env": 4,
-    "mrsan.reward_terms": 1,
-    "mrsan.sb3_env": 2,
-    "mrsan.torchrl_env": 2,
-    "samarl": 2,
-    "samarl.api": 7,
-    "samarl.evaluation.metrics": 2,
-}
+MODULES = (
+    "mrsan.world",
+    "mrsan.pettingzoo_env",
+    "mrsan.reward_terms",
+    "mrsan.sb3_env",
+    "mrsan.torchrl_env",
+    "samarl",
+    "samarl.api",
+    "samarl.evaluation.metrics",
+)
 
 
-@pytest.mark.parametrize("name", EXAMPLES)
-def test_the_examples_of(name: str) -> None:
-    module = importlib.import_module(name)
-    result = doctest.testmod(module, optionflags=doctest.ELLIPSIS)
-    assert result.failed == 0
-    assert result.attempted >= min(EXAMPLES[name], 1)
+def test_the_examples_run() -> None:
+    for name in MODULES:
+        result = doctest.testmod(importlib.import_module(name), optionflags=doctest.ELLIPSIS)
+        assert result.attempted > 0, name
+        assert result.failed == 0, name

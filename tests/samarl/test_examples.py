@@ -33,18 +33,21 @@ def run(name: str, *arguments: str, cwd: Path) -> str:
     return done.stdout
 
 
+@pytest.mark.slow
 def test_stable_baselines_learns_to_arrive_alone(tmp_path: Path) -> None:
     said = run("sb3_ppo.py", "--humans", "0", "--steps", "24576", "--cases", "20", cwd=tmp_path)
     assert ast.literal_eval(said.splitlines()[-1])["arrived"] > 50
     assert "sb3_ppo in samarl (people: 0, robots: 1, view: 360°), 20 cases" in said
 
 
+@pytest.mark.slow
 def test_stable_baselines_begins_softly_among_people(tmp_path: Path) -> None:
     numbers = ("--humans", "2", "--robots", "2", "--steps", "8192", "--cases", "5")
     said = run("sb3_ppo.py", *numbers, cwd=tmp_path)
     assert sum(ast.literal_eval(said.splitlines()[-1]).values()) == 100
 
 
+@pytest.mark.slow
 def test_torchrl_trains_by_its_own_parts(tmp_path: Path) -> None:
     said = run("torchrl_mappo.py", "--steps", "8192", cwd=tmp_path)
     assert said.startswith("success rate by tenths of the training, %: ")
@@ -65,12 +68,14 @@ def test_torchrl_actors_explore(monkeypatch: pytest.MonkeyPatch) -> None:
     assert (done[0] - done[1]).abs().min() > 0
 
 
+@pytest.mark.slow
 def test_a_crowd_of_ones_own(tmp_path: Path) -> None:
     said = run("custom_crowd.py", "--cases", "3", "--agents", "straight", cwd=tmp_path)
     assert said.startswith("straight           success ")
     assert (tmp_path / "outputs/station.png").stat().st_size > 10_000
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(
     find_spec("benchmarl") is None,
     reason=f"BenchMARL needs torchrl below 0.12; this is {version('torchrl')}",
@@ -79,6 +84,7 @@ def test_benchmarl_trains_on_the_task(tmp_path: Path) -> None:
     run("benchmarl_task.py", "--steps", "4096", cwd=tmp_path)
 
 
+@pytest.mark.slow
 def test_the_notebook_trains_evaluates_and_looks(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

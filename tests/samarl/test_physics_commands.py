@@ -44,6 +44,7 @@ def test_mistakes_are_reported_in_one_line(words: list[str], message: str, tmp_p
     assert "Traceback" not in done.stderr
 
 
+@pytest.mark.slow
 def test_a_film_has_a_picture_per_decision_where_the_machine_can_render(tmp_path: Path) -> None:
     words = ["agent=orca", "engine=mujoco", "scenario.time_limit=1", "scenario.humans=2"]
     done = run("render", *words, "output=film.gif", cwd=tmp_path)

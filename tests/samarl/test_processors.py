@@ -97,6 +97,7 @@ def digests(exported: Path, **variables: str) -> dict[str, str]:
     return dict(line.split(":") for line in done.stdout.splitlines())  # type: ignore[misc]
 
 
+@pytest.mark.slow
 def test_episodes_do_not_depend_on_vector_instructions(exported: Path) -> None:
     extensions = np.show_config(mode="dicts")["SIMD Extensions"]["found"]
     with_extensions = digests(exported)

@@ -72,6 +72,7 @@ def heed_ctrl_c() -> None:
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
+@pytest.mark.slow
 def test_a_killed_run_goes_on_bit_for_bit(tmp_path: Path) -> None:
     whole, cut = tmp_path / "whole", tmp_path / "cut"
     whole.mkdir()
@@ -141,6 +142,7 @@ def test_a_run_that_cannot_be_resumed_is_refused(
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
 def test_a_stopped_run_saves_and_says_so_in_one_line(how: signal.Signals, tmp_path: Path) -> None:
     process = start(tmp_path, *SMALL, "trainer.steps=1000000", "trainer.save_every=1000000")

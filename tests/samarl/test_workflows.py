@@ -100,6 +100,7 @@ def test_a_sweep_writes_a_table_and_resumes(tmp_path: Path) -> None:
     assert (folder / "table.md").read_text() == table
 
 
+@pytest.mark.slow
 def test_a_sweep_of_a_cluster_resumes_on_one_machine(tmp_path: Path) -> None:
     sweep = [
         "-m",
