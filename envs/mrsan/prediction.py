@@ -220,7 +220,7 @@ def load_recurrent(path: Path, time_step: float, field: str = "predictor") -> Re
         ) from None
     except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
         raise ConfigurationError(
-            f"{field}: {card_path} is not the card of a predictor ({error!r})"
+            f"{field}: {card_path} is not the card of a predictor ({error!r:.300})"
         ) from None
     if version != FORMAT:
         raise ConfigurationError(

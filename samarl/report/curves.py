@@ -63,7 +63,7 @@ def group_runs(runs: Runs, checkpoints: Path) -> dict[str, Runs]:
         card = checkpoints / f"{name}.json"
         try:
             task = _task(read_json(card)) if card.is_file() else "Other runs"
-        except (LookupError, TypeError, AttributeError, ValueError):  # not the card of a policy
+        except (LookupError, TypeError, AttributeError, ValueError, OverflowError):  # no such card
             task = "Other runs"
         groups.setdefault(task, {})[name] = curves
     return dict(sorted(groups.items(), key=lambda group: -len(group[1])))

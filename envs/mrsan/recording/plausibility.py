@@ -118,9 +118,9 @@ def _problems(people: People, s: Summary) -> Iterator[str]:
                 f"scenario.{name} is {value:g}, but the file states {stated:.4g}; it must be that "
                 "or null"
             )
+    sides = f"{s.floor[0]:.4g} x {s.floor[1]:.4g} m"
     if s.people == s.rows:
         yield "each person is in only one frame; a person must have the same id in every frame"
-    sides = f"{s.floor[0]:.4g} x {s.floor[1]:.4g} m"
     if s.pause_median > MAX_GAP:
         yield (
             f"a person's frames are {s.pause_median:.4g} s apart; they must be at most {MAX_GAP:g} "
@@ -131,7 +131,7 @@ def _problems(people: People, s: Summary) -> Iterator[str]:
     if is_fast or s.speed_95 < MIN_SPEED_95:
         yield (
             f"the median speed is {s.speed_median:.3g} m/s and 95 % of all steps are below "
-            f"{s.speed_95:.3g} m/s, on a floor of {sides}; people walk at about 1.3 m/s: "
+            f"{s.speed_95:.3g} m/s, on a floor of {sides}; people walk at {_USUAL_SPEED} m/s: "
             f"{_remedy(people, s)}"
         )
     if not low <= max(s.floor) <= high:
