@@ -30,11 +30,7 @@ METHODS = (
     "samarl shield=false",
     "samarl",
 )
-ONE_LEVEL = ("samarl_flat shield=false", "samarl_flat")  # also in the README, no policy for 90°
-# Rows of the documentation in addition to those of the README.
-OTHER_METHODS = ("samarl_srnn shield=false", "samarl_srnn")
-WIDE_METHODS = ("samarl_transformer shield=false", "samarl_transformer")  # no policy for 90°
-
+ONE_LEVEL = ("samarl_flat_unshielded", "samarl_flat")  # also in the README, no policy for 90°
 # What the settings of table `robustness` change, in words.
 CHANGES = {
     "position noise 0.1": "positions with noise of 0.1 m",
@@ -58,23 +54,20 @@ def table(build: Callable[[], str]) -> Callable[[], str]:
     return build
 
 
-def _cell(name: str, method: str, column: Column) -> str:
-    key = f"{column.fov_degrees:g}/{column.humans}/{column.robots}"
-    return print_row(find_row(name, method, key), "both")
+def _key(column: Column) -> str:
+    """Return a column as `find_row` takes it."""
+    return f"{column.fov_degrees:g}/{column.humans}/{column.robots}"
 
 
 def _method_lines(methods: Iterable[str], view: float | None = None) -> list[list[str]]:
     """Return the lines of methods in Table I, of one view only if it is given."""
-    return [
-        [
-            label_of(method),
-            *(
-                _cell("table1", method, c) if view in (None, c.fov_degrees) else NONE
-                for c in COLUMNS
-            ),
-        ]
-        for method in methods
-    ]
+
+    def cell(method: str, column: Column) -> str:
+        if view not in (None, column.fov_degrees):
+            return NONE
+        return print_row(find_row("table1", method, _key(column)), "both")
+
+    return [[label_of(method), *(cell(method, c) for c in COLUMNS)] for method in methods]
 
 
 def _table1_header() -> list[str]:
@@ -91,25 +84,30 @@ def headline() -> str:
 
 
 @table
-def table1_with_paper() -> str:
-    """Return Table I with all methods, and with the paper's success rates."""
-    lines = _method_lines((*METHODS, *OTHER_METHODS))
-    lines += _method_lines((*ONE_LEVEL, *WIDE_METHODS), 360.0)
-    for method in next(iter(PAPER_SUCCESS.values())):
-        rates = [PAPER_SUCCESS.get(column, {}).get(method) for column in COLUMNS]
-        lines.append([f"*paper: {method}*", *(NONE if r is None else f"*{r}*" for r in rates)])
-    return markdown_table(_table1_header(), lines)
+def beside_the_paper() -> str:
+    """Return success in Table I without the shield, and the paper's in brackets."""
+    lines = []
+    for method in ("orca", "cadrl", "samarl_ppo_unshielded", "samarl_srnn_unshielded",
+                   "samarl_unshielded"):  # fmt: skip
+        label = label_of(method)
+        paper = [PAPER_SUCCESS.get(c, {}).get(label.partition(",")[0], NONE) for c in COLUMNS]
+        ours = [print_row(find_row("table1", method, _key(c)), "success") for c in COLUMNS]
+        lines.append([label, *(f"{o} ({p})" for o, p in zip(ours, paper, strict=True))])
+    return markdown_table(["success %", *_table1_header()[1:]], lines)
 
 
 @table
 def seeds() -> str:
     """Return success over training seeds in the columns of Table I."""
     lines = []
-    for policy in ("", "_ppo", "_transformer", "_flat", "_general", "_planned"):
-        for method in (f"samarl{policy}", f"samarl{policy} shield=false"):
-            rows = [row for row in result_rows("table1") if row["method"] == method]
-            cells = {column_of(row)[:3]: print_row(row, "seeds") for row in rows}
-            lines.append([label_of(method), *(cells.get(column[:3], NONE) for column in COLUMNS)])
+    policies = [f"samarl{name}" for name in ("", "_ppo", "_transformer", "_flat")]
+    for method in [
+        *(name for policy in policies for name in (f"{policy}_unshielded", policy)),
+        *("samarl_general", "samarl_planned"),
+    ]:
+        rows = [row for row in result_rows("table1") if row["method"] == method]
+        cells = {column_of(row)[:3]: print_row(row, "seeds") for row in rows}
+        lines.append([label_of(method), *(cells.get(column[:3], NONE) for column in COLUMNS)])
     return markdown_table(["success %, mean [range]", *_table1_header()[1:]], lines)
 
 
@@ -154,7 +152,6 @@ def places() -> str:
         "samarl_flat",
         "samarl_places_flat",
         "samarl_places",
-        "samarl_places shield=false",
     )
     return _grid(result_rows("places"), lambda row: row["layout"], methods)
 
@@ -172,7 +169,6 @@ def robustness() -> str:
     """Return the success rate by changed setting and method."""
     methods = (
         "samarl",
-        "samarl shield=false",
         "samarl_general",
         "samarl_planned",
         "cadrl",
@@ -272,7 +268,7 @@ def _mean_and_range(values: Sequence[float | None], unit: float, form: str) -> s
 
 @table
 def policies() -> str:
-    """Return how long every included policy but the ablations was trained, and where."""
+    """Return how long and where the policies were trained that were not all trained alike."""
     groups: dict[str, list[dict[str, Any]]] = {}
     for path in sorted((RESULTS / "checkpoints").glob("*.json")):
         name, _, seed = path.stem.rpartition("_seed")
@@ -280,8 +276,8 @@ def policies() -> str:
         groups.setdefault(name if seed.isdigit() else path.stem, []).append(card["provenance"])
     lines = []
     for name, runs in groups.items():
-        if name.startswith("ablation_"):
-            continue
+        if name.startswith(("ablation_", "ma", "ml", "msa3c", "sarl")):
+            continue  # all trained alike
         scenarios = [
             stage["scenario"] for stage in runs[0]["configuration"]["curriculum"]["stages"]
         ]
@@ -326,11 +322,3 @@ def latency() -> str:
             ]
         )
     return markdown_table(["agent", "one robot, ms", "exported, ms", "512 robots, ms"], lines)
-
-
-@table
-def throughput() -> str:
-    """Return the speed of the simulator by the number of people."""
-    rows = find_value("throughput", "by_humans")
-    lines = [[str(r["humans"]), f"{r['world_steps_per_second']:,}"] for r in rows]
-    return markdown_table(["people", "world-steps per second"], lines)
