@@ -30,7 +30,7 @@ METHODS = (
     "samarl shield=false",
     "samarl",
 )
-ONE_LEVEL = ("samarl_flat_unshielded", "samarl_flat")  # also in the README, no policy for 90°
+ONE_LEVEL = ("samarl_flat shield=false", "samarl_flat")  # also in the README, no policy for 90°
 # What the settings of table `robustness` change, in words.
 CHANGES = {
     "position noise 0.1": "positions with noise of 0.1 m",
@@ -87,8 +87,8 @@ def headline() -> str:
 def beside_the_paper() -> str:
     """Return success in Table I without the shield, and the paper's in brackets."""
     lines = []
-    for method in ("orca", "cadrl", "samarl_ppo_unshielded", "samarl_srnn_unshielded",
-                   "samarl_unshielded"):  # fmt: skip
+    for method in ("orca", "cadrl", "samarl_ppo shield=false", "samarl_srnn shield=false",
+                   "samarl shield=false"):  # fmt: skip
         label = label_of(method)
         paper = [PAPER_SUCCESS.get(c, {}).get(label.partition(",")[0], NONE) for c in COLUMNS]
         ours = [print_row(find_row("table1", method, _key(c)), "success") for c in COLUMNS]
@@ -102,7 +102,7 @@ def seeds() -> str:
     lines = []
     policies = [f"samarl{name}" for name in ("", "_ppo", "_transformer", "_flat")]
     for method in [
-        *(name for policy in policies for name in (f"{policy}_unshielded", policy)),
+        *(name for policy in policies for name in (f"{policy} shield=false", policy)),
         *("samarl_general", "samarl_planned"),
     ]:
         rows = [row for row in result_rows("table1") if row["method"] == method]
