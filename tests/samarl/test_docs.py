@@ -258,3 +258,23 @@ RADII = [config(f"scenario/{name}.yaml")["circle_radius"] for name in ("5p3r", "
 
 
 WORDS = {"two": "2"}
+NUMBERS: list[tuple[str, str, list[float]]] = [
+    ("concepts.md", r"K = (\d+) steps \(([\d.]+) s\)", [MACRO_STEPS, MACRO_SECONDS]),
+    (
+        "decisions.md",
+        r"every (\d+) steps \(([\d.]+) s, `policy.macro_steps`\)",
+        [MACRO_STEPS, MACRO_SECONDS],
+    ),
+    ("concepts.md", r"in \[-1, 1\], every ([\d.]+) s", [Scenario().time_step]),
+    ("environment.md", r"in \[-1, 1\], every ([\d.]+) s", [Scenario().time_step]),
+    ("environment.md", r"radius (\d+), (\d+) and (\d+) m", RADII),
+    ("concepts.md", r"(\d+) directions, at full speed", [DIRECTIONS]),
+    ("concepts.md", r"for (\w+) seconds of everybody the robot sees", [Shield().horizon]),
+]
+
+
+def test_numbers_in_the_docs_agree_with_the_configuration() -> None:
+    for page, pattern, numbers in NUMBERS:
+        match = re.search(pattern, (DOCS / page).read_text())
+        assert match, f"{page}: {pattern}"
+        assert [float(WORDS.get(text, text)) for text in match.groups()] == numbers, page
