@@ -115,7 +115,7 @@ def _least_clearance(state: State, e: int) -> float:
 
 def walk(layout: Layout, person_steps: int) -> dict[str, Any]:
     """Return how many people overlapped a wall or passed one."""
-    scenario = scenario_of(layout, collisions_end=False)
+    scenario = scenario_of(layout, terminate_on_collision=False)
     world = World(scenario, WORLDS, auto_reset=True)
     world.reset(np.arange(WORLDS))
     state, actions = world.state, np.zeros((WORLDS, ROBOTS, scenario.action_size), np.float32)
@@ -139,7 +139,7 @@ def standing_cases(layout: Layout, crowd: Crowd, cases: int = WORLDS) -> float:
 
     The robots do not move, and people do not perceive them: they only get in each other's way.
     """
-    scenario = scenario_of(layout, crowd=crowd, collisions_end=False)
+    scenario = scenario_of(layout, crowd=crowd, terminate_on_collision=False)
     world = World(scenario, cases)
     world.reset(np.arange(cases))
     state, actions = world.state, np.zeros((cases, ROBOTS, scenario.action_size), np.float32)

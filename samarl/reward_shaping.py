@@ -70,7 +70,7 @@ def _task_reward(
 ) -> Floats:
     """Return the task's reward [E, N], with progress along the route instead of to the goal."""
     reward, parts = step.reward, step.reward_parts
-    if scenario.fov_degrees < policy.config.round_below and not scenario.has_walls:
+    if scenario.fov_degrees < policy.config.perimeter_below_fov and not scenario.has_walls:
         target = to_world(policy.route(before, scenario), before.ego)
         progress = np.float32(scenario.reward.progress) * progress_to(target, before, step)
         reward = np.where(parts.progress != 0.0, reward - parts.progress + progress, reward)

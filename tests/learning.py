@@ -123,7 +123,7 @@ def policy_numbers(
         "num_parameter_sets": 1,
         "hidden": 16,
         "track_time": 2.0,
-        "round_below": 180.0,
+        "perimeter_below_fov": 180.0,
         "round_radius": 7.0,
         "encoder": encoder_numbers or {"name": encoder, **ENCODERS[encoder]},
     }

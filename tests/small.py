@@ -17,7 +17,7 @@ SHARED = {
     "num_parameter_sets": 1,
     "hidden": 8,
     "track_time": 1.0,
-    "round_below": 180.0,
+    "perimeter_below_fov": 180.0,
     "round_radius": 7.0,
 }
 WAYPOINTS = {

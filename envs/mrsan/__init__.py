@@ -12,7 +12,7 @@ from mrsan.choices import (
     CrowdReaction,
     Kinematics,
     Layout,
-    LidarSees,
+    LidarTargets,
     Reaction,
     TeamPerception,
 )
@@ -47,7 +47,7 @@ __all__ = [
     "Groups",
     "Kinematics",
     "Layout",
-    "LidarSees",
+    "LidarTargets",
     "Observation",
     "Outcome",
     "Place",

@@ -62,7 +62,7 @@ class Reaction(Enum):
     threatening = reactions_kernel.THREATENING  # blocks the robot's way for a while
 
 
-class LidarSees(Enum):
+class LidarTargets(Enum):
     """What stops the rays of a lidar."""
 
     walls = 0

@@ -89,7 +89,7 @@ def register_crowd(name: str, settings: type | None = None) -> Callable[[F], F]:
     - `max_speed`: the preferred speed;
     - `p`: the scenario's parameters, such as `p.time_step`;
     - `settings`: the model's own settings, such as `settings.reach`;
-    - `scratch`: the working arrays that `mrsan.kernels.orca.orca_room` returns. In places with
+    - `scratch`: the working arrays of `mrsan.kernels.orca.allocate_orca_scratch`. In places with
       walls `scratch.wall_points` holds the nearest points of the first `scratch.wall_counts[0]`
       walls, nearest first. A velocity that would lead into a wall is changed afterwards.
 

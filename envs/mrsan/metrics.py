@@ -43,8 +43,8 @@ class Episodes(NamedTuple):
     standing_share: NDArray[np.float64]  # [B, N] share of steps slower than 0.05 m/s
     jerk: NDArray[np.float64]  # [B, N] mean norm, m/s^3
     heading_change: NDArray[np.float64]  # [B, N] sum of absolute turns, rad
-    soonest_collision: NDArray[np.float64]  # [B, N] smallest time to collision with a human, s
-    ran_into_human: NDArray[np.bool_]  # [B, N] it hit a human that did not approach faster
+    min_time_to_collision: NDArray[np.float64]  # [B, N] smallest time to collision with a human, s
+    robot_at_fault: NDArray[np.bool_]  # [B, N] it hit a human that did not approach faster
     steps: NDArray[np.int64]  # [B]
     arrived: NDArray[np.bool_]  # [B, N] in time, regardless of collisions
     contacts: NDArray[np.float64]  # [B, N] beginnings of contacts; two robots share one
@@ -65,12 +65,12 @@ class Episodes(NamedTuple):
     @property
     def robot_on_person(self) -> NDArray[np.bool_]:
         """Return whether a robot hit a human, approaching at least as fast as the human, [B]."""
-        return ((self.outcome == Outcome.hit_human) & self.ran_into_human).any(axis=1)
+        return ((self.outcome == Outcome.hit_human) & self.robot_at_fault).any(axis=1)
 
     @property
     def person_on_robot(self) -> NDArray[np.bool_]:
         """Return whether a human hit a robot, approaching faster than the robot, [B]."""
-        return ((self.outcome == Outcome.hit_human) & ~self.ran_into_human).any(axis=1)
+        return ((self.outcome == Outcome.hit_human) & ~self.robot_at_fault).any(axis=1)
 
     @property
     def hit_robot(self) -> NDArray[np.bool_]:
@@ -119,8 +119,8 @@ def episodes_of(state: State, scenario: Scenario, worlds: NDArray[np.bool_]) -> 
         standing_share=per_step["standing_steps"],
         jerk=per_step["jerk_sum"],
         heading_change=tally["heading_change"],
-        soonest_collision=tally["soonest_collision"],
-        ran_into_human=tally["ran_into"] > 0,
+        min_time_to_collision=tally["min_time_to_collision"],
+        robot_at_fault=tally["ran_into"] > 0,
         steps=clock.astype(np.int64),
         arrived=arrived,
         contacts=tally["contacts"],

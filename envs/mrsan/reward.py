@@ -54,9 +54,10 @@ class RewardParts(NamedTuple):
     """The terms whose sum is the reward, each [E, N] float32; kernels use it for a single robot.
 
     A term that does not apply is zero. A robot that touches another agent receives only
-    `collision`, and `arrival` if it arrives nevertheless (`Scenario.collisions_end`); `progress`
-    and `discomfort` exclude each other and any arrival. With `Reward.literal` only the first
-    matching case of Eq. 10 applies: the last robot to arrive receives `team` instead of `arrival`.
+    `collision`, and `arrival` if it arrives nevertheless (`Scenario.terminate_on_collision`);
+    `progress` and `discomfort` exclude each other and any arrival. With `Reward.literal` only
+    the first matching case of Eq. 10 applies: the last robot to arrive receives `team` instead of
+    `arrival`.
     """
 
     progress: NDArray[np.float32]  # `Reward.progress` per metre of progress towards the goal

@@ -16,7 +16,7 @@ from mrsan.choices import (
     CrowdReaction,
     Kinematics,
     Layout,
-    LidarSees,
+    LidarTargets,
     TeamPerception,
 )
 from mrsan.consistency import check_consistency
@@ -92,16 +92,16 @@ class Scenario:
     goal_turn_degrees: float = number(
         0.0, -180.0, 180.0, unit="degrees", help="rotation of the robots' goals about the origin"
     )
-    goal_turn_spread_degrees: float = number(
+    goal_rotation_range_degrees: float = number(
         0.0, 0.0, 180.0, unit="degrees", help="half-width of the rotation drawn per robot"
     )
     floor_size: float = number(
         14.0, 6.0, 1000.0, unit="m", help="side of the floor of layouts other than the circle"
     )
-    robot_way_min: float = number(
+    route_length_min: float = number(
         4.0, 0.0, 1000.0, unit="m", help="shortest straight route, except in the circle"
     )
-    robot_way_max: float = number(
+    route_length_max: float = number(
         14.0, 0.1, 1000.0, unit="m", help="longest straight route, except in the circle"
     )
     spawn_jitter: float = number(
@@ -119,7 +119,7 @@ class Scenario:
     )
     time_step: float = number(0.25, 0.01, 1.0, unit="s", help="duration of a step")
     time_limit: float = number(50.0, 0.01, 10000.0, unit="s", help="longest duration of an episode")
-    collisions_end: bool = setting(
+    terminate_on_collision: bool = setting(
         True, help="collisions end the episode; false: they are counted and robots drive on"
     )
 
@@ -148,7 +148,7 @@ class Scenario:
     )
     sensing_range: float = number(10.0, 0.1, 1000.0, unit="m", help="range of the sensor")
     occlusion: bool = setting(False, help="people and robots hide agents behind them")
-    walls_hide: bool = setting(True, help="walls hide agents behind them")
+    walls_occlude: bool = setting(True, help="walls hide agents behind them")
     nearest_walls: int | None = number(
         None, 0, 64, help="largest number of walls a robot sees; null: 12, or 0 without walls"
     )
@@ -162,7 +162,7 @@ class Scenario:
         0.01, 0.0, 1.0, help="a further standard deviation, as a share of the range"
     )
     lidar_dropout: float = number(0.01, 0.0, 1.0, help="probability of losing a ray, per step")
-    lidar_sees: LidarSees = setting(LidarSees.walls, help="what stops its rays")
+    lidar_targets: LidarTargets = setting(LidarTargets.walls, help="what stops its rays")
     position_noise: float = number(
         0.0, 0.0, 10.0, unit="m", help="standard deviation of observed positions"
     )
@@ -206,10 +206,10 @@ class Scenario:
         default_factory=dict,
         metadata={"help": "settings of a registered crowd model: crowd_settings.name=value"},
     )
-    recorded_start_clear: float = number(
+    start_clear_time: float = number(
         2.0, 0.0, 100.0, unit="s", help="time for which no recorded person crosses a robot's start"
     )
-    recorded_slot_rest: float = number(
+    slot_reuse_delay: float = number(
         6.0, 0.0, 1000.0, unit="s", help="pause before a slot holds another recorded person"
     )
     recording: str | None = setting(
@@ -412,7 +412,7 @@ class Scenario:
 
         Raises:
             ConfigurationError: the file cannot be read, has an invalid line, is implausible, or
-                its floor is too small for `robot_way_min`.
+                its floor is too small for `route_length_min`.
         """
         if self.crowd != Crowd.recorded:
             return NOBODY
@@ -427,9 +427,9 @@ class Scenario:
         except RecordingError as error:
             raise ConfigurationError(f"scenario.{error}") from None
         diagonal = 2.0 * float(np.linalg.norm(recording.half_size))
-        if self.robot_way_min > 0.7 * diagonal:
+        if self.route_length_min > 0.7 * diagonal:
             raise ConfigurationError(
-                f"scenario.robot_way_min is {self.robot_way_min}; it must be at most "
+                f"scenario.route_length_min is {self.route_length_min}; it must be at most "
                 f"{0.7 * diagonal:.1f} for this recording"
             )
         return recording
@@ -457,8 +457,8 @@ class Scenario:
             place = f"on a floor of scenario.floor_size {self.floor_size}"
         return (
             f"scenario.robots is {self.robots}; case {case} has no room for so many {place}: "
-            f"{clearance}, scenario.robot_radius is {self.robot_radius}, scenario.robot_way_min is "
-            f"{self.robot_way_min}"
+            f"{clearance}, scenario.robot_radius is {self.robot_radius}, "
+            f"scenario.route_length_min is {self.route_length_min}"
         )
 
     @property

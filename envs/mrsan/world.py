@@ -121,7 +121,7 @@ class World:
         self._crowd_settings = self._social or by_reference(crowd_settings)
         self._recording = by_reference(scenario.load_recording())
         self._sensors = SensorSuite(scenario)
-        self._all_seeing = SensorSuite(scenario, all_seeing=True)
+        self._privileged = SensorSuite(scenario, privileged=True)
         self._is_compiled = False
 
     def reset(self, cases: ArrayLike | None = None, worlds: ArrayLike | None = None) -> Observation:
@@ -250,13 +250,13 @@ class World:
         self.__init__(saved["scenario"], saved["worlds"], saved["auto_reset"])  # type: ignore[misc]
         self.restore(saved["state"])
 
-    def observe(self, all_seeing: bool = False) -> Observation:
+    def observe(self, privileged: bool = False) -> Observation:
         """Return the observations of all robots in new arrays.
 
         Args:
-            all_seeing: observe without limits or noise, for central critics.
+            privileged: observe without limits or noise, for central critics.
         """
-        sensors = self._all_seeing if all_seeing else self._sensors
+        sensors = self._privileged if privileged else self._sensors
         observation = sensors.empty(self.worlds)
         sensors.observe(self.state, np.ones(self.worlds, np.bool_), observation)
         if not (self.scenario.has_walls and self.scenario.map_known):

@@ -299,13 +299,13 @@ def _social_share(episodes: Episodes) -> float:
     return _percent(episodes.social_share)
 
 
-@metric("soonest_collision", heading="soonest collision s", decimals=3, tables=Tables.driving)
-def _soonest_collision(episodes: Episodes) -> Value:
+@metric("min_time_to_collision", heading="soonest collision s", decimals=3, tables=Tables.driving)
+def _min_time_to_collision(episodes: Episodes) -> Value:
     """Minimum time to collision with a human at constant velocities (Francis et al.).
 
     Median over robots and episodes with at least one human, at most 10 s.
     """
-    seconds = episodes.soonest_collision[np.isfinite(episodes.closest_human)]
+    seconds = episodes.min_time_to_collision[np.isfinite(episodes.closest_human)]
     return float(np.median(np.minimum(seconds, _MAX_TIME_TO_COLLISION))) if seconds.size else None
 
 

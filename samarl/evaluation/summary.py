@@ -32,7 +32,7 @@ class Column(NamedTuple):
     recording: str | None = None  # name of its file
     changes: str = ""  # other fields that differ from the named scenario: `a=1 b=2`
     scenario: str = "samarl"  # name of its file in conf/scenario/
-    collisions_end: bool = True
+    terminate_on_collision: bool = True
 
     @property
     def kind(self) -> str:
@@ -41,7 +41,7 @@ class Column(NamedTuple):
             return "Recorded people"
         if self.team_perception != "none":
             return "Robots that share what they see"
-        if not self.collisions_end:
+        if not self.terminate_on_collision:
             return "Collisions do not end the episode"
         if self.changes or self.scenario != Scenario.name:
             return "Other settings"
@@ -104,7 +104,7 @@ def scenario_column(scenario: Scenario, named: Scenario | None = None) -> Column
         Path(file).name if scenario.crowd == Crowd.recorded else None,
         _changes(scenario, named or Scenario()),
         scenario.name,
-        scenario.collisions_end,
+        scenario.terminate_on_collision,
     )
 
 
@@ -113,11 +113,11 @@ def _changes(scenario: Scenario, named: Scenario) -> str:
 
     The name of another scenario than SAMARL's covers the numbers of people and robots and the view.
     """
-    covered = {"name", "frame_seconds", "recording_scale", "reward", "collisions_end"}
+    covered = {"name", "frame_seconds", "recording_scale", "reward", "terminate_on_collision"}
     if scenario.name == Scenario.name:
         covered |= {*Column._fields}
     if scenario.crowd == Crowd.recorded:
-        covered |= {"crowd", "robot_way_min", "robot_way_max"}
+        covered |= {"crowd", "route_length_min", "route_length_max"}
     fields = changed_fields(scenario, named)
     return " ".join(
         f"{name}={value}" for name, value in fields if name.partition(".")[0] not in covered
@@ -254,7 +254,7 @@ def _invalid_fields(row: Row) -> Iterator[tuple[str, str]]:
         ("a number or null", metric_fields(), lambda value: value is None or _is_number(value)),
         ("the name of a layout", ["layout"], lambda value: value in list(Layout.__members__)),
         ("a string or null", ["recording"], lambda value: isinstance(value, str | None)),
-        ("true or false", ["collisions_end"], lambda value: isinstance(value, bool)),
+        ("true or false", ["terminate_on_collision"], lambda value: isinstance(value, bool)),
         ("hexadecimal digits", CASE_FIELDS, _is_hexadecimal),
         (
             "a list with one number per training seed",

@@ -104,7 +104,7 @@ def has_driving_metrics(rows: Sequence[Row]) -> bool:
 
 def counts_collisions(rows: Sequence[Row]) -> bool:
     """Return whether collisions do not end the episode in the scenario of any row."""
-    return any(not column_of(row).collisions_end for row in rows)
+    return any(not column_of(row).terminate_on_collision for row in rows)
 
 
 def rows_as_cells(

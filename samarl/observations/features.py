@@ -89,17 +89,17 @@ def register_features(name: str) -> Callable[[Features], Features]:
     return register
 
 
-def frames_of(tracks: Tracks, scenario: Scenario, known_origin: bool = True) -> Frames:
+def frames_of(tracks: Tracks, scenario: Scenario, observe_map_position: bool = True) -> Frames:
     """Return what the robots know as the input of the actors' encoder, [B, 1, ...].
 
     Args:
         tracks: [E, N, ...]; also as tensors, so that these features are part of an exported policy.
         scenario: the task.
-        known_origin: whether the robots observe where the origin of the map is. A policy for any
-            place must not: it would learn what is there.
+        observe_map_position: whether the robots observe where the origin of the map is. A policy
+            for any place must not: it would learn what is there.
     """
     ego = _ego_features(tracks, scenario)
-    if not known_origin:
+    if not observe_map_position:
         ego[..., EGO_PLACE] = 0.0
     return _frames(ego, tracks, AGE, scenario)
 
@@ -124,7 +124,7 @@ def true_state(world: World, waypoints: NDArray[np.float32] | None = None) -> Tr
             no macro level.
     """
     state, n = world.state, world.scenario.robots
-    observation = world.observe(all_seeing=True)
+    observation = world.observe(privileged=True)
     others = team_mates(n)
     human_goals = np.repeat(state.human_goal[:, None], n, 1)  # [E, N, M, 2]
     goals_and_arrivals = {

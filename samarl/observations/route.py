@@ -35,14 +35,17 @@ def heading_for_route(tracks: Observation | Tracks) -> NDArray[np.float32]:
 
 
 def route(
-    tracks: Observation | Tracks, fov_degrees: float, round_below: float, round_radius: float
+    tracks: Observation | Tracks,
+    fov_degrees: float,
+    perimeter_below_fov: float,
+    round_radius: float,
 ) -> NDArray[np.float32]:
     """Return where the route of a policy leads next in the body frames, [E, N, 2] in m.
 
-    To the next corner or the goal; or, without walls and with a view narrower than `round_below`,
-    counter-clockwise round the crowd, on a circle of `round_radius` metres.
+    To the next corner or the goal; or, without walls and with a view narrower than
+    `perimeter_below_fov`, counter-clockwise round the crowd, on a circle of `round_radius` metres.
     """
-    if fov_degrees < round_below and "route" not in tracks.sensors:
+    if fov_degrees < perimeter_below_fov and "route" not in tracks.sensors:
         return perimeter_route(tracks.ego, round_radius, LOOKAHEAD, ENTRY_ANGLE)
     return next_point(tracks)
 

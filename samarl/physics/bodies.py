@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from mrsan import LidarSees, Scenario
+from mrsan import LidarTargets, Scenario
 from mrsan.se2 import rotate
 from mrsan.sensors.walls import ray_angles
 from mrsan.state import State
@@ -119,7 +119,7 @@ class Bodies:
         )
         groups = np.zeros(mujoco.mjNGROUP, np.uint8)
         groups[WALLS] = 1
-        groups[AGENTS] = s.lidar_sees is LidarSees.all
+        groups[AGENTS] = s.lidar_targets is LidarTargets.all
         distance, geometry = np.empty(s.lidar_rays), np.empty(s.lidar_rays, np.int32)
         mujoco.mj_multiRay(
             m=self.model,

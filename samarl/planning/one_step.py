@@ -168,7 +168,7 @@ def _predict_outcomes(
             collided = hit_human or hit_robot or hit_wall
             dx, dy = goal_x - x, goal_y - y
             goal_distance = math.sqrt(dx * dx + dy * dy)
-            ends = collided and p.collisions_end
+            ends = collided and p.terminate_on_collision
             arrived = not ends and goal_distance < p.robot_radius
             dx, dy = target_x - x, target_y - y
             progress = target_distance - math.sqrt(dx * dx + dy * dy)

@@ -12,7 +12,7 @@ from mrsan import Observation, Scenario
 from mrsan.fields import required
 from mrsan.kernels import kernel
 from mrsan.kernels.obstacle_orca import near_walls, wall_lines
-from mrsan.kernels.orca import orca_room, orca_velocity
+from mrsan.kernels.orca import allocate_orca_scratch, orca_velocity
 from mrsan.kernels.walls import WALL_ROWS
 from mrsan.parameters import kernel_parameters
 from samarl.observations.route import next_point
@@ -85,7 +85,7 @@ def _orca(
     safety_space,
     action,
 ):
-    rows, scratch = orca_room(1 + humans.shape[2] + robots.shape[2])
+    rows, scratch = allocate_orca_scratch(1 + humans.shape[2] + robots.shape[2])
     walls = np.empty((WALL_ROWS, segments.shape[2] + 1), np.float32)
     for e in range(first, last):
         for i in range(ego.shape[1]):

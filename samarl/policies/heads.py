@@ -35,7 +35,7 @@ class Gaussian(nn.Module):
         self.log_std.clamp_(math.log(max(minimum, 1e-6)), math.log(maximum))
 
 
-class SpreadGaussian(nn.Module):
+class StateDependentGaussian(nn.Module):
     """A diagonal Gaussian whose mean and standard deviation depend on the input."""
 
     LOG_STD_MIN, LOG_STD_MAX = -5.0, 2.0  # Haarnoja et al., 2018

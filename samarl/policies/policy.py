@@ -58,7 +58,7 @@ class PolicyConfig:
     track_time: float = required(
         0.0, 1000.0, unit="s", help="time for which agents out of view are remembered"
     )
-    round_below: float = required(
+    perimeter_below_fov: float = required(
         0.0,
         360.0,
         unit="degrees",
@@ -68,7 +68,9 @@ class PolicyConfig:
         0.1, 1000.0, unit="m", help="radius of the circle on which they do, about the origin"
     )
     encoder: dict[str, Any] = needed(help="name and settings of the encoder")
-    known_origin: bool = setting(True, kw_only=True, help="the policy observes where the origin is")
+    observe_map_position: bool = setting(
+        True, kw_only=True, help="the policy observes where the origin is"
+    )
 
 
 class LevelStep(NamedTuple):
@@ -279,7 +281,7 @@ class Policy(nn.Module, ABC):
     def extract_features(self, tracks: Tracks, scenario: Scenario) -> Frames:
         """Return the features [B, 1, ...] of the groups and sensors that this policy observes."""
         tracks = self._as_trained(tracks)
-        return frames_of(tracks, scenario, self.config.known_origin).select(self.sizes)
+        return frames_of(tracks, scenario, self.config.observe_map_position).select(self.sizes)
 
     def _as_trained(self, tracks: Tracks) -> Tracks:
         """Return the tracks with the parts that this policy was trained with.
@@ -322,4 +324,4 @@ class Policy(nn.Module, ABC):
     def route(self, tracks: Observation | Tracks, scenario: Scenario) -> NDArray[np.float32]:
         """Return where the route of each robot leads next, [E, N, 2]; see `next_on_route`."""
         c = self.config
-        return next_on_route(tracks, scenario.fov_degrees, c.round_below, c.round_radius)
+        return next_on_route(tracks, scenario.fov_degrees, c.perimeter_below_fov, c.round_radius)

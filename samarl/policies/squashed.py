@@ -15,7 +15,7 @@ from mrsan import ConfigurationError
 from samarl.encoders import Encoder
 from samarl.observations.frames import Frames
 from samarl.policies.flat import FlatPolicy
-from samarl.policies.heads import SpreadGaussian
+from samarl.policies.heads import StateDependentGaussian
 from samarl.policies.policy import (
     LOCAL,
     POLICIES,
@@ -48,7 +48,7 @@ class SquashedPolicy(FlatPolicy):
     """
 
     def _make_networks(self, encoder: Encoder) -> Networks:
-        head = SpreadGaussian(encoder.features, self.config.hidden, self.action_size)
+        head = StateDependentGaussian(encoder.features, self.config.hidden, self.action_size)
         return Networks(encoder, {LOCAL: head})
 
     def step(

@@ -86,8 +86,8 @@ class Description:
     @property
     def uses_absolute_position(self) -> bool:
         """Return whether the policy takes the origin of the frame for the centre of the area."""
-        drives_round = self.scenario["fov_degrees"] < self.policy["round_below"]
-        return bool(self.policy.get("known_origin", True) or drives_round)
+        drives_round = self.scenario["fov_degrees"] < self.policy["perimeter_below_fov"]
+        return bool(self.policy.get("observe_map_position", True) or drives_round)
 
     def make_scenario(self) -> Scenario:
         """Return the scenario as far as the robot knows it."""

@@ -240,7 +240,7 @@ class Driver:
         policy = self.description.policy
         target = next_point(tracks)
         if self._network.needs_route:
-            below, radius = policy["round_below"], policy["round_radius"]
+            below, radius = policy["perimeter_below_fov"], policy["round_radius"]
             target = route(tracks, self.scenario.fov_degrees, below, radius)
         if not self.description.observes_route:
             tracks = tracks._replace(ego=heading_for_route(tracks))

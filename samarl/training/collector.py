@@ -71,7 +71,7 @@ class RolloutCollector:
         cases = np.array([Split.training.case(first + e) for e in range(worlds)])
         self.observation = self.world.reset(cases)
         self.is_init = np.ones(worlds, np.bool_)
-        drives_round = scenario.fov_degrees < policy.config.round_below
+        drives_round = scenario.fov_degrees < policy.config.perimeter_below_fov
         self.crowd = None
         if stage.midway_start_probability > 0.0 and drives_round:
             self.crowd = WarmStartCrowd(scenario, worlds, first + worlds)
@@ -247,7 +247,7 @@ class RolloutCollector:
 
     def _failed(self) -> NDArray[np.bool_]:
         """Return which robots ended an episode by a collision, [E, N]."""
-        return (self.world.state.collision != 0) & self.stage.scenario.collisions_end
+        return (self.world.state.collision != 0) & self.stage.scenario.terminate_on_collision
 
     def _begin(self, ended: NDArray[np.bool_]) -> NDArray[np.int64]:
         """Start the next episodes where one ended; return how many steps to go back, [E]."""

@@ -323,10 +323,10 @@ def closest_to_wall(before: np.ndarray, after: np.ndarray, wall: np.ndarray) -> 
 def soonest_collisions(s: dict[str, Any], scenario: Scenario, margin: Margin) -> np.ndarray:
     """When each robot would touch a human if nobody changed velocity, [N]."""
     robots = range(len(s["robot_heading"]))
-    return np.array([_soonest_collision(s, i, scenario, margin) for i in robots])
+    return np.array([_min_time_to_collision(s, i, scenario, margin) for i in robots])
 
 
-def _soonest_collision(s: dict[str, Any], i: int, scenario: Scenario, margin: Margin) -> float:
+def _min_time_to_collision(s: dict[str, Any], i: int, scenario: Scenario, margin: Margin) -> float:
     """By the distance at which the robot would miss the centre of each human."""
     soonest = math.inf
     for j in np.flatnonzero(s["human_present"]):
@@ -396,7 +396,7 @@ def step(
             before, after = s["robot_position"][i], robots[i].copy()
             if margin.below(closest_to_wall(before, after, segment), scenario.robot_radius):
                 contact[i] = 0 if s["arrived"][i] else 5  # hit_wall
-                if s["arrived"][i] or not scenario.collisions_end:
+                if s["arrived"][i] or not scenario.terminate_on_collision:
                     robots[i], new = before, np.zeros(2)
                 break
         robot_velocity[i] = new
@@ -445,7 +445,7 @@ def step(
     reached = np.array(
         [
             bool(margin.below(to_goal[i], scenario.robot_radius))
-            and not (contact[i] and scenario.collisions_end)
+            and not (contact[i] and scenario.terminate_on_collision)
             for i in range(n)
         ]
     )
@@ -485,7 +485,7 @@ def step(
         }
         for name, value in added.items():
             tally.setdefault(name, []).append(float(value) * float(driving[i]))
-    terminated = bool((scenario.collisions_end and contact.any()) or arrived.all())
+    terminated = bool((scenario.terminate_on_collision and contact.any()) or arrived.all())
     late = int(s["clock"]) + 1 >= scenario.time_limit_steps
     return Outcome(
         humans,

@@ -20,7 +20,7 @@ CROWDS: dict[str, dict[str, Any]] = {
         "crowd": Crowd.recorded,
         "humans": 4,
         "robots": 1,
-        "collisions_end": False,
+        "terminate_on_collision": False,
     },
 }
 

@@ -18,7 +18,7 @@ ONLY_COLLISIONS = Reward(progress=0.0, discomfort=0.0)
 
 
 def counted(robots: list, humans: Any = (), arrived: Any = (), **fields: Any) -> World:
-    fields = {"kinematics": Kinematics.holonomic, "collisions_end": False, **fields}
+    fields = {"kinematics": Kinematics.holonomic, "terminate_on_collision": False, **fields}
     return stage(robots, humans, arrived, **fields)
 
 
@@ -159,7 +159,7 @@ def test_goals_anywhere_on_the_circle_are_not_where_one_starts() -> None:
         robots=3,
         humans=0,
         circle_radius=radius,
-        goal_turn_spread_degrees=180.0,
+        goal_rotation_range_degrees=180.0,
         spawn_jitter=0.0,
         spawn_clearance=0.1,
     )

@@ -35,12 +35,12 @@ SCENARIOS = {
     "collisions counted": Scenario(
         robots=ROBOTS,
         humans=12,
-        collisions_end=False,
+        terminate_on_collision=False,
         radius_noise=0.1,
         goal_change_interval=1.0,
         goal_change_probability=0.0,
         goal_change_probability_max=1.0,
-        goal_turn_spread_degrees=180.0,
+        goal_rotation_range_degrees=180.0,
         reward=Reward(goal_distance=1.0, time=-0.001),
     ),
 }

@@ -25,7 +25,7 @@ def group_of(size: int, crowd: str = "orca", case: int = 0, **fields: Any) -> Wo
             layout=Layout.square,
             floor_size=30.0,
             goal_change_probability=0.0,
-            collisions_end=False,
+            terminate_on_collision=False,
             time_limit=100.0,
             groups=Groups(**groups),
         )

@@ -18,7 +18,7 @@ UNICYCLE: dict[str, Any] = {
     "max_turn_rate": 360.0,
 }
 STAND, AHEAD, LEFT = [-1.0, 0.0], [1.0, 0.0], [1.0, 1.0]
-COUNTED = [name not in ("path_length", "closest_human", "soonest_collision") for name in TALLY]
+COUNTED = [name not in ("path_length", "closest_human", "min_time_to_collision") for name in TALLY]
 
 
 def played(world: World, *actions: list[float]) -> Episodes:
@@ -35,7 +35,7 @@ def test_a_robot_that_stands_in_social_space() -> None:
     assert record.standing_share.tolist() == record.social_share.tolist() == [[1.0]]
     assert record.personal_share.tolist() == record.close_share.tolist() == [[0.0]]
     assert record.heading_change.tolist() == [[0.0]]
-    assert record.soonest_collision.tolist() == [[math.inf]]
+    assert record.min_time_to_collision.tolist() == [[math.inf]]
     assert not record.robot_on_person[0]
     assert not record.person_on_robot[0]
 
@@ -51,7 +51,7 @@ def test_a_person_walks_into_a_robot_that_stands() -> None:
     assert record.personal_share[0, 0] == pytest.approx(3 / 11)  # 1.1, 0.85, 0.6
     assert record.social_share[0, 0] == pytest.approx(5 / 11)
     assert record.standing_share[0, 0] == 1.0
-    assert record.soonest_collision[0, 0] == 0.0
+    assert record.min_time_to_collision[0, 0] == 0.0
     assert record.outcome.tolist() == [[Outcome.hit_human]]
     assert (record.robot_on_person[0], record.person_on_robot[0]) == (False, True)
 
@@ -110,7 +110,7 @@ def test_head_on_and_past_each_other() -> None:
     for aside, expected in ((0.0, 1.75), (0.7, math.inf)):
         world = stage([(0, 0, 0, 1, 9, 0)], [(4.6, aside, -1, 0)], **UNICYCLE)
         record = played(world, AHEAD)
-        assert record.soonest_collision[0, 0] == pytest.approx(expected, abs=1e-4)
+        assert record.min_time_to_collision[0, 0] == pytest.approx(expected, abs=1e-4)
 
 
 def test_a_robot_that_drives_a_square() -> None:

@@ -47,7 +47,7 @@ def test_the_goals_of_robots_are_turned_about_the_middle(degrees: float) -> None
 
 
 def test_a_spread_of_turns_is_uniform_and_drawn_per_robot() -> None:
-    fields = {"robots": 2, "goal_turn_degrees": 20.0, "goal_turn_spread_degrees": 40.0}
+    fields = {"robots": 2, "goal_turn_degrees": 20.0, "goal_rotation_range_degrees": 40.0}
     s = begun(3000, spawn_jitter=0.0, **fields).state
     angle = np.arctan2(s.robot_goal[..., 1], s.robot_goal[..., 0])
     angle -= np.arctan2(-s.robot_start[..., 1], -s.robot_start[..., 0])
@@ -61,7 +61,9 @@ def test_a_spread_of_turns_is_uniform_and_drawn_per_robot() -> None:
 
 @pytest.mark.parametrize("layout", LATER)
 def test_robots_start_and_go_anywhere_on_the_floor(layout: Layout) -> None:
-    s = begun(1000, robots=4, humans=3, layout=layout, robot_way_min=5.0, robot_way_max=9.0).state
+    s = begun(
+        1000, robots=4, humans=3, layout=layout, route_length_min=5.0, route_length_max=9.0
+    ).state
     for place in (s.robot_start, s.robot_goal):
         assert np.abs(place).max() <= 7.0
         assert np.abs(place).max() > 6.9
@@ -222,7 +224,7 @@ def test_an_episode_does_not_depend_on_the_batch(layout: Layout) -> None:
         "pair_probability": 0.4,
         "late_probability": 0.3,
         "leave_probability": 0.5,
-        "goal_turn_spread_degrees": 60.0,
+        "goal_rotation_range_degrees": 60.0,
     }
     many, one = (World(Scenario(layout=layout, **habits), worlds) for worlds in (9, 1))
     many.reset(np.arange(9))
@@ -239,12 +241,12 @@ def test_an_episode_does_not_depend_on_the_batch(layout: Layout) -> None:
     [
         ({"layout": "plaza"}, "scenario.layout is 'plaza'; it must be one of circle, crossing"),
         (
-            {"layout": "square", "robot_way_min": 15.0, "robot_way_max": 15.0},
+            {"layout": "square", "route_length_min": 15.0, "route_length_max": 15.0},
             "must not exceed scenario.floor_size",
         ),
         (
-            {"layout": "square", "robot_way_max": 3.0},
-            "scenario.robot_way_min is 4.0; it must not exceed",
+            {"layout": "square", "route_length_max": 3.0},
+            "scenario.route_length_min is 4.0; it must not exceed",
         ),
         (
             {"hurry_probability": 0.5, "hurry_speed_min": 2.5},

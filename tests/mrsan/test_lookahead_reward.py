@@ -93,7 +93,7 @@ def test_who_has_arrived_or_collided_is_paid_nothing() -> None:
 def test_who_drives_on_after_a_collision_is_paid_again() -> None:
     """They touch in three steps; then it meets another one."""
     crowd = [(0.7, 0, -1, 0), (3.0, 0, 0, 0)]
-    world = stage([DRIVER], crowd, reward=ON, collisions_end=False)
+    world = stage([DRIVER], crowd, reward=ON, terminate_on_collision=False)
     rewards = [paid(world, COAST)[0] for _ in range(5)]
     assert rewards == [0.0, 0.0, 0.0, after(5), after(4)]
 
@@ -110,7 +110,7 @@ RANDOM = Scenario(
     robots=3,
     humans=12,
     humans_min=4,
-    collisions_end=False,
+    terminate_on_collision=False,
     human_radius_max=0.6,
     human_speed_max=1.5,
     fov_degrees=200.0,

@@ -167,7 +167,7 @@ def test_a_map_of_ros(tmp_path: Path, negate: int, yaw: float) -> None:
 def test_agents_stay_on_the_floor_of_a_map(tmp_path: Path) -> None:
     content = {"bounds": BOUNDS, "obstacles": [SQUARE], "walls": [[[-5, -2], [3, -2]]]}
     path = written(tmp_path, content)
-    scenario = Scenario(layout=Layout.map, map=str(path), humans=5, collisions_end=False)
+    scenario = Scenario(layout=Layout.map, map=str(path), humans=5, terminate_on_collision=False)
     world = World(scenario, 20)
     world.reset(np.arange(20))
     lines = shapely.union_all([shapely.LinearRing(BOUNDS), shapely.LinearRing(SQUARE)])

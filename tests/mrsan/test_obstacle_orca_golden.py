@@ -7,7 +7,7 @@ import pytest
 from numba import njit
 
 from mrsan.kernels.obstacle_orca import near_walls, wall_lines
-from mrsan.kernels.orca import orca_room, orca_velocity
+from mrsan.kernels.orca import allocate_orca_scratch, orca_velocity
 from mrsan.kernels.walls import START_X, START_Y, WALL_ROWS, close_polygon
 
 GOLDEN = Path(__file__).parents[1] / "data" / "orca_obstacles.npz"
@@ -24,7 +24,7 @@ def one_step(vertices, polygon, n_vertices, agents, counts, preferred, limits, n
             if k + 1 == n_vertices[e] or polygon[e, k + 1] != polygon[e, k]:
                 close_polygon(walls, first, k + 1)
                 first = k + 1
-        rows, scratch = orca_room(counts[e])
+        rows, scratch = allocate_orca_scratch(counts[e])
         rows[: counts[e]] = agents[e, : counts[e]]
         reach, most, horizon, wall_horizon, dt = numbers[e]
         for i in range(counts[e]):

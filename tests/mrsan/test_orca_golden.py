@@ -7,7 +7,7 @@ import pytest
 from numba import njit
 from oracle import orca
 
-from mrsan.kernels.orca import orca_room, orca_velocity
+from mrsan.kernels.orca import allocate_orca_scratch, orca_velocity
 
 GOLDEN = Path(__file__).parents[1] / "data" / "orca_one_step.npz"
 BUILD_NOISE = 1e-4  # where two builds of RVO2 differ by more, there is no right answer
@@ -22,7 +22,7 @@ def golden() -> dict[str, np.ndarray]:
 @njit
 def one_step(agents, counts, preferred, max_speed, reach, most, horizon, dt, out):
     for e in range(len(counts)):
-        rows, scratch = orca_room(counts[e])
+        rows, scratch = allocate_orca_scratch(counts[e])
         rows[: counts[e]] = agents[e, : counts[e]]
         for i in range(counts[e]):
             out[e, i, 0], out[e, i, 1] = orca_velocity(

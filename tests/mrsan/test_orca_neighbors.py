@@ -10,7 +10,7 @@ from mrsan.kernels import orca
 
 @njit
 def nearest(agents, i, distance, most):
-    rows, scratch = orca.orca_room(len(agents))
+    rows, scratch = orca.allocate_orca_scratch(len(agents))
     rows[: len(agents)] = agents
     n = orca._find_nearest(
         rows, len(agents), i, distance, most, scratch.distances, scratch.places, scratch.nearest

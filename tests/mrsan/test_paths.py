@@ -16,7 +16,7 @@ def poses(state: State) -> np.ndarray:
 
 @pytest.mark.parametrize(
     "fields",
-    [{}, {"collisions_end": False}, {"layout": "doorway", "humans": 4}],
+    [{}, {"terminate_on_collision": False}, {"layout": "doorway", "humans": 4}],
     ids=["open", "counted", "walled"],
 )
 def test_paths_of_one_piece_are_the_same_to_the_last_bit(fields: dict) -> None:

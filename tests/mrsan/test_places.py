@@ -84,7 +84,7 @@ def test_parked_robots_leave_the_others_a_way() -> None:
 def test_people_do_not_jam() -> None:
     """Nobody stands for 10 s in doorways and corridors, where people meet head-on."""
     for layout in (Layout.doorway, Layout.corridor):
-        world = worlds_of(layout, 100, humans=8, collisions_end=False)
+        world = worlds_of(layout, 100, humans=8, terminate_on_collision=False)
         actions = np.zeros((100, 3, 3), np.float32)
         standing = np.zeros((100, 8), int)
         crossed = np.zeros((100, 8), bool)
@@ -136,7 +136,13 @@ def dijkstra(length: np.ndarray) -> float:
 def test_nobody_walks_through_a_wall(layout: Layout, crowd: str) -> None:
     number, steps = 32, 200
     world = worlds_of(
-        layout, number, crowd=crowd, humans=6, robots=1, collisions_end=False, pair_probability=0.2
+        layout,
+        number,
+        crowd=crowd,
+        humans=6,
+        robots=1,
+        terminate_on_collision=False,
+        pair_probability=0.2,
     )
     state = world.state
     idle = np.zeros((number, 1, 3), np.float32)
@@ -161,7 +167,7 @@ def test_people_pass_the_door() -> None:
         place=Place(crossing_share=1.0),
         goal_change_probability=0.0,
         leave_probability=1.0,
-        collisions_end=False,
+        terminate_on_collision=False,
     )
     side = np.sign(world.state.human_position[..., 0])
     crossed = np.zeros(side.shape, bool)
@@ -192,7 +198,7 @@ def test_driving_into_a_wall_ends_the_episode() -> None:
 
 
 def test_counted_collisions_leave_the_robot_before_the_wall() -> None:
-    world = one_robot_before_a_wall(collisions_end=False)
+    world = one_robot_before_a_wall(terminate_on_collision=False)
     wall = float(world.state.walls[0, 0, 0])
     for _ in range(20):
         world.step(np.array([[[1.0, 0.0, 0.0]]], np.float32))
@@ -235,7 +241,7 @@ def test_progress_adds_up_to_what_the_route_has_become_shorter() -> None:
     np.testing.assert_allclose(total[driving], expected[driving], atol=1e-3)
 
 
-def test_walls_hide_people_and_robots() -> None:
+def test_walls_occlude_people_and_robots() -> None:
     world = worlds_of(Layout.rooms, 200, humans=6, robots=3)
     state, observation = world.state, world.observe()
     hidden = 0
@@ -250,7 +256,7 @@ def test_walls_hide_people_and_robots() -> None:
                 hidden += blocked
                 assert observation.humans_visible[e, i, j] == (near and not blocked)
     assert hidden > 100
-    assert world.observe(all_seeing=True).humans_visible.all()
+    assert world.observe(privileged=True).humans_visible.all()
 
 
 def test_the_lidar_measures_what_shapely_measures() -> None:
@@ -285,7 +291,7 @@ def test_lidar_noise_has_the_requested_size() -> None:
 def test_a_lidar_may_see_agents() -> None:
     fields = {"lidar_rays": 180, "lidar_noise": 0.0, "lidar_noise_share": 0.0, "lidar_dropout": 0.0}
     walls = worlds_of(Layout.doorway, 50, **fields).observe().sensors["lidar"]
-    everything = worlds_of(Layout.doorway, 50, **fields, lidar_sees="all")
+    everything = worlds_of(Layout.doorway, 50, **fields, lidar_targets="all")
     ranges = everything.observe().sensors["lidar"]
     assert (ranges <= walls).all()
     nearest = np.inf

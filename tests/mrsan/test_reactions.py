@@ -34,7 +34,7 @@ def one_robot(**fields: Any) -> World:
         "robots": 1,
         "humans": 1,
         "kinematics": Kinematics.holonomic,
-        "collisions_end": False,
+        "terminate_on_collision": False,
         "goal_change_probability": 0.0,
     }
     world = World(Scenario(**(settings | fields)))

@@ -122,7 +122,7 @@ def test_trajnet_lines_are_read(tmp_path: Path) -> None:
         ("0 1 2 3\n1e12 1 2 3\n", "line 2: the frame number is 1e+12"),
         ("0 1 2 3\n10 1 1e12 3\n", "line 2: a position is 1e+12"),
         ("0 1.5 2 3\n", "line 1: the id of a person is 1.5; it must be a whole number"),
-        ("-1e9 2 0 0\n1e-320 1 0 0\n0 1 1 1\n", "the median speed is 1414213562 m/s"),
+        ("-1e9 2 0 0\n1e-320 1 0 0\n0 1 1 1\n", "the median speed is 1.41e+09 m/s"),
         ("0 1 2 3\n0 1 2 4\n", "person 1 is in frame 0 twice, at (2, 3) in line 1 and at (2, 4)"),
         ('{"track": {"f": 1, "p": 1, "x": 0}}\n', "line 1: y is None; it must be a number"),
         ('{"trak": {}}\n', "line 1: '{\"trak\": {}}' is neither a scene nor a track"),
@@ -144,8 +144,8 @@ def test_what_is_no_recording_is_refused(tmp_path: Path) -> None:
         Scenario(recording="people.txt")
     with pytest.raises(ConfigurationError, match=r"scenario\.crowd is recorded.*crowd_reaction"):
         recorded(crowd_reaction="reciprocal")
-    with pytest.raises(ConfigurationError, match="robot_way_min is 13"):
-        World(recorded(written(tmp_path, TWO), robot_way_min=13.0))
+    with pytest.raises(ConfigurationError, match="route_length_min is 13"):
+        World(recorded(written(tmp_path, TWO), route_length_min=13.0))
 
 
 def test_people_in_the_world_walk_as_recorded() -> None:

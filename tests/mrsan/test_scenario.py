@@ -112,12 +112,12 @@ def test_contradictions_name_both_sides(fields: dict[str, Any], message: str) ->
 # Fields that contradict each other: where both are used, and where one of them is not.
 CONTRADICTIONS: list[tuple[dict[str, Any], list[dict[str, Any]], list[dict[str, Any]]]] = [
     (
-        {"robot_way_min": 20.0, "robot_way_max": 30.0},
+        {"route_length_min": 20.0, "route_length_max": 30.0},
         [{"layout": Layout.square}, {"layout": Layout.mixed}],
         [{}, {"crowd": Crowd.recorded}],
     ),
     (
-        {"robot_way_max": 3.0},
+        {"route_length_max": 3.0},
         [{"layout": Layout.square}, {"layout": Layout.mixed}, {"crowd": Crowd.recorded}],
         [{}],
     ),

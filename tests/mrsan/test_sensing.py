@@ -120,7 +120,7 @@ def test_noise_of_the_radius_is_of_people_and_drawn_anew_at_every_step() -> None
     assert np.abs(np.corrcoef(seen) - np.eye(4)).max() < FIVE_SIGMA / np.sqrt(both.sum())
     assert (first.robots[first.robots_visible][:, 4] == np.float32(0.3)).all()
     assert (world.state.human_radius == np.float32(0.3)).all()
-    assert (world.observe(all_seeing=True).humans[..., 4] == np.float32(0.3)).all()
+    assert (world.observe(privileged=True).humans[..., 4] == np.float32(0.3)).all()
 
 
 def test_noise_leaves_some_of_a_radius() -> None:

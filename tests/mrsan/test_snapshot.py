@@ -26,7 +26,7 @@ SOCIAL = replace(
     crowd_reaction=CrowdReaction.mixed,
     groups=Groups(share=0.7, standing_share=0.3),
 )
-COUNTED = replace(SCENARIO, humans=12, collisions_end=False, radius_noise=0.1)
+COUNTED = replace(SCENARIO, humans=12, terminate_on_collision=False, radius_noise=0.1)
 ACTIONS = np.random.default_rng(0).uniform(-1, 1, (STEPS, E, 2, 3)).astype(np.float32)
 SOME = np.arange(E) % 3 == 0
 

@@ -23,7 +23,7 @@ SCENARIOS = st.builds(
     crowd_reaction=st.just("mixed"),
     human_safety_space=st.sampled_from([0.0, 0.25]),
     goal_change_probability=st.just(0.0),
-    collisions_end=st.just(False),
+    terminate_on_collision=st.just(False),
     reactions=st.builds(
         Reactions,
         notice_distance=st.sampled_from([2.0, 4.0]),

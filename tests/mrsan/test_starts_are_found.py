@@ -25,7 +25,7 @@ def reset(scenario: Scenario, worlds: int = 1) -> World:
 @pytest.mark.parametrize("length", [0.1, 4.0, 10.0, 14.0])
 def test_routes_of_one_fixed_length_are_drawn(length: float) -> None:
     scenario = Scenario(
-        layout=Layout.square, humans=0, robots=2, robot_way_min=length, robot_way_max=length
+        layout=Layout.square, humans=0, robots=2, route_length_min=length, route_length_max=length
     )
     state = reset(scenario, 200).state
     way = np.linalg.norm(state.robot_goal - state.robot_position, axis=-1)
@@ -36,7 +36,7 @@ def test_routes_of_one_fixed_length_are_drawn(length: float) -> None:
 
 def test_routes_of_nearly_one_length_point_everywhere() -> None:
     fields = {"layout": Layout.square, "humans": 0, "robots": 1}
-    narrow = Scenario(**fields, robot_way_min=8.0, robot_way_max=8.0)
+    narrow = Scenario(**fields, route_length_min=8.0, route_length_max=8.0)
     state = reset(narrow, 4000).state
     start, goal = state.robot_position[:, 0], state.robot_goal[:, 0]
     assert np.abs([start, goal]).max() < 7.0 + 1e-5

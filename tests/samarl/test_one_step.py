@@ -57,10 +57,10 @@ def test_outcomes_of_a_single_robot_match_the_simulator(kinematics: Kinematics) 
     assert 1 <= outcomes.ended.sum() < len(commands)
 
 
-@pytest.mark.parametrize("collisions_end", [True, False])
+@pytest.mark.parametrize("terminate_on_collision", [True, False])
 @pytest.mark.parametrize("kinematics", Kinematics)
 def test_outcomes_match_the_simulator_if_others_keep_their_velocity(
-    kinematics: Kinematics, collisions_end: bool
+    kinematics: Kinematics, terminate_on_collision: bool
 ) -> None:
     """Contacts, discomfort, arrivals and next positions in random crowds."""
     scenario = Scenario(
@@ -68,7 +68,7 @@ def test_outcomes_match_the_simulator_if_others_keep_their_velocity(
         humans=4,
         kinematics=kinematics,
         crowd=Crowd.still,
-        collisions_end=collisions_end,
+        terminate_on_collision=terminate_on_collision,
         reward=Reward(goal_distance=7.0, time=-0.5),
     )
     e, rng = 200, np.random.default_rng(0)
@@ -110,7 +110,7 @@ def test_outcomes_match_the_simulator_if_others_keep_their_velocity(
     assert tracks.humans_known.all()
     assert tracks.robots_known.all()
     hit, arrived = state.collision[:, 0] != 0, state.arrived[:, 0]
-    assert (outcomes.ended[chosen, rows] == ((hit & collisions_end) | arrived)).all()
+    assert (outcomes.ended[chosen, rows] == ((hit & terminate_on_collision) | arrived)).all()
     paid = (step.reward - step.reward_parts.team)[:, 0]
     np.testing.assert_allclose(outcomes.reward[chosen, rows], paid, atol=2e-4)
     assert min(hit.sum(), arrived.sum(), (step.reward_parts.discomfort[:, 0] < 0).sum()) > 10

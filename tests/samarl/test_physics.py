@@ -110,7 +110,7 @@ def test_wheels_slip_on_a_slippery_floor(kinematics: str) -> None:
 def test_walls_stop_robots() -> None:
     """A robot that drives straight on for 20 s ends at a wall, which it never enters."""
     scenario = Scenario(
-        robots=1, humans=0, layout="rooms", collisions_end=False, turn_in_place=False
+        robots=1, humans=0, layout="rooms", terminate_on_collision=False, turn_in_place=False
     )
     world = PhysicsWorld(scenario, MujocoEngine())
     world.reset(3)
@@ -138,7 +138,7 @@ def test_rays_are_as_long_as_the_analytic_distances() -> None:
         lidar_noise=0.0,
         lidar_noise_share=0.0,
         lidar_dropout=0.0,
-        lidar_sees="all",
+        lidar_targets="all",
     )
     world = PhysicsWorld(scenario, MujocoEngine())
     for case in range(3):
@@ -151,7 +151,7 @@ def test_rays_are_as_long_as_the_analytic_distances() -> None:
 
 
 def test_a_case_starts_as_in_mrsan_and_its_people_walk_as_there() -> None:
-    scenario = Scenario(collisions_end=False, goal_change_probability=0.9)
+    scenario = Scenario(terminate_on_collision=False, goal_change_probability=0.9)
     world, expected = PhysicsWorld(scenario, MujocoEngine()), World(scenario)
     observation, beginning = world.reset(41), expected.reset([41])
     for name, array in beginning.arrays().items():
@@ -169,7 +169,7 @@ def test_a_case_starts_as_in_mrsan_and_its_people_walk_as_there() -> None:
 
 def test_people_push_robots_that_stand_in_their_way() -> None:
     """People are moved from outside: nothing stops them, and nobody overlaps in the end."""
-    scenario = Scenario(robots=1, humans=1, collisions_end=False, human_safety_space=0.0)
+    scenario = Scenario(robots=1, humans=1, terminate_on_collision=False, human_safety_space=0.0)
     world = PhysicsWorld(scenario, MujocoEngine(friction=0.1))
     world.reset(2)
     state = world.world.state
@@ -200,7 +200,7 @@ def test_odometry_drifts_with_the_distance_and_moves_only_what_follows_from_the_
 
 
 def test_a_robot_looks_for_its_goal_where_its_odometry_says() -> None:
-    scenario = Scenario(humans=3, collisions_end=False)
+    scenario = Scenario(humans=3, terminate_on_collision=False)
     world = PhysicsWorld(scenario, MujocoEngine(odometry_drift=0.1))
     world.reset(0)
     for _ in range(12):

@@ -40,14 +40,14 @@ import sys
 
 import numpy as np
 
-from mrsan import Layout, LidarSees, Reward, Scenario, World
+from mrsan import Layout, LidarTargets, Reward, Scenario, World
 from samarl.agents import build_agent
 from samarl.configuration import load_method_config
 from samarl.runtime import Detection, Driver, OwnState
 
 CASES = np.arange(12)
 circle = Scenario(fov_degrees=90.0, position_noise=0.05, reward=Reward(lookahead=1.0))
-doorway = Scenario(layout=Layout.doorway, humans=4, lidar_rays=90, lidar_sees=LidarSees.all)
+doorway = Scenario(layout=Layout.doorway, humans=4, lidar_rays=90, lidar_targets=LidarTargets.all)
 exported, *planners = sys.argv[1:]
 for name in planners:
     digest = hashlib.sha256()

@@ -102,7 +102,7 @@ def test_a_collision_ends_the_stream_of_the_robot_and_cuts_short_those_of_its_te
 
 def test_a_collision_that_does_not_end_the_episode_ends_no_stream() -> None:
     """The time limit does, as one of a state that has a value."""
-    scenario = crowded(collisions_end=False, time_limit=4.0)
+    scenario = crowded(terminate_on_collision=False, time_limit=4.0)
     steps = collector(policy(), 32, 40, scenario).collect().steps
     hit = steps["next", "agents", "macro", "reward"] <= -15.0
     terminated, done = steps["next", "agents", "terminated"], steps["next", "done"]

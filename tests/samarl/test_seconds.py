@@ -62,19 +62,19 @@ def test_every_duration_of_a_scenario_is_converted_once() -> None:
         team_delay=0.5,
         late_time=12.0,
         goal_change_interval=5.0,
-        recorded_start_clear=2.0,
-        recorded_slot_rest=6.0,
+        start_clear_time=2.0,
+        slot_reuse_delay=6.0,
     )
     p = kernel_parameters(scenario)
     assert (p.time_limit_steps, p.team_delay_steps, p.late_steps) == (300, 5, 120)
-    assert (p.goal_change_steps, p.recorded_start_clear_steps) == (50, 20)
-    assert p.recorded_slot_rest_steps == 60
+    assert (p.goal_change_steps, p.start_clear_time_steps) == (50, 20)
+    assert p.slot_reuse_delay_steps == 60
 
 
 @pytest.mark.parametrize("time_step", [0.1, 0.25])
 def test_a_slot_rests_for_so_long_before_another_person_has_it(time_step: float) -> None:
     scenario = Scenario(
-        robots=1, humans=2, crowd=Crowd.recorded, time_step=time_step, recorded_slot_rest=3.0
+        robots=1, humans=2, crowd=Crowd.recorded, time_step=time_step, slot_reuse_delay=3.0
     )
     world = World(scenario, 20)
     world.reset(np.arange(20))

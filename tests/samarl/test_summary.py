@@ -95,8 +95,8 @@ def four_episodes() -> Episodes:
         standing_share=np.array([[0.0, 0.1], [0.1, 0], [0, 0], [0.2, 0]]),
         jerk=np.full((4, 2), 2.0),
         heading_change=np.array([[1.0, 2], [9, 9], [9, 9], [3, 9]]),
-        soonest_collision=np.array([[2.0, 3], [0, 4], [6, 5], [12, np.inf]]),
-        ran_into_human=np.array([[False, False], [True, False], [False, False], [False, False]]),
+        min_time_to_collision=np.array([[2.0, 3], [0, 4], [6, 5], [12, np.inf]]),
+        robot_at_fault=np.array([[False, False], [True, False], [False, False], [False, False]]),
         steps=np.array([40, 8, 12, 200]),
         arrived=np.array([[True, True], [False, False], [False, False], [True, False]]),
         contacts=np.array([[0.0, 0], [1, 0], [0.5, 0.5], [0, 0]]),
@@ -119,7 +119,7 @@ def test_a_row_by_hand() -> None:
         "recording": None,
         "changes": "",
         "scenario": "samarl",
-        "collisions_end": True,
+        "terminate_on_collision": True,
         "episodes": 4,
         "success_rate": 25.0,
         "success_low": 4.56,
@@ -154,7 +154,7 @@ def test_a_row_by_hand() -> None:
         "close_share": 12.5,
         "personal_share": 25.0,
         "social_share": 25.0,
-        "soonest_collision": 4.0,  # the median of 0, 2, 3, 4, 5, 6 and 10
+        "min_time_to_collision": 4.0,  # the median of 0, 2, 3, 4, 5, 6 and 10
         "group_intrusion_rate": 25.0,
         "group_intrusion_share": 3.12,
         "jerk": 2.0,
@@ -265,7 +265,7 @@ def test_a_column_lists_all_changed_fields() -> None:
         "humans_min=2 occlusion=True position_noise=0.1 crowd=social_force"
     )
     recorded = Scenario(
-        crowd=Crowd.recorded, robot_way_max=9.0, frame_seconds=0.1, missed_detection=1
+        crowd=Crowd.recorded, route_length_max=9.0, frame_seconds=0.1, missed_detection=1
     )
     assert scenario_column(recorded).changes == "missed_detection=1"
     parts = Scenario(groups=Groups(share=0.5, size_max=2), reward=Reward(arrival=1.0))
@@ -421,7 +421,7 @@ def test_committed_rows_have_every_metric_of_the_printed_table() -> None:
     assert rows is not None
     added = Tables.driving, Tables.counted, Tables.walled, Tables.grouped
     later = {f for metric in METRICS.values() if metric.tables in added for f in metric.fields}
-    later |= {"scenario", "collisions_end"}
+    later |= {"scenario", "terminate_on_collision"}
     seed_fields = list(across_seeds(rows[:2]))
     optional = {*seed_fields, "from_training", "training_commit", "training_commands"}
     for one in rows:

@@ -32,7 +32,12 @@ def table2() -> list[dict]:
 def test_the_scenarios_are_those_of_msa3c(name: str) -> None:
     s = load_scenario(name)
     assert (s.humans, s.circle_radius) == SCENES[name]
-    assert (s.robots, s.time_step, s.time_limit_steps, s.collisions_end) == (3, 0.25, 150, False)
+    assert (s.robots, s.time_step, s.time_limit_steps, s.terminate_on_collision) == (
+        3,
+        0.25,
+        150,
+        False,
+    )
     assert (s.kinematics, s.robot_speed, s.sensing_range, s.fov_degrees) == (
         Kinematics.holonomic,
         1.0,
@@ -69,7 +74,7 @@ def test_msa3c_is_trained_in_10p3r() -> None:
 def test_samarl_is_trained_in_10p3r_too() -> None:
     """As its recipe has it: fewer people now and then, its own reward, collisions end episodes."""
     stages = yaml.safe_load((CONF / "curriculum/10p3r_samarl.yaml").read_text())["stages"]
-    own = {"collisions_end": True, "reward": Scenario().reward}
+    own = {"terminate_on_collision": True, "reward": Scenario().reward}
     for stage, least in zip(stages, (0, 5), strict=True):
         played = replace(scenario_of(stage["scenario"]), name="10p3r")
         assert played == replace(load_scenario("10p3r"), humans_min=least, **own)
@@ -183,5 +188,5 @@ def test_rows_have_these_metrics_only_if_collisions_do_not_end_the_episode(
     _, rows = played
     counted = {"CSR %", "CR %", "APL m", "NTC", "CIR %"}
     assert counted <= set(rows_as_cells(rows)[0])
-    usual = [{**row, "collisions_end": True} for row in rows]
+    usual = [{**row, "terminate_on_collision": True} for row in rows]
     assert not counted & set(rows_as_cells(usual)[0])

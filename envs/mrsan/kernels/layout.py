@@ -91,7 +91,7 @@ def draw_route_on_floor(start, goal, key, i, attempt, half_x, half_y, direct, p)
     goal[1] = rng.uniform_between(-half_y, half_y, key, rng.START, i, attempt, 3)
     dx, dy = goal[0] - start[0], goal[1] - start[1]
     squared = dx * dx + dy * dy
-    shortest, longest = p.robot_way_min, p.robot_way_max
+    shortest, longest = p.route_length_min, p.route_length_max
     return shortest * shortest <= squared and squared <= longest * longest
 
 
@@ -99,11 +99,11 @@ def draw_route_on_floor(start, goal, key, i, attempt, half_x, half_y, direct, p)
 def _draw_route_of_permitted_length(start, goal, key, i, attempt, half_x, half_y, p):
     """Draw the length of a route, then a direction in which it fits on the floor, then its start.
 
-    The floor's diagonal must be at least `robot_way_min` long.
+    The floor's diagonal must be at least `route_length_min` long.
     """
     diagonal = _TWO * math.sqrt(half_x * half_x + half_y * half_y)
-    longest = min(p.robot_way_max, diagonal)
-    length = rng.uniform_between(p.robot_way_min, longest, key, rng.START, i, attempt, 0)
+    longest = min(p.route_length_max, diagonal)
+    length = rng.uniform_between(p.route_length_min, longest, key, rng.START, i, attempt, 0)
     length = max(length, _TINY)
     flattest = math.acos(min(_TWO * half_x / length, _ONE))
     steepest = math.asin(min(_TWO * half_y / length, _ONE))

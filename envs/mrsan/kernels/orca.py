@@ -50,7 +50,7 @@ class Scratch(NamedTuple):
 
 
 @allocating
-def orca_room(most):
+def allocate_orca_scratch(most):
     """Return an array for up to `most` agents, and scratch arrays for `orca_velocity`."""
     room = (most + _LANES - 1) // _LANES * _LANES
     agents = np.zeros((5, room), np.float32).T
@@ -87,7 +87,7 @@ def orca_velocity(
     """Return the next velocity of agent `i` among the first `count` rows of `agents`.
 
     Args:
-        agents: [A, 5] positions, velocities and radii (m, m/s), from `orca_room`.
+        agents: [A, 5] positions, velocities and radii (m, m/s), from `allocate_orca_scratch`.
         count: number of rows of `agents` in use.
         i: the row of the agent that decides.
         preferred_x: preferred velocity, x (m/s).
@@ -97,7 +97,7 @@ def orca_velocity(
         max_neighbors: largest number of neighbours considered, nearest first.
         time_horizon: time for which the velocity must be free of collisions (s).
         time_step: length of a step (s).
-        scratch: from `orca_room`.
+        scratch: from `allocate_orca_scratch`.
         walls: number of lines that `obstacle_orca.wall_lines` has written into `scratch`.
     """
     distances, places, nearest = scratch.distances, scratch.places, scratch.nearest

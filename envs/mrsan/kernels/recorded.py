@@ -45,7 +45,7 @@ def draw_recorded_route(start, goal, key, i, attempt, begin, recording, p):
         first_place, last_place = _place(recording, q, first), _place(recording, q, last)
         dx, dy = last_place[0] - first_place[0], last_place[1] - first_place[1]
         stands = math.hypot(dx, dy) < _STANDS
-        for step in range(first, min(last, begin + p.recorded_start_clear_steps) + 1):
+        for step in range(first, min(last, begin + p.start_clear_time_steps) + 1):
             x, y = _place(recording, q, step)
             if math.hypot(x - start[0], y - start[1]) < gap:
                 return False
@@ -66,7 +66,7 @@ def follow(state, e, recording, p):
     for j in range(present.shape[0]):
         if present[j] and now >= recording.last[track[j]]:
             present[j], track[j] = False, NOT_ASSIGNED
-            entry[j] = step + p.recorded_slot_rest_steps  # robots forget the person meanwhile
+            entry[j] = step + p.slot_reuse_delay_steps  # robots forget the person meanwhile
         free += not present[j] and entry[j] <= step
     for j in range(present.shape[0]):
         if free == 0:

@@ -31,12 +31,12 @@ _FULL_CIRCLE = np.float32(-1.0)  # the cosine of half a field of view of 360 deg
 
 
 @function
-def nothing_hides(state, e, x, y, dx, dy):
+def always_in_sight(state, e, x, y, dx, dy):
     """Return whether no wall hides what is at (x + dx, y + dy) from (x, y): true without walls."""
     return True
 
 
-is_in_sight = nothing_hides  # `observe.variant` replaces it, see `mrsan.kernels.walled`
+is_in_sight = always_in_sight  # `observe.variant` replaces it, see `mrsan.kernels.walled`
 
 
 @kernel

@@ -42,7 +42,7 @@ def social_force_velocity(
         wall_strength: repulsion of walls at contact (m/s^2).
         wall_reach: distance over which it falls to 1/e (m).
         time_step: length of a step (s).
-        scratch: from `mrsan.kernels.orca.orca_room`, with the nearest points of walls.
+        scratch: from `mrsan.kernels.orca.allocate_orca_scratch`, with the nearest points of walls.
     """
     ax = (preferred_x - agents[i, 2]) / relaxation_time
     ay = (preferred_y - agents[i, 3]) / relaxation_time

@@ -12,7 +12,7 @@ from mrsan.kernels.contact import (
     time_to_collision,
 )
 from mrsan.kernels.kinematics import brake, next_velocity, wrap_angle
-from mrsan.kernels.orca import orca_room
+from mrsan.kernels.orca import allocate_orca_scratch
 from mrsan.kernels.people import enter_and_leave, orca_crowd, walk_to_goals
 from mrsan.kernels.tally import (
     CLOSE_STEPS,
@@ -81,7 +81,7 @@ def move_by_action(state, e, i, action, p, remaining, touches_wall):
         new_x, new_y = new_x * wall / distance, new_y * wall / distance
         new_vx = new_vy = _ZERO
     hits_wall = touches_wall(state, e, x, y, new_x - x, new_y - y, p)
-    if hits_wall and (arrived or not p.collisions_end):  # it stops there
+    if hits_wall and (arrived or not p.terminate_on_collision):  # it stops there
         new_x, new_y = x, y
         new_vx = new_vy = _ZERO
     remaining[0, i, 0], remaining[0, i, 1] = new_x - x, new_y - y
@@ -135,7 +135,7 @@ def advance(first, last, state, action, p, crowd_settings, recording, reward, pa
     """
     robots = reward.shape[1]
     people = state.human_radius.shape[1]
-    agents, scratch = orca_room(people + robots)
+    agents, scratch = allocate_orca_scratch(people + robots)
     slots = np.empty(people, np.int32)
     human_velocities = np.empty((people, 2), np.float32)
     # Displacement of each robot from K moments of the step, the first at its start, to its end.
@@ -343,7 +343,7 @@ def _finish_step(state, e, p, displacement, human_gap, contact, reward, parts, r
     all_arrived = True
     _tally_standstill(state.robot_velocity[e], arrived[e], state.tally[e], p)
     for i in range(displacement.shape[0]):
-        ends = contact[i] != 0 and p.collisions_end
+        ends = contact[i] != 0 and p.terminate_on_collision
         dx, dy = goal[e, i, 0] - position[e, i, 0], goal[e, i, 1] - position[e, i, 1]
         reached = not ends and math.sqrt(dx * dx + dy * dy) < p.robot_radius
         newly_arrived += not arrived[e, i] and reached
@@ -357,7 +357,7 @@ def _finish_step(state, e, p, displacement, human_gap, contact, reward, parts, r
         dx, dy = dx + displacement[i, 0], dy + displacement[i, 1]
         progress = math.sqrt(dx * dx + dy * dy) - distance
         progress = route_progress(state, e, i, progress, p)
-        reached = driving and not (hit and p.collisions_end) and distance < p.robot_radius
+        reached = driving and not (hit and p.terminate_on_collision) and distance < p.robot_radius
         terms = step_reward_parts(
             hit, reached, team_arrived, driving, human_gap[i], progress, distance, p
         )

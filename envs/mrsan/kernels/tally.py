@@ -14,7 +14,7 @@ TALLY = (
     "standing_steps",  # ending slower than 0.05 m/s
     "jerk_sum",  # sum of the norms, m/s^3
     "heading_change",  # sum of absolute turns, rad
-    "soonest_collision",  # smallest time to collision with a human after a step, s; inf: none
+    "min_time_to_collision",  # smallest time to collision with a human after a step, s; inf: none
     "ran_into",  # contacts in which the human did not approach faster than the robot
     "contacts",  # contacts begun; half for each of two moving robots
     "comfort_steps",  # ending within 0.25 m of the nearest human

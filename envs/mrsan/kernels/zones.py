@@ -53,9 +53,9 @@ def draw_robot_route_in_zones(state, e, i, key, attempt, p):
     if count == 1:
         dx, dy = goal[0] - start[0], goal[1] - start[1]
         squared = dx * dx + dy * dy
-        if squared < p.robot_way_min * p.robot_way_min:
+        if squared < p.route_length_min * p.route_length_min:
             return False
-        if squared > p.robot_way_max * p.robot_way_max:
+        if squared > p.route_length_max * p.route_length_max:
             return False
     if not (is_free(walls, place, start[0], start[1]) and is_free(walls, place, goal[0], goal[1])):
         return False

@@ -26,20 +26,20 @@ from mrsan.state import Bools, Floats, State
 class SensorSuite:
     """Observe the people and robots in view, and whatever `Scenario.sensors` adds."""
 
-    def __init__(self, scenario: Scenario, all_seeing: bool = False) -> None:
+    def __init__(self, scenario: Scenario, privileged: bool = False) -> None:
         """Create the sensors.
 
         Args:
             scenario: the task.
-            all_seeing: observe without limits or noise, for central critics.
+            privileged: observe without limits or noise, for central critics.
         """
-        self.scenario = _without_limits(scenario) if all_seeing else scenario
+        self.scenario = _without_limits(scenario) if privileged else scenario
         self._parameters = kernel_parameters(self.scenario)
         self._view = by_reference(SensorParameters.of(self._parameters))
-        walls_hide = self.scenario.has_walls and self.scenario.walls_hide
-        self._observe = observe_past_walls() if walls_hide else observe
+        walls_occlude = self.scenario.has_walls and self.scenario.walls_occlude
+        self._observe = observe_past_walls() if walls_occlude else observe
         self._sensors = (
-            wall_sensors(self.scenario, all_seeing)
+            wall_sensors(self.scenario, privileged)
             | team_sensors(self.scenario)
             | make_sensors(self.scenario)
         )
@@ -115,7 +115,7 @@ def _without_limits(scenario: Scenario) -> Scenario:
         fov_degrees=360.0,
         sensing_range=1000.0,
         occlusion=False,
-        walls_hide=False,
+        walls_occlude=False,
         position_noise=0.0,
         velocity_noise=0.0,
         radius_noise=0.0,

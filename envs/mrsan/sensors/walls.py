@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from mrsan.choices import LidarSees
+from mrsan.choices import LidarTargets
 from mrsan.kernels.lidar import observe_route, observe_walls, scan
 from mrsan.kernels.structs import by_reference
 from mrsan.se2 import unit_vectors
@@ -72,7 +72,7 @@ class Lidar(ValueSensor):
             noise=np.float32(disturbed * s.lidar_noise),
             noise_share=np.float32(disturbed * s.lidar_noise_share),
             dropout=np.float32(disturbed * s.lidar_dropout),
-            sees_agents=s.lidar_sees is LidarSees.all,
+            sees_agents=s.lidar_targets is LidarTargets.all,
             robot_radius=np.float32(s.robot_radius),
         )
         self._parameters = by_reference(parameters)
@@ -95,7 +95,7 @@ def ray_angles(rays: int, fov_degrees: float) -> Floats:
     return np.linspace(-half, half, rays, endpoint=not full and rays > 1, dtype=np.float32)
 
 
-def wall_sensors(scenario: Scenario, all_seeing: bool) -> dict[str, EntitySensor | ValueSensor]:
+def wall_sensors(scenario: Scenario, privileged: bool) -> dict[str, EntitySensor | ValueSensor]:
     """Return the sensors that a scenario has by its own fields, by name."""
     sensors: dict[str, EntitySensor | ValueSensor] = {}
     if scenario.walls_observed:
@@ -103,5 +103,5 @@ def wall_sensors(scenario: Scenario, all_seeing: bool) -> dict[str, EntitySensor
     if scenario.walls_observed or scenario.has_walls:
         sensors["route"] = Route(scenario)
     if scenario.lidar_rays:
-        sensors["lidar"] = Lidar(scenario, ideal=all_seeing)
+        sensors["lidar"] = Lidar(scenario, ideal=privileged)
     return sensors

@@ -12,7 +12,7 @@ from mrsan import Observation
 from mrsan.fields import required
 from mrsan.kernels import kernel
 from mrsan.kernels.obstacle_orca import near_walls
-from mrsan.kernels.orca import orca_room
+from mrsan.kernels.orca import allocate_orca_scratch
 from mrsan.kernels.social_force import social_force_velocity
 from mrsan.kernels.walls import WALL_ROWS
 from mrsan.parameters import kernel_parameters
@@ -83,7 +83,7 @@ def _social_force(
     action,
 ):
     no_margin = np.float32(0.0)
-    rows, scratch = orca_room(1 + humans.shape[2] + robots.shape[2])
+    rows, scratch = allocate_orca_scratch(1 + humans.shape[2] + robots.shape[2])
     walls = np.empty((WALL_ROWS, segments.shape[2] + 1), np.float32)
     for e in range(first, last):
         for i in range(ego.shape[1]):
