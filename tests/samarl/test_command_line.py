@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import json
 import shlex
 import shutil
@@ -52,14 +53,13 @@ def value_of(word: str) -> Any:
     return OverridesParser.create().parse_override(word).value()
 
 
-@pytest.mark.parametrize("field", ["scenario.recording", "hydra.run.dir"])
-@pytest.mark.parametrize("text", ODD)
-def test_a_path_is_everything_after_the_equals_sign(field: str, text: str) -> None:
-    (word,) = CommandLine.parse([f"{field}={text}"]).quoted().words()
-    assert value_of(word) == text
-    sweep = CommandLine.parse(["-m", f"{field}={text}" if "," not in text else f'{field}="{text}"'])
-    (cell,) = sweep.quoted().cells(None)  # type: ignore[arg-type]
-    assert value_of(cell[0]) == text.strip()
+def test_a_path_is_everything_after_the_equals_sign() -> None:
+    for field, text in itertools.product(("scenario.recording", "hydra.run.dir"), ODD):
+        (word,) = CommandLine.parse([f"{field}={text}"]).quoted().words()
+        assert value_of(word) == text
+        quoted = f"{field}={text}" if "," not in text else f'{field}="{text}"'
+        (cell,) = CommandLine.parse(["-m", quoted]).quoted().cells(None)  # type: ignore[arg-type]
+        assert value_of(cell[0]) == text.strip()
 
 
 @given(st.text(min_size=1).filter(lambda text: text == text.strip() and text.isprintable()))

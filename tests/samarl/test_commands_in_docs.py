@@ -1,5 +1,6 @@
 """Every command line in the documentation can be composed."""
 
+import gc
 import re
 import shlex
 import shutil
@@ -74,6 +75,7 @@ def test_every_command_line_is_valid(my_conf: Path, monkeypatch: pytest.MonkeyPa
     monkeypatch.setenv("RECORDINGS", "recordings")
     lines, invalid = set(command_lines()), []
     assert len(lines) > 80
+    gc.disable()  # composing leaves many small objects; collecting them takes half of the time
     for page, line in sorted(lines):
         program, *words = shlex.split(line)
         name = program.removeprefix("samarl-").replace("evaluate", "config")
@@ -81,4 +83,5 @@ def test_every_command_line_is_valid(my_conf: Path, monkeypatch: pytest.MonkeyPa
             assert list(compose_cells(name, CommandLine.parse(words).quoted()))
         except Exception as error:
             invalid.append(f"{page}: {line}: {error}")
+    gc.enable()
     assert invalid == []

@@ -196,6 +196,7 @@ def test_links_have_targets() -> None:
             assert not anchor or anchor in anchors(path), f"{page.name}: {target}#{anchor}"
 
 
+@pytest.mark.slow
 def test_the_environment_is_made_as_printed() -> None:
     """The quick starts of the four libraries run, on the page and in the README."""
     page = (DOCS / "quickstart.md").read_text().split("## Make the environment\n")[1]

@@ -96,9 +96,10 @@ def test_a_wrong_mark_leaves_every_page_unchanged(tmp_path: Path, text: str) -> 
     assert (tmp_path / "docs/page.md").read_text() == text
 
 
-@pytest.mark.parametrize("page", pages(ROOT), ids=lambda page: page.name)
-def test_the_committed_pages_show_the_committed_results(page: Path) -> None:
-    assert fill(page.read_text(encoding="utf-8")) == page.read_text(encoding="utf-8")
+def test_the_committed_pages_show_the_committed_results() -> None:
+    for page in pages(ROOT):
+        text = page.read_text(encoding="utf-8")
+        assert fill(text) == text, page.name
 
 
 def test_only_one_level_has_empty_cells_in_the_headline_table() -> None:
