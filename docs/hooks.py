@@ -79,6 +79,8 @@ def on_post_template(output: str, template_name: str, **_: Any) -> str:
     """Let the page of missing pages find its style and links, wherever the site lies."""
     if template_name != "404.html":
         return output
+    hint = '<p>This page does not exist: see the <a href="index.html">home page</a>, or search.</p>'
+    output = output.replace("</h1>", f"</h1>{hint}", 1)
     return re.sub(r'(?<=[=( ])"/(\w*)', lambda address: f'"{address[1] or "."}', output)
 
 
