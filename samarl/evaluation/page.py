@@ -45,7 +45,12 @@ def page(
 {_unsolved_cases(rows)}{_improvement(name, improvement)}
 ## All rows
 
+<details markdown="1">
+<summary>{len(rows)} rows with all metrics</summary>
+
 {rows_as_markdown(rows)}
+
+</details>
 
 Created by `samarl-bench table={name}` at commit {commits} on {machine()}. Each row of
 `{name}.json` holds the command that reproduces it.{
