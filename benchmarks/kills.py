@@ -68,12 +68,12 @@ class DataLossError(Exception):
 
 
 class Training:
-    """A training and the state that it has saved."""
+    """A training run and the state that it has saved."""
 
     command = TRAINING
 
     def __init__(self, folder: Path) -> None:
-        """Prepare a training in an empty folder."""
+        """Prepare a training run in an empty folder."""
         self.folder, self.saved_steps = folder, 0
 
     @property
@@ -284,7 +284,7 @@ def main() -> None:
 def _parse() -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks.kills",
-        description="Kill a training and a sweep at random moments; fail if data is lost.",
+        description="Kill a training run and a sweep at random moments; fail if data is lost.",
     )
     for name in ("training", "sweep"):
         parser.add_argument(

@@ -85,7 +85,7 @@ class Learner:
     """Trains the network; its state is saved to a file, from which training can be resumed."""
 
     def __init__(self, training: Training, crowds: Mapping[str, Scenario], state: Path) -> None:
-        """Start a training, or resume it from the file `state`.
+        """Start a training run, or resume it from the file `state`.
 
         Raises:
             ConfigurationError: the crowds have different time steps, or the file belongs to another

@@ -1,4 +1,4 @@
-"""Curricula: the scenarios of a training, and during which part of it each is used."""
+"""Curricula: the scenarios of a training run, and during which part of it each is used."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How far a training is, and its learning curve."""
+"""How far a training run is, and its learning curve."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ SUCCESS_EPISODES = 2000  # last training episodes over which the success rate is
 
 
 class Progress:
-    """Steps, time, success rates and learning curve of a training, equal in all processes."""
+    """Steps, time, success rates and learning curve of a training run, equal in all processes."""
 
     def __init__(self) -> None:
         """Start at zero."""

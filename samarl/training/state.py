@@ -1,4 +1,4 @@
-"""The state of a training as named tensors, which safetensors stores without pickle."""
+"""The state of a training run as named tensors, which safetensors stores without pickle."""
 
 from __future__ import annotations
 
