@@ -1,4 +1,4 @@
-"""Run a training run to its end, in one or several processes.
+"""Training to the end of a run, in one or several processes.
 
 `python -m samarl.training.run FILE` is one of the other processes; FILE holds its settings.
 """
