@@ -224,7 +224,7 @@ def load_recurrent(path: Path, time_step: float, field: str = "predictor") -> Re
         ) from None
     if version != FORMAT:
         raise ConfigurationError(
-            f"{field}: {card_path} has format {version!r}; it must be {FORMAT}"
+            f"{field}: {card_path} has format {version!r:.60}; it must be {FORMAT}"
         )
     if hashlib.sha256(content).hexdigest() != digest:
         raise ConfigurationError(

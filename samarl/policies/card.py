@@ -87,9 +87,9 @@ def read_card(weights: Path) -> PolicyCard:
         version = content.pop("format")
         card = PolicyCard(**content)
     except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise ConfigurationError(f"{path} is not the card of a policy ({error})") from error
+        raise ConfigurationError(f"{path} is not the card of a policy ({error!s:.300})") from error
     if version != FORMAT:
-        raise ConfigurationError(f"{path} has format {version!r}; it must be {FORMAT}")
+        raise ConfigurationError(f"{path} has format {version!r:.60}; it must be {FORMAT}")
     for name, type_ in _CARD_TYPES.items():
         if not isinstance(getattr(card, name), type_):
             raise ConfigurationError(
