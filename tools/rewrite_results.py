@@ -39,6 +39,7 @@ def measure_tables(scripts: Path, recordings: str | None) -> None:
     run([bench, "table=ablations", "output=results"])
     run([bench, "table=robustness", "output=results"])
     run([bench, "table=places", "output=results"])
+    run([bench, "table=right_of_way", "output=results"])
     run([bench, "table=transfer", "output=results", *(setting or ["merge=true"])])
     run([predictor, "predictor=recurrent", "output=results", *setting])
 

@@ -69,6 +69,10 @@ def find_passages(walls: Floats, place: Floats, widest: float) -> Passages:
         place: [9], as in `State.place`.
         widest: the width from which a passage counts as open floor, m.
     """
+    if not place[WALLS]:
+        return Passages(
+            np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros(0, int), np.zeros(0)
+        )
     columns = np.ascontiguousarray(walls[:, : int(place[WALLS])])
     return _find(columns.tobytes(), columns.shape[1], int(place[WINDING]), place[CLEARANCE], widest)
 

@@ -27,6 +27,8 @@ _LABELS = {
     "msa3cpred_f5": "MSA3CPred, 5 m",
     "orca": "ORCA",
     "perimeter": "Around the crowd",
+    "right_of_way": "Right of way",
+    "right_of_way central=true": "Right of way, central (privileged)",
     "samarl": "SAMARL",
     "samarl checkpoint=ablation_cross_modal": "SAMARL-Transformer without cross-modal attention",
     "samarl checkpoint=ablation_graph": "SAMARL-Transformer without graph convolution",

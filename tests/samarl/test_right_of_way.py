@@ -1,0 +1,67 @@
+"""The planner that knows who goes first through doors and corridors."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mrsan import CrowdReaction, Layout, Place, Scenario, Split, World
+from mrsan.passages import find_passages
+from samarl import load_agent
+from samarl.agents.agent import act_and_tell
+
+NARROW = Scenario(
+    layout=Layout.doorway,
+    robots=4,
+    humans=4,
+    crowd_reaction=CrowdReaction.reciprocal,
+    place=Place(door_width_min=1.0, door_width_max=1.3),
+    team_messages=True,
+)
+CASES = 16
+
+
+@pytest.mark.parametrize("central", [False, True])
+def test_robots_pass_a_door_in_one_direction_at_a_time(central: bool) -> None:
+    """Four robots, from both sides: all arrive, and no two meet in the door."""
+    agent = load_agent("right_of_way", NARROW, central=central)
+    world = World(NARROW, CASES)
+    observation = world.reset(Split.validation.case(0) + np.arange(CASES))
+    agent.reset(np.ones(CASES, np.bool_))
+    state = world.state
+    passages = [find_passages(state.walls[e], state.place[e], 1.6) for e in range(CASES)]
+    to_the_right = np.sign(state.robot_goal[..., 0])
+    assert (to_the_right[:, 0] * to_the_right[:, 1] < 0).any()
+    while not state.done.all():
+        for e in range(CASES):
+            deep = abs(state.robot_position[e, :, 0]) < passages[e].length[0] / 2
+            assert len(set(to_the_right[e, deep & ~state.arrived[e]])) <= 1
+        observation = world.step(act_and_tell(agent, observation, world)).observation
+    assert state.arrived.all(1).sum() >= CASES - 1
+
+
+def test_robots_wait_beside_a_door_and_tell_so() -> None:
+    """Whoever waits stands off the funnel; messages hold the mode and the mouth."""
+    agent = load_agent("right_of_way", NARROW)
+    world = World(NARROW, CASES)
+    observation = world.reset(Split.validation.case(0) + np.arange(CASES))
+    agent.reset(np.ones(CASES, np.bool_))
+    waited = 0
+    for _ in range(60):
+        observation = world.step(act_and_tell(agent, observation, world)).observation
+        told = world.state.macro_action
+        waits = (told % 4 == 1) & ~world.state.arrived & ~world.state.done[:, None]
+        stands = np.linalg.norm(world.state.robot_velocity, axis=-1) < 0.05
+        for e, i in np.argwhere(waits & stands):
+            passages = find_passages(world.state.walls[e], world.state.place[e], 1.6)
+            mouth = told[e, i] // 4 - 1
+            ahead, aside = passages.relative(mouth, world.state.robot_position[e, i])
+            assert ahead > 0.0
+            waited += aside > 0.8
+    assert waited > 50
+
+
+def test_without_messages_it_says_so() -> None:
+    silent = replace(NARROW, team_messages=False)
+    assert "team_messages" in str(load_agent("right_of_way", silent).scope_warning())
+    assert load_agent("right_of_way", silent, central=True).scope_warning() is None
