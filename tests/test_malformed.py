@@ -293,8 +293,8 @@ def exported_policies() -> Readers:
 def training_runs() -> Readers:
     register_schemas(train_schema=train.train_schema())
     with hydra_tree():
-        values = train.settings_in(composed("train", [*TRAINING, "run_dir=."]))
-    trainer = build_trainer(values, "test")
+        values = train.settings_in(composed("train", TRAINING))
+    trainer = build_trainer(dataclasses.replace(values, folder=Path()), "test")
     trainer.save()
     numbers = Training(4, 2, 1, 1, 1, 3, 1, 0.1, 1.0, 0.0, 0)
     learner = Learner(numbers, {"orca": Scenario()}, Path("learner.safetensors"))

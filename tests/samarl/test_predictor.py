@@ -278,7 +278,7 @@ def test_the_command_trains_evaluates_and_reports_errors(
         command.main()
         return capsys.readouterr().out
 
-    assert "| street" in said("recordings=recordings", "+frame_seconds.street=0.25")
+    assert "| street" in said("recordings=recordings", "frame_seconds.street=0.25")
     provenance = json.loads((tmp_path / "mine/recurrent.json").read_text())["provenance"]
     assert set(provenance["errors"]) == {"orca", "social_force", "mixed", "street"}
     assert provenance["errors"]["street"]["constant_velocity"] == pytest.approx([0.0] * 5, abs=1e-4)
@@ -287,7 +287,7 @@ def test_the_command_trains_evaluates_and_reports_errors(
     assert result["errors"] == provenance["errors"]
     said(
         "recordings=recordings",
-        "+frame_seconds.street=0.25",
+        "frame_seconds.street=0.25",
         "predictor=mine/recurrent.safetensors",
         "output=again",
     )

@@ -163,6 +163,8 @@ def test_imitation_of_the_teacher_fades_out() -> None:
 
 
 def test_an_unknown_teacher_is_refused() -> None:
-    with pytest.raises(ConfigurationError, match=r"algorithm\.teacher: there is no agent 'orka'"):
+    with pytest.raises(
+        ConfigurationError, match=r"algorithm\.teacher: agent is 'orka', which does not exist"
+    ):
         build_teacher("orka", Scenario())
     assert build_teacher(None, Scenario()) is None
