@@ -32,7 +32,7 @@ class Predictor:
 
     predictor: str | None = None
     training: Any = MISSING
-    crowds: dict[str, Any] = field(default_factory=dict)
+    crowds: dict[str, Any] = open_mapping()
     validation_cases: int = number(MISSING, 1, 10**6, help="validation cases per crowd")
     shown_steps: int = number(MISSING, 1, 200, help="steps ahead for which errors are shown")
     recordings: str | None = None

@@ -303,7 +303,7 @@ def test_the_command_trains_evaluates_and_reports_errors(
         (["training.hidden=0"], "training.hidden is 0; it must be a whole number in [1, 1024]"),
         (["recordings=nowhere"], "recordings is 'nowhere'; it must be a folder with *.txt files"),
         (["predictor=nobody"], "predictor is 'nobody'; it must be a .safetensors file or one of"),
-        (["+crowds.orca.walls=3"], "error: crowds: walls is not known; "),
+        (["crowds.orca.walls=3"], "error: crowds: walls is not known; "),
     ):
         with pytest.raises(SystemExit) as stopped:
             said(*words)
