@@ -15,6 +15,7 @@ RESULTS = (
     "table2",
     "transfer",
     "places",
+    "right_of_way",
     "robustness",
     "physics",
     "ablations",

@@ -157,6 +157,17 @@ def places() -> str:
 
 
 @table
+def right_of_way() -> str:
+    """Return success and social score of robots that tell each other who goes first."""
+    methods = ("right_of_way", "right_of_way central=true")
+
+    def heading(row: Row) -> str:
+        return f"{'narrow ' if row['robots'] == 4 else ''}{row['layout']}"
+
+    return _grid(result_rows("right_of_way"), heading, methods)
+
+
+@table
 def ablations() -> str:
     """Return success and social score of the ablations."""
     rows = result_rows("ablations")
