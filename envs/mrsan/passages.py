@@ -34,7 +34,7 @@ _SAMPLE = 0.1  # m, between the points at which a way is examined
 _FUNNEL_LENGTH, _FUNNEL = 2.5, 1.3  # m: before a mouth, and how far from it robots queue
 _FARTHEST = 5.0  # m, of a queue place from its mouth
 _SPACING = 0.4  # m, between queue places
-_BLOCKED_LENGTH, _BLOCKED_MARGIN = 1.5, 0.65  # m, before and beside a mouth
+BLOCKED_LENGTH, BLOCKED_MARGIN = 1.5, 0.65  # m, before and beside a mouth
 
 
 class Passages(NamedTuple):
@@ -45,12 +45,13 @@ class Passages(NamedTuple):
     width: NDArray[np.float64]  # [K] m
     passage: Ints  # [K] number of the passage
     length: NDArray[np.float64]  # [P] of the longest way between two mouths of a passage, m
+    places: list[Points]  # [K] of [Q, 2] where robots can wait beside a mouth, nearest first, m
 
     def is_blocked(self, mouth: int, points: Points) -> NDArray[np.bool_]:
         """Return at which points [..., 2] a parked robot would block a mouth."""
         ahead, aside = self.relative(mouth, points)
-        beside = self.width[mouth] / 2 + _BLOCKED_MARGIN
-        return (ahead >= -0.1) & (ahead < _BLOCKED_LENGTH) & (aside < beside)
+        beside = self.width[mouth] / 2 + BLOCKED_MARGIN
+        return (ahead >= -0.1) & (ahead < BLOCKED_LENGTH) & (aside < beside)
 
     def relative(
         self, mouth: int, points: Points
@@ -70,11 +71,10 @@ def find_passages(walls: Floats, place: Floats, widest: float) -> Passages:
         widest: the width from which a passage counts as open floor, m.
     """
     if not place[WALLS]:
-        return Passages(
-            np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros(0, int), np.zeros(0)
-        )
+        return _passages([], [], [], [], [], [])
     columns = np.ascontiguousarray(walls[:, : int(place[WALLS])])
-    return _find(columns.tobytes(), columns.shape[1], int(place[WINDING]), place[CLEARANCE], widest)
+    winding, clearance = int(place[WINDING]), float(place[CLEARANCE])
+    return _find(columns.tobytes(), columns.shape[1], winding, clearance, widest)
 
 
 @lru_cache(maxsize=4096)
@@ -99,12 +99,26 @@ def _find(content: bytes, count: int, winding: int, clearance: float, widest: fl
                     width.append(float(np.linalg.norm(along)))
                     passage.append(len(length))
         length.append(float(links[np.ix_(members, members)].max()))
+    ends = zip(mouth, outward, strict=True)
+    places = [_queue_places(walls, clearance, *end) for end in ends]
+    return _passages(mouth, outward, width, passage, length, places)
+
+
+def _passages(
+    mouth: list[Points],
+    outward: list[Points],
+    width: list[float],
+    passage: list[int],
+    length: list[float],
+    places: list[Points],
+) -> Passages:
     return Passages(
         np.array(mouth).reshape(-1, 2),
         np.array(outward).reshape(-1, 2),
-        np.array(width),
+        np.array(width, float),
         np.array(passage, int),
-        np.array(length),
+        np.array(length, float),
+        places,
     )
 
 
@@ -144,18 +158,15 @@ def _links(walls: Points, middle: Points, widest: float) -> NDArray[np.float64]:
     return links
 
 
-def queue_places(walls: Floats, place: Floats, passages: Passages, mouth: int) -> Points:
+def _queue_places(walls: Points, clearance: float, mouth: Points, outward: Points) -> Points:
     """Return where robots can wait beside a mouth [Q, 2], nearest first; maybe nowhere.
 
     The places have clearance and a straight way to the mouth, and are off the funnel before it.
     """
-    solid = walls[:, : int(place[WALLS])].astype(float)
-    from_mouth = np.linalg.norm(
-        _nearest_points(solid, passages.mouth[mouth]) - passages.mouth[mouth], axis=-1
-    )
-    solid = solid[:, from_mouth < _FARTHEST + 1.0]
-    clearance = float(place[CLEARANCE]) - _ROUNDING
-    x, y = passages.outward[mouth]
+    from_mouth = np.linalg.norm(_nearest_points(walls, mouth) - mouth, axis=-1)
+    solid = walls[:, from_mouth < _FARTHEST + 1.0]
+    clearance -= _ROUNDING
+    x, y = outward
     steps = np.arange(-_FARTHEST, _FARTHEST + 1e-6, _SPACING)
     ahead, aside = np.meshgrid(steps[steps > 0.0], steps, indexing="ij")
     outside = np.stack([ahead * x - aside * y, ahead * y + aside * x], -1).reshape(-1, 2)
@@ -164,9 +175,9 @@ def queue_places(walls: Floats, place: Floats, passages: Passages, mouth: int) -
     distance = np.linalg.norm(outside, axis=-1)
     outside = outside[off_funnel & (distance <= _FARTHEST)]
     outside = outside[np.argsort(np.linalg.norm(outside, axis=-1), kind="stable")]
-    points = passages.mouth[mouth] + outside
+    points = mouth + outside
     points = points[wall_distance(solid, points) >= clearance]
-    entry = passages.mouth[mouth] + 2.0 * clearance * passages.outward[mouth]
+    entry = mouth + 2.0 * clearance * outward
     shares = np.linspace(0.0, 1.0, int(_FARTHEST / _SPACING))[:, None]
     ways = entry + shares * (points[:, None] - entry)
     return points[(wall_distance(solid, ways) >= 0.75 * clearance).all(-1)]

@@ -151,11 +151,11 @@ def plan(
         others: what it expects of others, `Others`.
         weights: `Weights`.
         p: the scenario's parameters.
-        scratch: [A] and [STEPS + 1, 2], room to work in.
+        scratch: twice [A], and [STEPS + 1, 2], room to work in.
         action: [A], written.
         best_way: [STEPS + 1, 2], written.
     """
-    trial, way = scratch
+    trial, first, way = scratch
     x0, y0 = pose[0], pose[1]
     k0 = _following_point(path, count, 0, x0, y0)
     bearing = math.atan2(path[k0, 1] - y0, path[k0, 0] - x0)
@@ -176,6 +176,8 @@ def plan(
             track_rotated_velocity(vx, vy, heading, wish_x, wish_y, trial, p, angle)
             new_x, new_y, new_vx, new_vy, new_heading = step_robot(x, y, vx, vy, heading, trial, p)
             if t == 0:
+                for a in range(first.shape[0]):
+                    first[a] = trial[a]
                 stop_x = new_x + 0.5 * new_vx * p.time_step
                 stop_y = new_y + 0.5 * new_vy * p.time_step
                 possible = _is_possible(
@@ -205,23 +207,12 @@ def plan(
         cheapest = cost
         for t in range(STEPS + 1):
             best_way[t, 0], best_way[t, 1] = way[t, 0], way[t, 1]
-        _first_action(index, k0, pose, bearing, path, count, tolerance, stands, p, action)
+        for a in range(first.shape[0]):
+            action[a] = first[a]
     if cheapest == np.inf:
         track_rotated_velocity(pose[2], pose[3], pose[4], 0.0, 0.0, action, p, _ON_ARC)
         for t in range(STEPS + 1):
             best_way[t, 0], best_way[t, 1] = others.stops[i, 0], others.stops[i, 1]
-
-
-@function
-def _first_action(index, k, pose, bearing, path, count, tolerance, stands, p, action):
-    """Write the action of a candidate in the first step."""
-    to_x, to_y = path[k, 0] - pose[0], path[k, 1] - pose[1]
-    wish_x, wish_y, angle = _candidate(index, bearing, to_x, to_y, p)
-    if k == count - 1 and math.hypot(to_x, to_y) < tolerance:
-        wish_x = wish_y = 0.0
-    if index == _CANDIDATES - 1 and stands:
-        wish_x, wish_y, angle = 1e-3 * to_x, 1e-3 * to_y, _ZERO
-    track_rotated_velocity(pose[2], pose[3], pose[4], wish_x, wish_y, action, p, angle)
 
 
 @function

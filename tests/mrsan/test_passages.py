@@ -8,7 +8,7 @@ import shapely
 
 from mrsan import Layout, Place, Scenario, World
 from mrsan.kernels.walls import WALLS
-from mrsan.passages import find_passages, queue_places
+from mrsan.passages import find_passages
 from mrsan.state import State
 from tests.mrsan.test_places import floor_of, lines_of, worlds_of
 
@@ -74,7 +74,7 @@ def test_queue_places_are_beside_the_mouth() -> None:
     for e in range(5):
         passages, lines = passages_of(state, e), lines_of(state, e)
         for k, mouth in enumerate(passages.mouth):
-            places = queue_places(state.walls[e], state.place[e], passages, k)
+            places = passages.places[k]
             assert len(places) >= 4
             before = shapely.LineString([mouth, mouth + 2.0 * passages.outward[k]])
             for place in shapely.points(places):

@@ -13,13 +13,12 @@ from mrsan.kernels.routes import CORNER_ROWS
 from mrsan.kernels.walls import PLACE_COLUMNS, WALL_ROWS
 from mrsan.observation import KnownMap
 from mrsan.parameters import kernel_parameters
-from mrsan.passages import Passages, find_passages, queue_places
+from mrsan.passages import Passages, find_passages
 from mrsan.sensors.team import MESSAGE_FEATURES
 from samarl.agents.agent import Agent
-from samarl.planning.right_of_way import Memory, Mouths, Settings, act
+from samarl.planning.passage_driving import act
+from samarl.planning.right_of_way import Memory, Mouths, Settings
 from samarl.registry import needed
-
-_Found = tuple[Passages, list[NDArray[np.float64]]]  # the passages and the queue places of a world
 
 
 @dataclass
@@ -53,7 +52,7 @@ class RightOfWay(Agent):
             ConfigurationError: a number is out of range.
         """
         super().__post_init__()
-        self._passages: list[_Found | None] = []  # of each world
+        self._passages: list[Passages | None] = []  # of each world
         self._is_init = np.zeros(0, np.bool_)
 
     def scope_warning(self) -> str | None:
@@ -110,21 +109,19 @@ class RightOfWay(Agent):
 
     def macro_actions(self) -> NDArray[np.int32]:
         """Return what robots tell: what they do, and at which mouth they enter their passage."""
-        told: NDArray[np.int32] = self._memory.told
-        return told
+        numbers: NDArray[np.int32] = self._memory.macro_action
+        return numbers
 
     def _begin(self, known_map: KnownMap) -> None:
         """Find the passages of the worlds in which an episode begins."""
         for e in np.flatnonzero(self._is_init):
             walls, place = known_map.walls[e], known_map.place[e]
-            passages = find_passages(walls, place, self.widest)
-            places = [queue_places(walls, place, passages, k) for k in range(len(passages.mouth))]
-            self._passages[e] = passages, places
+            self._passages[e] = find_passages(walls, place, self.widest)
             memory = self._memory
             memory.is_new[e], memory.queued[e], memory.stuck[e] = True, -1, 0
-            memory.known[e], memory.told[e] = False, 0
+            memory.known[e], memory.macro_action[e] = False, 0
         self._is_init[:] = False
-        self._mouths = _mouths_of([found for found in self._passages if found is not None])
+        self._mouths = _mouths_of([passages for passages in self._passages if passages is not None])
 
 
 def _empty_memory(e: int, n: int) -> Memory:
@@ -140,24 +137,22 @@ def _empty_memory(e: int, n: int) -> Memory:
         queued=integers - 1,
         place=np.zeros((e, n, 2)),
         stuck=integers.copy(),
-        told=np.zeros((e, n), np.int32),
+        macro_action=np.zeros((e, n), np.int32),
         known=np.zeros((e, n, n), np.bool_),
         belief=np.zeros((e, n, n, len(MESSAGE_FEATURES))),
     )
 
 
-def _mouths_of(worlds: list[_Found]) -> Mouths:
+def _mouths_of(worlds: list[Passages]) -> Mouths:
     """Return the mouths of all worlds."""
-    number = [len(passages.mouth) for passages, _ in worlds]
-    places = [points for _, of_mouths in worlds for points in of_mouths]
-    every = [passages for passages, _ in worlds]
+    places = [points for passages in worlds for points in passages.places]
     return Mouths(
-        first=np.cumsum([0, *number]),
-        position=np.concatenate([passages.mouth for passages in every]),
-        outward=np.concatenate([passages.outward for passages in every]),
-        width=np.concatenate([passages.width for passages in every]),
-        passage=np.concatenate([passages.passage for passages in every]),
-        length=np.concatenate([passages.length[passages.passage] for passages in every]),
+        first=np.cumsum([0, *(len(passages.mouth) for passages in worlds)]),
+        position=np.concatenate([passages.mouth for passages in worlds]),
+        outward=np.concatenate([passages.outward for passages in worlds]),
+        width=np.concatenate([passages.width for passages in worlds]),
+        passage=np.concatenate([passages.passage for passages in worlds]),
+        length=np.concatenate([passages.length[passages.passage] for passages in worlds]),
         first_place=np.cumsum([0, *map(len, places)]),
         places=np.concatenate([np.zeros((0, 2)), *places]),
     )
