@@ -9,9 +9,11 @@ from __future__ import annotations
 
 import contextlib
 import os
+import signal
 import socket
 import subprocess
 import sys
+import time
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any, TypeVar
@@ -20,6 +22,7 @@ from mrsan import ConfigurationError
 
 T = TypeVar("T")
 
+_REPORT_SECONDS = 5.0  # for which other processes let rank 0 report an error
 SHUTDOWN_SECONDS = 10.0  # for which the other processes may end by themselves
 COPIES = "SAMARL_COPIES"  # environment variable, set where `copies` started the processes
 
@@ -32,6 +35,16 @@ def world_size() -> int:
 def rank() -> int:
     """Return the rank of this process, from 0; rank 0 validates, logs and writes files."""
     return int(os.environ.get("RANK", 0))
+
+
+def let_rank_0_report() -> None:
+    """Wait in all other processes before they report an error, which rank 0 has as well.
+
+    Usually it ends them meanwhile.
+    """
+    if rank() > 0:
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        time.sleep(_REPORT_SECONDS)
 
 
 def launcher() -> list[str]:

@@ -19,6 +19,7 @@ from samarl.policies.policy import LOCAL, Policy
 from samarl.policies.stochastic import ActionEvaluation, StochasticPolicy
 from samarl.rollout import Rollout
 from samarl.training.collector import RolloutCollector
+from samarl.training.config import TrainerConfig
 from samarl.training.curriculum import CurriculumStage
 
 SCENARIO = Scenario(humans=4, robots=2, fov_degrees=120.0, time_limit=5.0)
@@ -147,6 +148,20 @@ def policy(
             for head in networks.heads.values():
                 head.body[-1].weight.mul_(gain)
     return model
+
+
+def trainer_config(steps: int, rollout: int) -> TrainerConfig:
+    """One that neither validates nor saves before the end."""
+    return TrainerConfig(
+        steps=steps,
+        rollout=rollout,
+        seed=0,
+        threads=1,
+        validate_every=10**6,
+        validation_cases=1,
+        save_every=10**6,
+        ema_decay=0.9,
+    )
 
 
 def algorithm(of: Policy, name: str = "mappo", **changes: Any) -> PPO:

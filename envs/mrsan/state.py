@@ -60,7 +60,7 @@ class _Arrays(NamedTuple):
     route_next: NDArray[np.int32]  # [E, M + N] corner after that one; -1: its goal
     # The last reports of robots in the world frame, indexed by the clock modulo L:
     message_buffer: Floats  # [E, L, N, M + N, 5] OTHER_FEATURES; radius 0: not seen
-    told: Floats  # [E, L, N, 7] their last messages likewise, `sensors.team.MESSAGE_FEATURES`
+    intent_buffer: Floats  # [E, L, N, 7] their last messages, `sensors.team.MESSAGE_FEATURES`
     macro_action: NDArray[np.int32]  # [E, N] that robots tell, `World.tell`; 0: none yet
 
 

@@ -276,15 +276,16 @@ class World:
         """
         if not self.scenario.team_messages:
             raise ValueError("scenario.team_messages is false; it must be true for World.tell")
-        told, shape = np.asarray(macro_actions), (self.worlds, self.scenario.robots)
-        if told.shape != shape or not np.issubdtype(told.dtype, np.integer):
+        numbers, shape = np.asarray(macro_actions), (self.worlds, self.scenario.robots)
+        if numbers.shape != shape or not np.issubdtype(numbers.dtype, np.integer):
             raise ValueError(
-                f"macro_actions have shape {told.shape} and type {told.dtype}; they must be "
+                f"macro_actions have shape {numbers.shape} and type {numbers.dtype}; they must be "
                 f"{shape} whole numbers"
             )
-        if (told < 0).any() or (told >= 2**24).any():
-            raise ValueError(f"macro_actions has {told.min()}; it must lie in [0, 2^24)")
-        self.state.macro_action[:] = told
+        outside = numbers[(numbers < 0) | (numbers >= 2**24)]
+        if outside.size:
+            raise ValueError(f"macro_actions has {outside[0]}; it must lie in [0, 2^24)")
+        self.state.macro_action[:] = numbers
 
     def step(self, actions: ArrayLike) -> Step:
         """Move every world by one time step.
@@ -440,7 +441,7 @@ def _empty_state(e: int, scenario: Scenario, history: int) -> State:
     """Allocate the state of E worlds, with `history` past positions of each person."""
     f, n, m = np.float32, scenario.robots, scenario.humans
     delay = scenario.team_delay_steps + 1
-    messages, told = delay * scenario.team_tracks, delay * scenario.team_messages
+    reports, messages = delay * scenario.team_tracks, delay * scenario.team_messages
     walls, corners = with_room_for_lanes(scenario.most_walls), scenario.most_corners
     walled = int(walls > 0)
     return State(
@@ -484,7 +485,7 @@ def _empty_state(e: int, scenario: Scenario, history: int) -> State:
         route_cost=np.zeros((e, (m + n) * walled, corners), f),
         route_corner=np.zeros((e, (m + n) * walled), np.int32),
         route_next=np.zeros((e, (m + n) * walled), np.int32),
-        message_buffer=np.zeros((e, messages, n, m + n, len(OTHER_FEATURES)), f),
-        told=np.zeros((e, told, n, len(MESSAGE_FEATURES)), f),
+        message_buffer=np.zeros((e, reports, n, m + n, len(OTHER_FEATURES)), f),
+        intent_buffer=np.zeros((e, messages, n, len(MESSAGE_FEATURES)), f),
         macro_action=np.zeros((e, n), np.int32),
     )

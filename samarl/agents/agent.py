@@ -64,9 +64,9 @@ def act_and_tell(agent: Controller, observation: Observation, world: World) -> N
     """
     action = checked_act(agent, observation, world.scenario)
     if world.scenario.team_messages and isinstance(agent, Agent):
-        told = agent.macro_actions()
-        if told is not None:
-            world.tell(told)
+        macro_actions = agent.macro_actions()
+        if macro_actions is not None:
+            world.tell(macro_actions)
     return action
 
 

@@ -10,9 +10,7 @@ import io
 import os
 import re
 import shlex
-import signal
 import sys
-import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -32,13 +30,12 @@ from samarl.commands.overrides import CommandLine
 from samarl.configuration import composed, hydra_tree, import_plugins, register_schemas
 from samarl.errors import TrainingError
 from samarl.files import find_folder
-from samarl.launch import launcher, rank
+from samarl.launch import launcher, let_rank_0_report, rank
 from samarl.messages import explain
 from samarl.user_files import reject_alias_bomb
 
 # Settings that a sweep may change when it is resumed: they do not affect results, or let runs grow.
 _SAME_SWEEP = ("evaluation.batch", "trainer.steps", "trainer.threads", "trainer.wandb")
-_RANK0_REPORT_SECONDS = 5.0  # for which other processes let rank 0 report an error
 # Errors that the user causes in a task; all others are bugs.
 _USER_ERRORS = (
     ConfigurationError,
@@ -226,9 +223,6 @@ def _remove_empty_folder() -> None:
 def _fail(error: Exception, folder: Path | None = None) -> NoReturn:
     """Print the error in one line and exit with code 2.
 
-    Processes other than rank 0 wait first, so that the launcher usually ends them before they
-    print the same error.
-
     Args:
         error: the user error.
         folder: the folder of `--config-dir`.
@@ -236,8 +230,6 @@ def _fail(error: Exception, folder: Path | None = None) -> NoReturn:
     if isinstance(error, BrokenPipeError):  # the reader of the output, such as `head`, closed it
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
-    if rank() > 0:
-        signal.signal(signal.SIGTERM, signal.SIG_DFL)
-        time.sleep(_RANK0_REPORT_SECONDS)
+    let_rank_0_report()
     print(f"error: {explain(error, folder)}", file=sys.stderr)
     sys.exit(2)

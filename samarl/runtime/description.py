@@ -11,7 +11,7 @@ from mrsan import ConfigurationError, Reward, Scenario
 from samarl.planning.shield import Shield
 
 KEY = "samarl"  # of the metadata
-FORMAT = 2
+FORMAT = 3
 MEMORY, NEXT_MEMORY = "state.", "next."  # prefixes of inputs and outputs
 
 # The fields of the scenario that a robot needs.

@@ -12,17 +12,14 @@ import shlex
 import signal
 import sys
 import tempfile
-import time
 from pathlib import Path
 
 from mrsan import ConfigurationError, PluginError, World
 from mrsan.compile_ahead import compile_ahead
 from samarl.errors import TrainingError
-from samarl.launch import copies, launcher, rank, world_size
+from samarl.launch import copies, launcher, let_rank_0_report, rank, world_size
 from samarl.training.settings import RunSettings, settings_from_json
 from samarl.training.trainer import Trainer
-
-_RANK0_REPORT_SECONDS = 5.0  # for which other processes let the first one report an error
 
 
 def run_training(settings: RunSettings, command: str, advice: str | None = None) -> None:
@@ -88,10 +85,7 @@ def _run(settings: RunSettings, command: str, advice: str | None) -> None:
 
 
 def main() -> None:
-    """Train in one of the processes that `run_training` starts.
-
-    An error is reported by the first process, which usually ends the others before they would.
-    """
+    """Train in one of the processes that `run_training` starts."""
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # like Ctrl-C
     settings, command = json.loads(Path(sys.argv[1]).read_text(encoding="utf-8"))
     try:
@@ -99,8 +93,7 @@ def main() -> None:
     except KeyboardInterrupt:
         sys.exit(130)
     except (ConfigurationError, PluginError, TrainingError, OSError, MemoryError) as error:
-        signal.signal(signal.SIGTERM, signal.SIG_DFL)
-        time.sleep(_RANK0_REPORT_SECONDS)
+        let_rank_0_report()
         sys.exit(f"error: {error}")
 
 

@@ -29,7 +29,6 @@ from samarl.distributed import (
 from samarl.launch import launcher, per_process, rank
 from samarl.policies.card import LAST
 from samarl.rollout import Rollout
-from samarl.training.config import TrainerConfig
 from samarl.training.curriculum import CurriculumStage
 from samarl.training.run_dir import STATE, read_progress
 from samarl.training.trainer import Trainer
@@ -42,6 +41,7 @@ from tests.learning import (
     collector,
     policy,
     policy_numbers,
+    trainer_config,
 )
 
 # Children are forked from a process that has imported everything and done nothing.
@@ -174,16 +174,7 @@ LEARNERS: dict[str, tuple[str, str, dict[str, Any]]] = {
 
 def trainer(folder: str, learner: str) -> Trainer:
     name, encoder, numbers = LEARNERS[learner]
-    config = TrainerConfig(
-        steps=10**4,
-        rollout=10,
-        seed=0,
-        threads=1,
-        validate_every=10**6,
-        validation_cases=1,
-        save_every=10**6,
-        ema_decay=0.9,
-    )
+    config = trainer_config(steps=10**4, rollout=10)
     stage = CurriculumStage(6, scenario=Scenario(humans=2, robots=3, time_limit=4.0))
     return Trainer(
         Path(folder),

@@ -5,11 +5,10 @@ from pathlib import Path
 import pytest
 
 from mrsan import Scenario
-from samarl.training.config import TrainerConfig
 from samarl.training.curriculum import CurriculumStage
 from samarl.training.health import Health
 from samarl.training.trainer import Trainer
-from tests.learning import PPO_NUMBERS, policy_numbers
+from tests.learning import PPO_NUMBERS, policy_numbers, trainer_config
 
 
 def test_each_warning_is_given_once() -> None:
@@ -36,16 +35,7 @@ def test_a_resumed_run_knows_what_was_before(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """It succeeded before it was resumed, and its gradients once were too large."""
-    config = TrainerConfig(
-        steps=40,
-        rollout=4,
-        seed=0,
-        threads=1,
-        validate_every=10**6,
-        validation_cases=1,
-        save_every=10**6,
-        ema_decay=0.9,
-    )
+    config = trainer_config(steps=40, rollout=4)
     stages = [CurriculumStage(2, scenario=Scenario(humans=1, robots=1))]
     policy, algorithm = policy_numbers("flat", "gru"), {"name": "mappo", **PPO_NUMBERS}
     run = Trainer(tmp_path, config, policy, algorithm, stages, "test")

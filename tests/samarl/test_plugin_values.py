@@ -33,10 +33,9 @@ from samarl.evaluation.trajectory import record_episode
 from samarl.observations.features import ADDITIONAL_FEATURES, register_features
 from samarl.planning.shield import Shield
 from samarl.policies.policy import Decision
-from samarl.training.config import TrainerConfig
 from samarl.training.curriculum import CurriculumStage
 from samarl.training.trainer import Trainer
-from tests.learning import PPO_NUMBERS, policy_numbers
+from tests.learning import PPO_NUMBERS, policy_numbers, trainer_config
 
 SCENARIO = Scenario(humans=3, robots=2)
 CASES = np.arange(2)
@@ -132,16 +131,7 @@ def test_metrics_are_finite_numbers_or_undefined() -> None:
 
 
 def trainer(folder: Path, scenario: Scenario, **algorithm: Any) -> Trainer:
-    config = TrainerConfig(
-        steps=64,
-        rollout=4,
-        seed=0,
-        threads=1,
-        validate_every=10**6,
-        validation_cases=1,
-        save_every=10**6,
-        ema_decay=0.9,
-    )
+    config = trainer_config(steps=64, rollout=4)
     numbers = {"name": "mappo", **PPO_NUMBERS, **algorithm}
     policy = policy_numbers("flat", "gru")
     return Trainer(folder, config, policy, numbers, [CurriculumStage(2, scenario=scenario)], "test")

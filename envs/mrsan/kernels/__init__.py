@@ -139,23 +139,23 @@ class Version:
         """Return whether it was compiled before, by this or another process."""
         return self._run is not None or self._cache.holds(self._callback._sig)
 
-    def load(self) -> None:
+    def load(self) -> Callable[[int, int, int], None]:
         """Load it from the cache, or compile it."""
         if self._run is not None:
-            return
+            return self._run
         progress = contextlib.nullcontext() if self.is_cached() else compile_progress()
         with progress, self._cache.lock():  # another process may compile it
             self._callback.compile()
         number = ctypes.c_ssize_t
         self._run = ctypes.PYFUNCTYPE(None, number, number, number)(self._callback.address)
+        return self._run
 
     def run(self, rows: int, arguments: Struct) -> None:
         """Run over `rows` rows."""
-        self.load()
-        assert self._run is not None
+        run = self.load()
         lock = None if rows == 1 else parallel_kernels()
         if lock is None:
-            self._run(0, rows, arguments.address)
+            run(0, rows, arguments.address)
             return
         with lock:
             chunks = min(rows, 8 * kernel_threads())

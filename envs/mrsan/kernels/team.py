@@ -112,21 +112,21 @@ def share_messages(first, last, worlds, state, p, features, mask):
         first: first world to work on.
         last: the one after the last.
         worlds: [E] bool, the worlds to observe.
-        state: the worlds; this step's messages are written to `state.told`.
+        state: the worlds; this step's messages are written to `state.intent_buffer`.
         p: the scenario's parameters.
         features: [E, N, N - 1, 7], written: `mrsan.sensors.team.MESSAGE_FEATURES`.
         mask: [E, N, N - 1] bool, written: which messages are received.
     """
-    n, told = features.shape[1], state.told
+    n, messages = features.shape[1], state.intent_buffer
     position, velocity, heading = state.robot_position, state.robot_velocity, state.robot_heading
     delay = np.float32(p.team_delay_steps) * p.time_step
     for e in range(first, last):
         if not worlds[e]:
             continue
-        step, length = state.clock[e], told.shape[1]
+        step, length = state.clock[e], messages.shape[1]
         sent, received = step % length, (step - p.team_delay_steps) % length
         for i in range(n):
-            _write_own_message(state, e, i, told[e, sent, i])
+            _write_own_message(state, e, i, messages[e, sent, i])
         for i in range(n):
             pose = position[e, i], velocity[e, i], heading[e, i]
             for j in range(n - 1):
@@ -135,7 +135,7 @@ def share_messages(first, last, worlds, state, p, features, mask):
                 out = features[e, i, j]
                 out[:] = _ZERO
                 if mask[e, i, j]:
-                    message = told[e, received, k]
+                    message = messages[e, received, k]
                     _to_body_frame(message, delay, pose, out)
                     for f in range(PRIORITY, MACRO_ACTION + 1):
                         out[f] = message[f]
@@ -147,7 +147,13 @@ def write_priorities(first, last, worlds, state, values):
     for e in range(first, last):
         for i in range(values.shape[1]):
             if worlds[e]:
-                values[e, i, 0] = rng.uniform(state.key[e], rng.PRIORITY, i, 0, 0)
+                values[e, i, 0] = _priority(state, e, i)
+
+
+@function
+def _priority(state, e, i):
+    """Return the priority of robot `i` in this episode, in [0, 1)."""
+    return rng.uniform(state.key[e], rng.PRIORITY, i, 0, 0)
 
 
 @function
@@ -156,7 +162,7 @@ def _write_own_message(state, e, i, out):
     out[OTHER_X], out[OTHER_Y] = state.robot_position[e, i, 0], state.robot_position[e, i, 1]
     out[OTHER_VELOCITY_X] = state.robot_velocity[e, i, 0]
     out[OTHER_VELOCITY_Y] = state.robot_velocity[e, i, 1]
-    out[PRIORITY] = rng.uniform(state.key[e], rng.PRIORITY, i, 0, 0)
+    out[PRIORITY] = _priority(state, e, i)
     agent = state.human_radius.shape[1] + i
     through = state.arrived[e, i] or agent >= state.route_corner.shape[1]
     out[THROUGH] = _ONE if through or state.route_corner[e, agent] == GOAL else _ZERO
