@@ -152,6 +152,7 @@ def places() -> str:
         "samarl_flat",
         "samarl_places_flat",
         "samarl_places",
+        "right_of_way central=true",
     )
     return _grid(result_rows("places"), lambda row: row["layout"], methods)
 
