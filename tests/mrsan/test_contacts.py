@@ -38,17 +38,6 @@ def test_two_robots_that_swap_places_have_met(aside: float, hit: bool) -> None:
     assert world.state.collision[0].tolist() == [Outcome.hit_robot * hit] * 2
 
 
-def test_two_robots_side_by_side_at_the_same_speed_never_meet() -> None:
-    world = stage([(0, 0, 0, 10, 99, 0), (0, 0.61, 0, 10, 99, 0)], **FAST)
-    assert not world.step([[AHEAD, AHEAD]]).terminated[0]
-
-
-def test_a_robot_at_rest_is_hit_by_a_human_that_passes_through() -> None:
-    world = stage([(0, 0, 0, 0, 99, 99)], [(5, 0, -10, 0)], **FAST)
-    assert world.step([[[-1.0, 0.0]]]).terminated[0]
-    assert world.state.collision[0, 0] == Outcome.hit_human
-
-
 @pytest.mark.parametrize(
     ("start", "end", "expected"),
     [

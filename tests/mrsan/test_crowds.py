@@ -1,8 +1,6 @@
 """Custom crowd models: registration, settings, motion, errors and other processes."""
 
 import multiprocessing
-import pickle
-import re
 import sys
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
@@ -15,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mrsan import ConfigurationError, Crowd, PluginError, Scenario, World, register_crowd
+from mrsan import ConfigurationError, PluginError, Scenario, World, register_crowd
 from mrsan.crowds import CROWDS, crowd_model
 from mrsan.fields import number, setting
 from samarl.configuration import import_plugins
@@ -104,12 +102,6 @@ def test_a_setting_changes_the_speed(stroll: None, settings: dict[str, Any], spe
     np.testing.assert_allclose(world.state.human_position - before, expected, atol=2e-6)
 
 
-def test_built_in_models_stay_as_they_are(stroll: None) -> None:
-    before = speeds(Scenario())
-    assert speeds(Scenario(crowd="stroll")) != before
-    assert speeds(Scenario(crowd=Crowd.orca)) == speeds(Scenario(crowd="orca")) == before
-
-
 @pytest.mark.parametrize(
     ("settings", "named"),
     [
@@ -128,12 +120,6 @@ def test_invalid_settings_are_named(stroll: None, settings: Any, named: list[str
         replace(Scenario(crowd="stroll"), crowd_settings=settings)
 
 
-@pytest.mark.parametrize("crowd", Crowd)
-def test_built_in_models_take_no_settings(crowd: Crowd) -> None:
-    with pytest.raises(ConfigurationError, match=r"scenario\.crowd_settings has 'pace'.*empty"):
-        Scenario(crowd=crowd, crowd_settings={"pace": 0.5})
-
-
 def test_settings_reach_the_function_as_numbers(registry: None) -> None:
     register_crowd("moody", MoodSettings)(walk)
     scenario = Scenario(crowd="moody", crowd_settings={"mood": "hasty", "distance": 1})
@@ -142,46 +128,6 @@ def test_settings_reach_the_function_as_numbers(registry: None) -> None:
     assert type(settings.distance) is np.float32
     with pytest.raises(ConfigurationError, match=r"crowd_settings\.mood is 'sad'.*calm, hasty"):
         Scenario(crowd="moody", crowd_settings={"mood": "sad"})
-
-
-def test_cached_kernels_do_not_depend_on_the_class_of_the_settings(registry: None) -> None:
-    """The cache index holds the type of the settings, whose module may be gone later."""
-    register_crowd("moody", MoodSettings)(walk)
-    cls = type(crowd_model("moody").kernel_settings(Scenario(crowd="moody")))
-    assert pickle.loads(pickle.dumps(cls)) is cls
-    assert cls.__module__ == "mrsan.crowds"
-
-
-@pytest.mark.parametrize("name", ["orca", "recorded", "a walk", "../walk", ""])
-def test_names_are_new_identifiers(registry: None, name: str) -> None:
-    with pytest.raises(ValueError, match=re.escape(repr(name))):
-        register_crowd(name)
-
-
-@dataclass
-class Optional:
-    gain: float | None = None
-
-
-@dataclass
-class Unlimited:
-    gain: float = 1.0
-
-
-@dataclass
-class Incomplete:
-    gain: float
-
-
-@pytest.mark.parametrize("settings", [Optional, Unlimited, Incomplete])
-def test_every_setting_has_a_type_a_range_and_a_default(registry: None, settings: type) -> None:
-    with pytest.raises(TypeError, match="gain"):
-        register_crowd("moody", settings)(walk)
-
-
-def test_a_function_takes_all_arguments(registry: None) -> None:
-    with pytest.raises(TypeError, match=r"moody takes agents, count; it must take .*scratch"):
-        register_crowd("moody")(lambda agents, count: (0.0, 0.0))
 
 
 def test_worker_processes_need_the_module(stroll: None) -> None:

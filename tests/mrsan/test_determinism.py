@@ -92,20 +92,6 @@ def test_on_one_thread_or_two(played: tuple[Scenario, list[np.ndarray]]) -> None
     assert_rows(everything, np.arange(CASES), play(scenario, np.arange(CASES)))
 
 
-def test_numpys_random_numbers_are_not_touched() -> None:
-    before = np.random.get_state()  # noqa: NPY002 - the global state is what is tested
-    play(SCENARIOS["everything"], np.arange(2))
-    after = np.random.get_state()  # noqa: NPY002
-    assert before[2:] == after[2:]
-    np.testing.assert_array_equal(before[1], after[1])
-
-
-def test_cases_and_episodes_differ() -> None:
-    world = World(SCENARIOS["orca"], CASES)
-    starts = [world.reset(np.arange(CASES)).ego[:, 0, 4:6], world.reset().ego[:, 0, 4:6]]
-    assert len(np.unique(np.concatenate(starts), axis=0)) == 2 * CASES
-
-
 def test_noise_differs_from_step_to_step_and_from_robot_to_robot() -> None:
     scenario = Scenario(robots=2, humans=1, crowd=Crowd.still, position_noise=0.1)
     world = World(scenario, 1)

@@ -1,7 +1,6 @@
 """Map files as other programs write them: read as they are meant, or refused in one line."""
 
 import json
-import warnings
 from pathlib import Path
 
 import numpy as np
@@ -80,40 +79,23 @@ def test_refused_files_of_users(name: str, words: tuple[str, ...]) -> None:
     assert all(word in message for word in words)
 
 
-def test_a_yaw_of_more_than_a_turn_is_noted() -> None:
-    with pytest.warns(UserWarning, match="90 rad"):
-        load_map(MAPS / "origin_yaw_deg.yaml")
-
-
 def test_every_key_of_a_ros_map_is_obeyed_or_refused(tmp_path: Path) -> None:
     assert floor_area(write_grid(tmp_path)) == pytest.approx(94, abs=0.5)
     for changes in (
         {"mode": "scale"},
-        {"mode": "Trinary"},
         {"negate": "false", "resolution": "5e-2", "origin": ["-8", "-6.0", 0]},
         {"free_thresh": "0.25", "occupied_thresh": 0.65},
-        {"free_thresh": 0.6},
-        {"free_thresh": 0.6, "mode": "scale"},
-        {"origin": ["-010", "-06", 0]},  # not octal
     ):
         assert floor_area(write_grid(tmp_path, **changes)) == pytest.approx(94, abs=0.5), changes
     for changes in (
-        {"frame_id": "map"},
         {"mode": "costmap"},
         {"negate": "perhaps"},
-        {"free_thresh": "low"},
         {"free_thresh": 0.7},  # above occupied_thresh
         {"occupied_thresh": 65},
         {"resolution": 0},
-        {"resolution": True},
-        {"origin": [0, 0]},
         {"origin": [0, 0, None]},
-        {"origin": [1e300, 0, 0]},
         {"resolution": "0:05"},
-        {"resolution": "0_05"},
-        {"resolution": 1e4},
         {"negate": 1, "mode": "raw"},
-        {"image": 3},
         {"image": "none.png"},
     ):
         with pytest.raises(MapError, match=next(iter(changes))):
@@ -155,24 +137,11 @@ def test_odd_files_get_one_line(tmp_path: Path) -> None:
     ring = [[0, 0], [2, 0], [2, 2], [0, 0]]
     contents: dict[str, bytes] = {
         "empty.yaml": b"",
-        "empty.geojson": b"",
-        "cut.geojson": b'{"type": "FeatureCollection", "features": [',
-        "binary.yaml": bytes(range(256)),
-        "latin.yaml": "# Büro\nbounds: [[0,0],[9,0],[9,9]]".encode("latin-1"),
         "deep.geojson": b"[" * 100_000,
-        "deep.yaml": b"[" * 5_000,
-        "gigantic.yaml": b"#" * 20_000_001,
-        "list.yaml": b"- 1\n- 2\n",
         "alias.yaml": b"bounds: &a [[0, 0], [9, 0], [9, 9]]\nobstacles: [*a]",
         "stray.yaml": b"obstacles: [[[0, 0], [1, 0], [1, 1]], [[5e6, 0], [5e6, 1], [5000001, 0]]]",
-        "infinite.yaml": b"bounds: [[0, 0], [1e400, 0], [9, 9]]",
         "degrees.yaml": b"bounds: [[11.6, 48.1], [11.6002, 48.1], [11.6002, 48.1001]]",
-        "huge.geojson": b'{"type": "Polygon", "coordinates": [[[0, 0], [1'
-        + b"0" * 400
-        + b", 1]]]}",
-        "topology.json": b'{"type": "Topology", "objects": {}}',
         "twice.geojson": b'{"type": "Polygon", "type": "Polygon", "coordinates": []}',
-        "point.geojson": json.dumps({"type": "Point", "coordinates": [1, 2]}).encode(),
         "wgs84.geojson": json.dumps(
             {
                 "type": "FeatureCollection",
@@ -180,7 +149,6 @@ def test_odd_files_get_one_line(tmp_path: Path) -> None:
                 "features": [{"type": "Polygon", "coordinates": [ring]}],
             }
         ).encode(),
-        "nothing.geojson": b'{"type": "FeatureCollection", "features": []}',
         "text.yaml": b"image: 1.pgm\nresolution: 0.05\norigin: [0, 0, 0]",
         "1.pgm": b"not a picture",
     }
@@ -222,13 +190,6 @@ def test_the_area_of_overlapping_obstacles() -> None:
         assert covered_area(triangles) == pytest.approx(union.area, abs=1e-6)
 
 
-def test_a_gigantic_image_is_refused_before_it_is_read(tmp_path: Path) -> None:
-    path = write_grid(tmp_path)
-    Image.new("1", (15_000, 15_000)).save(tmp_path / "map.png")
-    with pytest.raises(MapError, match="cells"):
-        load_map(path)
-
-
 def test_maps_far_from_the_origin_give_the_same_world(tmp_path: Path) -> None:
     """Site coordinates, up to 10^7 m from their origin: the same world about the map's middle."""
 
@@ -267,9 +228,3 @@ def test_maps_far_from_the_origin_give_the_same_world(tmp_path: Path) -> None:
                 np.testing.assert_array_equal(
                     *(getattr(state, name) for state in states), err_msg=name
                 )
-
-
-def test_notes_are_the_only_warnings() -> None:
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        load_map(MAPS / "open_0.25.yaml")

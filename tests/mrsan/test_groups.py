@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 from shapely.geometry import MultiPoint, Point
 
-from mrsan import ConfigurationError, Crowd, Groups, Layout, Scenario, World
+from mrsan import Groups, Layout, Scenario, World
 from mrsan.kernels.social_state import GROUP
 from mrsan.kernels.tally import INTRUSION_STEPS
 
@@ -84,44 +84,6 @@ def test_a_group_walks_abreast(size: int) -> None:
     np.testing.assert_allclose(velocities[-1, :, 0], 1.0, atol=0.05)
 
 
-def test_a_group_is_pulled_together_only_when_it_strays() -> None:
-    world = group_of(2, gaze=0.0, repulsion=0.0)
-    state = world.state
-    for apart, pulled in ((0.98, False), (12.0, True)):  # beyond 10 m nobody is avoided
-        world.reset([0])
-        state.human_position[0], state.human_velocity[0] = [[0, 0], [0, apart]], [1.0, 0.0]
-        state.human_goal[0] = [60.0, 0.0]
-        _, velocities = walk(world, 1)
-        # 3 m/s^2 for 0.5 s is 1.5 m/s across beside 1 m/s ahead, limited to 1 m/s.
-        expected = [1 / np.hypot(1, 1.5), 1.5 / np.hypot(1, 1.5)] if pulled else [1.0, 0.0]
-        np.testing.assert_allclose(velocities[0, 0], expected, atol=0.02)
-
-
-def test_a_group_that_talks_stays_in_its_circle() -> None:
-    for size in (2, 3, 4):
-        world = group_of(size, standing_share=1.0)
-        start = world.state.human_position[0].copy()
-        np.testing.assert_allclose(np.linalg.norm(start - start.mean(0), axis=1), 0.7, atol=1e-3)
-        positions, _ = walk(world, 100)
-        np.testing.assert_allclose(positions[-1], start, atol=0.02)
-        world.state.human_position[0, 0] += [0.4, 0.4]  # somebody is pushed
-        positions, _ = walk(world, 40)
-        np.testing.assert_allclose(spread(positions)[-1], 0.7, atol=0.02)
-
-
-def test_groups_that_talk_leave_robots_their_starts_and_goals() -> None:
-    world = World(Scenario(humans=12, groups=Groups(share=1.0, standing_share=1.0)))
-    for case in range(20):
-        world.reset([case])
-        state = world.state
-        for place in (state.robot_position[0], state.robot_goal[0]):
-            talking = state.human_social[0, :, GROUP] >= 0
-            gap = np.linalg.norm(state.human_position[0][talking][:, None] - place, axis=-1)
-            assert gap.min() > 1.0  # radii, clearance and another robot's radius
-        apart = np.linalg.norm(state.human_position[0][:, None] - state.human_position[0], axis=-1)
-        assert apart[~np.eye(12, dtype=bool)].min() > 0.8
-
-
 def test_shares_and_sizes_are_drawn_by_the_case() -> None:
     scenario = Scenario(
         robots=1, humans=30, circle_radius=15.0, groups=Groups(share=0.6, size_min=2, size_max=3)
@@ -178,19 +140,3 @@ def test_who_is_absent_or_alone_spans_no_hull_and_parked_robots_do_not_intrude()
         state.arrived[0] = arrived
         world.step(STANDING)
         assert bool(state.tally[0, 0, INTRUSION_STEPS]) is counts
-
-
-@pytest.mark.parametrize(
-    ("fields", "message"),
-    [
-        ({"groups": Groups(size_min=4, size_max=2)}, "scenario.groups.size_min is 4"),
-        ({"groups": None}, "scenario.groups is None"),
-        ({"layout": Layout.doorway}, "scenario.groups.share is 0.5.*doorway"),
-        ({"crowd": Crowd.still}, "scenario.crowd is still.*scenario.groups.share 0.5"),
-        ({"pair_probability": 0.2}, "scenario.pair_probability must be 0, not 0.2"),
-        ({"late_probability": 0.2}, "scenario.late_probability must be 0, not 0.2"),
-    ],
-)
-def test_what_does_not_fit_is_refused(fields: dict[str, Any], message: str) -> None:
-    with pytest.raises(ConfigurationError, match=message):
-        Scenario(**({"groups": Groups(share=0.5)} | fields))

@@ -78,11 +78,3 @@ def test_seeds_can_be_given_one_by_one() -> None:
     assert_same(vector.reset(seed=seeds)[0], sync.reset(seed=seeds)[0])
     with pytest.raises(ValueError, match="seed has 2 numbers; it must have 6"):
         vector.reset(seed=[1, 2])
-
-
-@pytest.mark.parametrize("mask", [[True] * 5, [1, 0, 1, 0, 1, 0]])
-def test_a_reset_mask_is_a_boolean_per_world(mask: list) -> None:
-    vector, _ = both(AutoresetMode.DISABLED)
-    vector.reset(seed=0)
-    with pytest.raises(ValueError, match=r"reset_mask is .* it must be 6 booleans"):
-        vector.reset(options={"reset_mask": np.array(mask)})

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 from staging import stage
 
-from mrsan import Crowd, Episodes, Kinematics, Outcome, Scenario, World
-from mrsan.kernels.contact import comes_to_the_other, time_to_collision
-from mrsan.kernels.tally import SOONEST_COLLISION, STILL_STEPS, TALLY
+from mrsan import Episodes, Kinematics, Outcome, World
+from mrsan.kernels.tally import SOONEST_COLLISION
 from mrsan.metrics import episodes_of
 
 UNICYCLE: dict[str, Any] = {
@@ -18,7 +17,6 @@ UNICYCLE: dict[str, Any] = {
     "max_turn_rate": 360.0,
 }
 STAND, AHEAD, LEFT = [-1.0, 0.0], [1.0, 0.0], [1.0, 1.0]
-COUNTED = [name not in ("path_length", "closest_human", "min_time_to_collision") for name in TALLY]
 
 
 def played(world: World, *actions: list[float]) -> Episodes:
@@ -76,43 +74,6 @@ def test_who_ran_into_whom(human: tuple[float, ...], robot_did: bool) -> None:
     assert (record.robot_on_person[0], record.person_on_robot[0]) == (robot_did, not robot_did)
 
 
-def test_who_is_as_fast_as_the_other_ran_into_it() -> None:
-    f = np.float32
-    for share in (0.2, 0.9):  # of the step after which they touch
-        gap = f(2 * share)
-        assert comes_to_the_other(f(1), f(0), f(-1), f(0), 1 + gap, f(0), f(1))
-    # They overlapped before the step, and the robot leaves no faster than it is followed.
-    assert not comes_to_the_other(f(-1), f(0), f(-2), f(0), f(0.5), f(0), f(1))
-
-
-@pytest.mark.parametrize(
-    ("position", "velocity", "expected"),
-    [
-        ((4.0, 0), (-2.0, 0), 1.5),
-        ((4.0, 3.0), (-4.0, -3.0), 0.8),
-        ((4.0, 0.6), (-1.0, 0), 3.2),  # 0.8 before it is abreast
-        ((4.0, 1.1), (-1.0, 0), math.inf),  # it passes
-        ((4.0, 0), (2.0, 0), math.inf),  # it goes away
-        ((4.0, 0), (0.0, 0), math.inf),
-        ((0.5, 0), (2.0, 0), 0.0),  # they touch already
-    ],
-)
-def test_time_to_collision(
-    position: tuple[float, float], velocity: tuple[float, float], expected: float
-) -> None:
-    numbers = [np.float32(value) for value in (*position, *velocity, 1.0)]
-    assert time_to_collision(*numbers, np.float32(np.inf)) == pytest.approx(expected, abs=1e-5)
-    assert time_to_collision(*numbers, np.float32(1.0)) == pytest.approx(min(expected, 1), abs=1e-5)
-
-
-def test_head_on_and_past_each_other() -> None:
-    """After a step 3.5 m lie between them, which they close at 2 m/s; or they miss by 0.1 m."""
-    for aside, expected in ((0.0, 1.75), (0.7, math.inf)):
-        world = stage([(0, 0, 0, 1, 9, 0)], [(4.6, aside, -1, 0)], **UNICYCLE)
-        record = played(world, AHEAD)
-        assert record.min_time_to_collision[0, 0] == pytest.approx(expected, abs=1e-4)
-
-
 def test_a_robot_that_drives_a_square() -> None:
     """East, north, west and south, with its goal in the east."""
     world = stage([(0, 0, 0, 1, 10, 0)], time_limit=1.0, **UNICYCLE)
@@ -121,22 +82,3 @@ def test_a_robot_that_drives_a_square() -> None:
     assert record.heading_change[0, 0] == pytest.approx(3 * math.pi / 2, abs=1e-5)
     assert record.standing_share[0, 0] == 0.0
     assert record.path_length[0, 0] == pytest.approx(1.0, abs=1e-5)
-
-
-def test_nothing_is_counted_of_a_robot_that_is_parked() -> None:
-    world = stage([(0, 0, 0, 0, 0, 0), (0, 9, 0, 0, 9, 9)], [(1.0, 0, -1, 0)], arrived=[0])
-    world.step(np.zeros((1, 2, 3)))
-    assert not world.state.tally[0, 0, COUNTED].any()
-    assert world.state.tally[0, 0, SOONEST_COLLISION] == math.inf
-
-
-def test_an_episode_begins_with_nothing_counted() -> None:
-    world = World(Scenario(robots=2, humans=20, crowd=Crowd.still, arena_radius=7.0), 8)
-    world.reset(np.arange(8))
-    rng = np.random.default_rng(0)
-    for _ in range(60):
-        world.step(rng.uniform(-1, 1, (8, 2, 3)))
-    assert world.state.tally[..., :STILL_STEPS].any((0, 1)).all()
-    world.reset()
-    assert not world.state.tally[..., COUNTED].any()
-    assert (world.state.tally[..., SOONEST_COLLISION] == math.inf).all()

@@ -116,13 +116,6 @@ def test_compiled_code_that_others_could_have_written_is_not_used(
     assert done.stderr.count(str(used)) == len(done.stderr.splitlines()) == 1
 
 
-def test_an_inlined_function_can_be_called_from_python() -> None:
-    """It has no wrapper of its own: without a version that has one, the process would crash."""
-    run = "from mrsan.kernels.contact import closest_approach as f; print(f(1.0, 0.0, 0.0, 1.0))"
-    done = subprocess.run([sys.executable, "-c", run], capture_output=True, text=True, check=True)
-    assert float(done.stdout) == pytest.approx(0.5**0.5)
-
-
 def test_kernels_are_compiled_side_by_side_before_the_first_episode(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

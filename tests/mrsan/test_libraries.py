@@ -40,13 +40,6 @@ def test_torchrl_wraps_it_by_name() -> None:
     assert env.rollout(5)["humans"].shape == (5, 3, 5)
 
 
-def test_an_unknown_keyword_is_a_type_error_that_names_the_fields() -> None:
-    with pytest.raises(
-        TypeError, match=r"unexpected keyword argument 'people' \(3\); did you mean humans"
-    ):
-        gymnasium.make(NAME, people=3)
-
-
 @pytest.mark.parametrize("kind", ["single", "vector"])
 def test_videos_are_recorded(kind: str, tmp_path: Path) -> None:
     env: gymnasium.Env | gymnasium.vector.VectorEnv
@@ -146,10 +139,3 @@ def test_the_state_of_everybody_is_flat_and_true() -> None:
     )
     np.testing.assert_array_equal(humans[:, 0], true.human_present[0])
     assert not humans[humans[:, 0] == 0].any()
-
-
-def test_bounded_where_bounds_are_known() -> None:
-    env = GymnasiumEnv(humans=1, robot_radius=0.25, robot_speed=1.5)
-    low, high = env.observation_space["ego"].low, env.observation_space["ego"].high
-    assert low[6:].tolist() == [-1, -1, 0, 0, 0]
-    assert high[6:].tolist() == [1, 1, 0.25, 1.5, 1]

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from staging import stage
 
-from mrsan import ConfigurationError, Reward, Scenario, TeamPerception, World
+from mrsan import Reward, Scenario, TeamPerception, World
 from mrsan.prediction import PREDICTORS, ConstantVelocity, register_predictor
 
 COAST = [0.0, 0.0, 0.0]
@@ -38,37 +38,6 @@ def test_the_first_intrusion_counts(x: float, k: int | None) -> None:
     assert paid(stage([DRIVER], [(x, 0, 0, 0)], reward=ON), COAST) == [expected]
 
 
-def test_of_several_people_the_soonest_counts_and_once() -> None:
-    crowd = [(2.0, 0, 0, 0), (1.61, 0, 0, 0), (1.61, 0.1, 0, 0)]
-    assert paid(stage([DRIVER], crowd, reward=ON), COAST) == [after(3)]
-
-
-def test_people_move_and_so_does_the_robot_with_its_new_velocity() -> None:
-    """At 1 m/s towards each other: at 0.25 and 3.25, surfaces at 2.4 - 0.5 k, below 0.25 at 5."""
-    world = stage([DRIVER], [(3.5, 0, -1, 0)], reward=ON)
-    assert paid(world, COAST) == [after(5)]
-    assert paid(stage([DRIVER], [(2.0, 0, 0, 0)], reward=ON), [-1.0, 0, 0]) == [0.0]  # it stops
-
-
-def test_every_number_counts() -> None:
-    person = [(2.36, 0, 0, 0)]
-    for reward, expected in (
-        (replace(ON, lookahead_steps=6), after(6)),
-        (replace(ON, lookahead_distance=0.3), after(5)),
-        (replace(ON, lookahead=3.0, lookahead_distance=0.3), after(5, 3.0)),
-        (Reward(lookahead_steps=6), 0.0),
-    ):
-        assert paid(stage([DRIVER], person, reward=reward), COAST) == [expected]
-
-
-def test_only_people_in_view_count() -> None:
-    """A person at the side who walks in front of it: seen at 360 degrees, not at 60."""
-    aside = [(1.0, 1.2, 0, -0.5)]
-    assert paid(stage([DRIVER], aside, reward=ON), COAST) != [0.0]
-    assert paid(stage([DRIVER], aside, reward=ON, fov_degrees=60.0), COAST) == [0.0]
-    assert paid(stage([DRIVER], [(2.0, 0, 0, 0)], reward=ON, sensing_range=1.0), COAST) == [0.0]
-
-
 def test_what_team_mates_tell_is_not_in_view() -> None:
     """The second robot sees the person behind the first, and says so."""
     robots = [(0, 0, 0, 0, 9, 0), (-4, 0, 0, 0, 9, 3)]
@@ -80,30 +49,6 @@ def test_what_team_mates_tell_is_not_in_view() -> None:
     seen = stage(robots, [(-1.2, 0, 0.6, 0)], reward=ON)
     seen.step([[COAST, COAST]])
     assert paid(seen, COAST, COAST)[0] < 0.0
-
-
-def test_who_has_arrived_or_collided_is_paid_nothing() -> None:
-    parked = stage([(0, 0, 0, 0, 0, 0), (0, 5, 0, 1, 9, 5)], [(1, 0, 0, 0)], [0], reward=ON)
-    assert paid(parked, COAST, COAST) == [0.0, 0.0]
-    arriving = stage([(0, 0, 0, 1, 0.5, 0), DRIVER], [(1.5, 0, 0, 0)], reward=ON)
-    assert paid(arriving, COAST, COAST)[0] == 0.0
-    assert paid(stage([DRIVER], [(0.5, 0, 0, 0)], reward=ON), COAST) == [0.0]
-
-
-def test_who_drives_on_after_a_collision_is_paid_again() -> None:
-    """They touch in three steps; then it meets another one."""
-    crowd = [(0.7, 0, -1, 0), (3.0, 0, 0, 0)]
-    world = stage([DRIVER], crowd, reward=ON, terminate_on_collision=False)
-    rewards = [paid(world, COAST)[0] for _ in range(5)]
-    assert rewards == [0.0, 0.0, 0.0, after(5), after(4)]
-
-
-def test_after_the_end_nothing_is_paid() -> None:
-    world = stage([DRIVER, (0, 5, 0, 1, 9, 5)], [(0.5, 0, 0, 0), (2, 5, 0, 0)], reward=ON)
-    assert paid(world, COAST, COAST) == [0.0, after(4)]
-    past = world.state.human_past.copy()
-    assert paid(world, COAST, COAST) == [0.0, 0.0]
-    np.testing.assert_array_equal(world.state.human_past, past)
 
 
 RANDOM = Scenario(
@@ -182,14 +127,6 @@ def played(world: World, steps: int) -> list[np.ndarray]:
     return [world.step(action[cases]).reward for action in actions[:steps]]
 
 
-def test_the_same_to_the_bit_alone_and_among_others() -> None:
-    everybody, alone = World(RECURRENT, 24, True), World(RECURRENT, 1, True)
-    everybody.reset(np.arange(24)), alone.reset([7])
-    rewards, again = played(everybody, 60), played(alone, 60)
-    np.testing.assert_array_equal([r[7] for r in rewards], [r[0] for r in again])
-    assert any(r.any() for r in rewards)
-
-
 def test_going_back_goes_back_in_what_is_remembered_of_people() -> None:
     world = World(RECURRENT, 24, True)
     world.reset(np.arange(24))
@@ -234,10 +171,3 @@ def test_a_predictor_of_ones_own_is_asked_with_the_last_positions(
         np.testing.assert_array_equal(past[:, :, -there:], expected)
     world.step(np.zeros((3, 1, 3)))  # the time is up: the next episode began
     assert world.state.human_past_valid.sum(-1).tolist() == [[1] * 10] * 3
-
-
-def test_a_predictor_that_is_not_there_is_named() -> None:
-    reward = Reward(lookahead=1.0, lookahead_predictor="crystal_ball")
-    message = "scenario.reward.lookahead_predictor is 'crystal_ball'; it must be a .safetensors"
-    with pytest.raises(ConfigurationError, match=message):
-        World(Scenario(reward=reward))

@@ -1,12 +1,9 @@
 """The social score and the splits, in numbers."""
 
-from itertools import pairwise
-
 import numpy as np
 import pytest
 
-from mrsan import Episodes, Outcome, Split, social_score
-from mrsan.cases import CASES_PER_SPLIT
+from mrsan import Episodes, Outcome, social_score
 
 
 def episode(**fields) -> Episodes:
@@ -66,12 +63,3 @@ def test_success_is_joint() -> None:
     assert record.timeout.tolist() == [False, True, False]
     assert record.hit_robot.tolist() == [False, False, True]
     assert record.hit_human.tolist() == [False, False, False]
-
-
-def test_splits_never_overlap() -> None:
-    ends = [(split.case(0), split.case(CASES_PER_SPLIT - 1)) for split in Split]
-    assert [low for low, _ in ends] == [0, 2**40, 2**41]
-    assert all(high < low for (_, high), (low, _) in pairwise(ends))
-    for index in (-1, 2**40):
-        with pytest.raises(ValueError, match="case index"):
-            Split.test.case(index)

@@ -5,13 +5,11 @@ import inspect
 from functools import partial
 from typing import Any
 
-import gymnasium
 import numpy as np
 import pytest
 
-from mrsan import ActionError, ConfigurationError, Crowd, Place, Reward, Scenario, World
+from mrsan import ConfigurationError, Crowd, Place, Reward, Scenario, World
 from mrsan.kernels.tally import CLOSE_STEPS
-from mrsan.pettingzoo_env import PettingZooEnv
 
 
 def test_a_world_that_was_never_reset_is_not_stepped() -> None:
@@ -19,32 +17,6 @@ def test_a_world_that_was_never_reset_is_not_stepped() -> None:
     world.reset([5, 6, 7], np.array([True, False, True]))
     with pytest.raises(RuntimeError, match="world 1 has not been reset"):
         world.step(np.zeros((3, 1, 3)))
-
-
-@pytest.mark.parametrize("worlds", [[0, 2], [True], np.array([1, 0])])
-def test_worlds_are_chosen_by_a_mask(worlds: Any) -> None:
-    with pytest.raises(ValueError, match="it must be 2 booleans"):
-        World(Scenario(), 2).reset([0, 1], worlds)
-
-
-@pytest.mark.parametrize("worlds", ["2", 2.5, 0, None])
-def test_a_number_of_worlds_is_a_number(worlds: Any) -> None:
-    with pytest.raises(ValueError, match="it must be a whole number of at least 1"):
-        World(Scenario(), worlds)
-
-
-@pytest.mark.parametrize("actions", ["abc", [[1, 2], [3]], None])
-def test_actions_are_numbers(actions: Any) -> None:
-    world = World(Scenario(), 1)
-    world.reset([0])
-    with pytest.raises(ActionError, match="actions"):
-        world.step(actions)
-
-
-def test_enums_may_be_named() -> None:
-    assert Scenario(crowd="still").crowd == Crowd.still
-    with pytest.raises(ConfigurationError, match="it must be one of orca, social_force, still"):
-        Scenario(crowd="stil")
 
 
 def test_rewards_and_places_may_be_mappings_of_their_fields() -> None:
@@ -68,12 +40,6 @@ def test_a_scenario_suggests_the_field_that_is_meant() -> None:
         with pytest.raises(TypeError, match=r"argument 'dt' \(0\.1\); did you mean time_step\?"):
             make(**wrong)
     assert list(inspect.signature(Scenario).parameters)[:3] == ["name", "robots", "humans"]
-
-
-def test_a_mode_of_rendering_that_is_not_there() -> None:
-    gymnasium.make("mrsan/SocialNavigation-v0", render_mode=None).close()
-    with pytest.raises(ConfigurationError, match="render_mode is 'ansi'; it must be None or one"):
-        PettingZooEnv(render_mode="ansi")
 
 
 def test_a_crowd_that_is_pushed_hard_stays_finite() -> None:

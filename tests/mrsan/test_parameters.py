@@ -1,20 +1,10 @@
 """The numbers of a scenario in the form that kernels take."""
 
-import pickle
-
 import numpy as np
 import pytest
 
 from mrsan import Kinematics, Layout, Reward, Scenario
 from mrsan.parameters import kernel_parameters
-
-
-def test_fields_keep_their_names_and_get_the_kernels_types() -> None:
-    p = kernel_parameters(Scenario(circle_radius=6, occlusion=True, reward=Reward(team=7)))
-    assert (p.circle_radius, type(p.circle_radius)) == (6.0, np.float32)
-    assert (p.reward_team, type(p.reward_team)) == (7.0, np.float32)
-    assert p.occlusion is True
-    assert (p.humans_min, p.layout) == (10, Layout.circle.value)
 
 
 def test_durations_angles_and_absent_limits_are_converted() -> None:
@@ -49,8 +39,3 @@ def test_all_scenarios_have_parameters_of_the_same_types() -> None:
         )
     )
     assert [type(value) for value in plain] == [type(value) for value in other]
-
-
-def test_compiled_kernels_can_be_cached_with_their_type() -> None:
-    p = kernel_parameters(Scenario())
-    assert type(pickle.loads(pickle.dumps(p))) is type(p)

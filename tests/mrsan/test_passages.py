@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import shapely
 
-from mrsan import Layout, Place, Scenario, World
+from mrsan import Layout, Place
 from mrsan.kernels.walls import WALLS
 from mrsan.passages import find_passages
 from mrsan.state import State
@@ -102,16 +102,3 @@ def test_a_bend_of_a_corridor_belongs_to_it() -> None:
     np.testing.assert_allclose(passages.outward[order], [[-1, 0], [0, 1]], atol=1e-4)
     assert 9.0 < passages.length[0] < 10.6
     assert int(loaded.place[WALLS]) == len(outline)
-
-
-def test_the_office() -> None:
-    """Its four doors, and the gaps between furniture and walls; as a figure shows them."""
-    world = World(Scenario(layout=Layout.map, map=str(OFFICE), robots=2, humans=0), 1)
-    world.reset([0])
-    passages = passages_of(world.state, 0)
-    doors = [[-5.5, 1.1], [-0.1, 1.0], [0.1, -2.9], [5.3, 1.2]]
-    furniture = [[-6.4, 5.4], [-2.1, 4.2], [4.0, -5.1]]
-    middle = [passages.mouth[passages.passage == k].mean(0) for k in range(len(passages.length))]
-    expected = sorted(doors + furniture)
-    np.testing.assert_allclose(sorted(np.round(middle, 1).tolist()), expected, atol=0.05)
-    assert (passages.length > 1.0).sum() == 1  # below the table in the meeting room

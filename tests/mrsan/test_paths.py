@@ -76,17 +76,6 @@ def test_two_robots_on_bent_paths_touch_where_they_meet() -> None:
     assert record.outcome[0].tolist() == [Outcome.hit_robot, Outcome.hit_robot]
 
 
-@pytest.mark.parametrize(
-    ("shape", "named"), [((1, 3, 5), "(1, 3, 5)"), ((1, 3, 0, 5), "(1, 3, 0, 5)")]
-)
-def test_paths_of_another_shape_are_refused(shape: tuple, named: str) -> None:
-    world = World(Scenario())
-    world.reset([0])
-    with pytest.raises(ActionError, match="paths") as error:
-        world.step_along(np.zeros(shape))
-    assert named in str(error.value)
-
-
 def test_paths_that_are_not_finite_are_refused() -> None:
     world = World(Scenario())
     world.reset([0])

@@ -1,14 +1,13 @@
 """Places with walls: every case is feasible, routes are shortest, and nobody passes a wall."""
 
 import heapq
-from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
 import shapely
 
-from mrsan import ConfigurationError, Layout, Outcome, Place, Scenario, World
+from mrsan import Layout, Outcome, Scenario, World
 from mrsan.kernels.tally import DEADLOCKS
 from mrsan.kernels.walls import CLEARANCE, CORNERS, REDRAWS, WALLS
 from mrsan.place import FAMILIES
@@ -157,55 +156,6 @@ def test_nobody_walks_through_a_wall(layout: Layout, crowd: str) -> None:
                 assert shapely.contains(floors[e], points).all()
 
 
-def test_people_pass_the_door() -> None:
-    """All people have their goals in the other room: all but the few who turn back get there."""
-    world = worlds_of(
-        Layout.doorway,
-        64,
-        robots=1,
-        humans=4,
-        place=Place(crossing_share=1.0),
-        goal_change_probability=0.0,
-        leave_probability=1.0,
-        terminate_on_collision=False,
-    )
-    side = np.sign(world.state.human_position[..., 0])
-    crossed = np.zeros(side.shape, bool)
-    for _ in range(200):
-        world.step(np.zeros((64, 1, 3), np.float32))
-        crossed |= np.sign(world.state.human_position[..., 0]) == -side
-    assert crossed.mean() > 0.9
-
-
-def one_robot_before_a_wall(**fields) -> World:
-    world = worlds_of(Layout.doorway, 1, robots=1, humans=0, **fields)
-    state = world.state
-    wall = float(state.walls[0, 0, 0])  # the left end of the left room
-    state.robot_position[0, 0] = wall + 1.0, 0.0
-    state.robot_heading[0, 0] = np.pi
-    return world
-
-
-def test_driving_into_a_wall_ends_the_episode() -> None:
-    world = one_robot_before_a_wall()
-    for _ in range(8):
-        step = world.step(np.array([[[1.0, 0.0, 0.0]]], np.float32))
-        if step.terminated[0]:
-            break
-    assert step.terminated[0]
-    assert world.state.collision[0, 0] == Outcome.hit_wall
-    assert step.reward_parts.collision[0, 0] == -20.0
-
-
-def test_counted_collisions_leave_the_robot_before_the_wall() -> None:
-    world = one_robot_before_a_wall(terminate_on_collision=False)
-    wall = float(world.state.walls[0, 0, 0])
-    for _ in range(20):
-        world.step(np.array([[[1.0, 0.0, 0.0]]], np.float32))
-        assert world.state.robot_position[0, 0, 0] - wall > 0.3
-    assert world.state.collision[0, 0] == Outcome.hit_wall
-
-
 def test_contacts_with_walls_are_those_of_shapely() -> None:
     """On the whole way of a step; robots drive at random for as long as their episodes last."""
     world = worlds_of(Layout.rooms, 100, humans=0)
@@ -341,41 +291,6 @@ def test_a_case_does_not_depend_on_the_other_worlds() -> None:
             expected = alone.step(one[case : case + 1]).observation
         for name, array in expected.arrays().items():
             np.testing.assert_array_equal(array[0], seen.arrays()[name][case])
-
-
-def test_a_snapshot_restores_the_place() -> None:
-    scenario = Scenario(layout=Layout.rooms, humans=4)
-    world = World(scenario, 6, auto_reset=True)
-    world.reset(np.arange(6))
-    past = world.snapshot()
-    action = np.random.default_rng(0).uniform(-1, 1, (40, 6, 3, 3)).astype(np.float32)
-    first = [world.step(one).reward for one in action]
-    world.restore(past)
-    np.testing.assert_array_equal([world.step(one).reward for one in action], first)
-
-
-@pytest.mark.parametrize(
-    ("fields", "named"),
-    [
-        ({"map": "some.yaml"}, "scenario.map"),
-        ({"layout": Layout.map}, "scenario.map"),
-        ({"layout": Layout.rooms, "arena_radius": 9.0}, "scenario.arena_radius"),
-        ({"layout": Layout.rooms, "crowd": "recorded"}, "scenario.layout is rooms"),
-        ({"layout": "map", "map": "some.yaml", "crowd": "recorded"}, "scenario.layout is map"),
-        ({"place": Place(door_width_min=3.0)}, "scenario.place.door_width_min"),
-        ({"place": 3}, "scenario.place"),
-        ({"lidar_rays": -1}, "scenario.lidar_rays"),
-    ],
-)
-def test_contradictions_are_named(fields: dict, named: str) -> None:
-    with pytest.raises(ConfigurationError) as error:
-        replace(Scenario(), **fields)
-    assert named in str(error.value)
-
-
-def test_too_many_people_for_a_corner_are_refused() -> None:
-    with pytest.raises(ConfigurationError, match=r"scenario\.humans is 60"):
-        worlds_of(Layout.corner, 1, humans=60)
 
 
 def test_a_deadlock_is_a_standstill_of_ten_seconds() -> None:

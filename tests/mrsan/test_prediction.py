@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from safetensors.numpy import save
 
-from mrsan import ConfigurationError
 from mrsan.prediction import (
     FORMAT,
     PREDICTORS,
@@ -46,14 +45,6 @@ def walks(worlds: int = 5, people: int = 4) -> People:
     return past, known, velocity[..., -1, :].astype(np.float32)
 
 
-def test_constant_velocity_by_hand() -> None:
-    past = np.array([[[[9, 9], [1, 2]]]], np.float32)
-    positions = ConstantVelocity(DT).predict(
-        past, np.ones((1, 1, 2), bool), np.array([[[1, -2]]], np.float32), 3
-    )
-    np.testing.assert_array_equal(positions, [[[[1.25, 1.5], [1.5, 1.0], [1.75, 0.5]]]])
-
-
 def test_weights_of_zero_are_constant_velocity_to_the_bit() -> None:
     zero = RecurrentPredictor(weights(0.0), H, DT)
     people = walks()
@@ -71,12 +62,6 @@ def test_it_turns_and_moves_with_the_world(angle: float) -> None:
     moved = past @ turn + np.float32(3), known, velocity @ turn
     positions = NETWORK.predict(past, known, velocity, K) @ turn + np.float32(3)
     np.testing.assert_allclose(NETWORK.predict(*moved, K), positions, atol=1e-4)
-
-
-def test_who_never_moved_is_expected_to_stay() -> None:
-    past = np.ones((1, 1, H, 2), np.float32)
-    positions = NETWORK.predict(past, np.ones((1, 1, H), bool), np.zeros((1, 1, 2), np.float32), K)
-    np.testing.assert_array_equal(positions, np.ones((1, 1, K, 2)))
 
 
 def test_who_stops_is_predicted_in_the_direction_of_before() -> None:
@@ -181,37 +166,6 @@ def test_a_file_is_what_was_written(tmp_path: Path) -> None:
     predictor = find_predictor(written(tmp_path, save(weights())), DT)
     assert predictor.history == H
     np.testing.assert_array_equal(predictor.predict(*walks(), K), NETWORK.predict(*walks(), K))
-
-
-def test_what_is_wrong_with_a_file_is_said_in_one_line(tmp_path: Path) -> None:
-    good = save(weights())
-    unlike = save(weights() | {"bias": np.zeros(4, np.float32)})
-    endless = save(weights() | {"bias": np.full(3 * HIDDEN, np.nan, np.float32)})
-    for content, card, message in (
-        (good, {"time_step": 0.1}, "predicts in steps of 0.1 s; scenario.time_step is 0.25"),
-        (good, {"format": 7}, "has format 7; it must be 1"),
-        (good, {"sha256": "0"}, "is damaged"),
-        (good, {"history": "many"}, "has history 'many'; it must be a whole number in .1, 200."),
-        (b"nonsense", {}, "is not a weights file"),
-        (unlike, {}, "has weights .*; they must be"),
-        (endless, {}, "has NaN or infinity in bias"),
-        (
-            save({**weights(), "bias": np.zeros(3 * HIDDEN)}),
-            {},
-            "has bias of type float64; it must be",
-        ),
-    ):
-        name = written(tmp_path, content, **card)
-        with pytest.raises(ConfigurationError, match=f"my.field: .*{message}") as caught:
-            find_predictor(name, DT, "my.field")
-        assert len(str(caught.value).splitlines()) == 1
-    (tmp_path / "mine.json").unlink()
-    with pytest.raises(ConfigurationError, match=r"mine\.json cannot be read"):
-        find_predictor(name, DT)
-    with pytest.raises(
-        ConfigurationError, match=r"predictor is 'x'; .* constant_velocity, recurrent"
-    ):
-        find_predictor("x", DT)
 
 
 def test_the_simulator_does_not_load_torch() -> None:

@@ -25,30 +25,6 @@ def test_who_is_absent_is_not_hit_and_is_not_near() -> None:
     assert world.step([[COAST]]).reward[0, 0] == -20
 
 
-def test_who_is_absent_hides_nobody() -> None:
-    world = stage([DRIVER], [(2, 0, 0, 0), (4, 0, 0, 0)], occlusion=True)
-    assert world.observe().humans_visible[0, 0].tolist() == [True, False]
-    world.state.human_present[0, 0] = False
-    assert world.observe().humans_visible[0, 0].tolist() == [False, True]
-
-
-@pytest.mark.parametrize("crowd", [Crowd.orca, Crowd.social_force])
-def test_who_leaves_is_avoided_by_nobody(crowd: Crowd) -> None:
-    """Two people walk towards each other; each walks straight on once the other has gone."""
-    humans = [(0.0, 5.0, 0.0, 1.0), (0.0625, 7.5, 0.0, -1.0)]
-    world = stage([DRIVER], humans, crowd=crowd, neighbor_distance=10.0)
-    past = world.snapshot()
-    world.step([[COAST]])
-    assert (np.abs(world.state.human_velocity[0] - [[0, 1], [0, -1]]).max(1) > 1e-3).all()
-    for gone in (0, 1):
-        world.restore(past)
-        world.state.human_present[0, gone] = False
-        world.step([[COAST]])
-        straight = [0, -1] if gone == 0 else [0, 1]
-        np.testing.assert_allclose(world.state.human_velocity[0, 1 - gone], straight, atol=1e-5)
-        np.testing.assert_array_equal(world.state.human_position[0, gone], humans[gone][:2])
-
-
 def without(state: State, here: np.ndarray, scenario: Scenario) -> World:
     """The same worlds with only the slots `here`."""
     world = World(scenario, E)

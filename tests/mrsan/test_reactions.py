@@ -7,8 +7,6 @@ import pytest
 from numpy.typing import NDArray
 
 from mrsan import (
-    ConfigurationError,
-    Crowd,
     CrowdReaction,
     Kinematics,
     Layout,
@@ -63,22 +61,6 @@ def drive(
     return np.array(people), np.array(robots)
 
 
-def passed_at(reaction: Reaction, crowd: str = "orca") -> float:
-    """The smallest distance of a person to a robot that passes 1 m beside its way."""
-    people, robots = drive(
-        one_robot(crowd=crowd, **everybody(reaction)), (8.0, 1.0), (-1.0, 0.0), 32
-    )
-    return float(np.linalg.norm(people - robots, axis=1).min())
-
-
-@pytest.mark.parametrize("crowd", ["orca", "social_force"])
-def test_a_scared_person_keeps_farther_away_than_others(crowd: str) -> None:
-    blind, scared = passed_at(Reaction.blind, crowd), passed_at(Reaction.scared, crowd)
-    assert blind == pytest.approx(1.0, abs=0.05)  # the way of the robot is 1 m beside its own
-    assert scared > blind + 0.7
-    assert scared > passed_at(Reaction.regular, crowd) + 0.4
-
-
 def test_a_surprised_person_stops_for_a_while() -> None:
     """It notices the robot within 4 m, stands for 2 s = 8 steps, and then walks on."""
     world = one_robot(**everybody(Reaction.surprised, surprised_time=2.0))
@@ -101,29 +83,6 @@ def test_who_looks_the_other_way_does_not_notice_a_robot() -> None:
     all_round = one_robot(**everybody(Reaction.surprised, notice_fov_degrees=360.0))
     people, _ = drive(all_round, (-2.0, 0.0), (0.5, 0.0), 8)
     np.testing.assert_array_equal(people[-1], 0.0)
-
-
-def test_a_curious_person_approaches_slowly_and_leaves_again() -> None:
-    """From 3.6 m it walks 2.1 m at 0.6 m/s to a gap of 0.9 m, stays until 10 s, and walks on."""
-    world = one_robot(**everybody(Reaction.curious))
-    people, _ = drive(world, (0.0, 3.6), (0.0, 0.0), 60)
-    steps = np.linalg.norm(np.diff(people, axis=0, prepend=0.0), axis=1)
-    np.testing.assert_allclose(steps[:14], 0.6 * 0.25, atol=1e-5)
-    np.testing.assert_allclose(people[14:40], np.float32([[0.0, 2.1]] * 26), atol=1e-5)
-    assert people[59, 0] > 3.0
-
-
-def test_a_threatening_person_stays_in_front_of_the_robot() -> None:
-    """It walks round from behind, never through the robot, and stays 0.5 m ahead of it."""
-    world = one_robot(**everybody(Reaction.threatening, notice_fov_degrees=360.0))
-    people, robots = drive(world, (1.5, 0.5), (0.5, 0.0), 36)
-    distance = np.linalg.norm(people - robots, axis=1)
-    assert distance.min() > 0.6
-    np.testing.assert_allclose(
-        people[20:36] - robots[20:36], np.float32([[1.1, 0]] * 16), atol=0.01
-    )
-    blind, robots = drive(one_robot(**everybody(Reaction.blind)), (1.5, 0.5), (0.5, 0.0), 36)
-    assert abs(blind - robots)[20:, 1].min() > 0.4  # it passes at its own pace
 
 
 def test_an_impassive_person_does_not_anticipate() -> None:
@@ -208,22 +167,3 @@ def test_reactions_are_drawn_by_the_shares_and_the_case() -> None:
     np.testing.assert_allclose(drawn, expected, atol=0.03)
     world.reset([7])
     np.testing.assert_array_equal(world.state.human_social[0, :, REACTION], kinds[7])
-
-
-@pytest.mark.parametrize(
-    ("fields", "message"),
-    [
-        ({"reactions": Reactions(regular=0.9)}, "scenario.reactions has shares whose sum is 1.5"),
-        ({"reactions": 0.5}, "scenario.reactions is 0.5"),
-        ({"crowd_reaction": "rude"}, "scenario.crowd_reaction is 'rude'"),
-        (
-            {"robots_visible": True},
-            r"'robots_visible' \(True\); it is now crowd_reaction=reciprocal",
-        ),
-        ({"crowd_reaction": "mixed", "crowd": Crowd.still}, "scenario.crowd is still"),
-        ({"crowd_reaction": "reciprocal", "crowd": Crowd.recorded}, "scenario.crowd is recorded"),
-    ],
-)
-def test_what_does_not_fit_is_refused(fields: dict[str, Any], message: str) -> None:
-    with pytest.raises(ConfigurationError, match=message):
-        Scenario(**fields)

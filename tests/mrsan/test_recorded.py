@@ -1,7 +1,6 @@
 """Recorded people: files in, ways out, and nobody reacts to a robot."""
 
 import itertools
-import re
 from pathlib import Path
 
 import numpy as np
@@ -11,15 +10,10 @@ from benchmarks.synthetic_recording import recording_text as synthetic
 from mrsan import ConfigurationError, Crowd, Scenario, World
 from mrsan.recording import (
     SAMPLE,
-    find_problem,
     load_recording,
-    read_people,
-    summarize,
 )
 
 CASES = np.arange(20)
-RECORDED = Path(__file__).parents[2].parent / "shared/data/eth_ucy"
-
 # Two people for 8 s on a floor of 12 m by 8 m: one walks 1 m/s along x, one stands.
 TWO = "".join(f"{10 * k} 1 {0.4 * k:.2f} 0\n{10 * k} 2 12 8\n" for k in range(21))
 
@@ -88,49 +82,6 @@ def test_a_long_gap_begins_another_track(tmp_path: Path, pause: float, tracks: i
         np.testing.assert_allclose(
             path[:, 0] - walker[0][2][0, 0], np.arange(first, last + 1) * 0.2, atol=1e-4
         )
-
-
-@pytest.mark.parametrize("text", [TWO.replace(" ", "\t"), TWO.replace(" ", ", ")])
-def test_separators_do_not_matter(tmp_path: Path, text: str) -> None:
-    one, other = (
-        load_recording(written(tmp_path, t, f"{k}.txt"), 0.04, 0.25)
-        for k, t in enumerate((TWO, text))
-    )
-    np.testing.assert_array_equal(one.position, other.position)
-
-
-def test_trajnet_lines_are_read(tmp_path: Path) -> None:
-    rows = [line.split() for line in TWO.splitlines()]
-    text = '{"scene": {"id": 0, "p": 1, "s": 0, "e": 200, "fps": 2.5}}\n' + "".join(
-        f'{{"track": {{"f": {f}, "p": {p}, "x": {x}, "y": {y}}}}}\n' for f, p, x, y in rows
-    )
-    one, other = (
-        load_recording(written(tmp_path, t, f"{k}.txt"), 0.04, 0.25)
-        for k, t in enumerate((TWO, text))
-    )
-    np.testing.assert_array_equal(one.position, other.position)
-
-
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("", "is empty; it must have a row 'frame id x y'"),
-        ("0 1 2 3\n0 2 2\n0 3 2 3\n", "line 2: '0 2 2' has 3 values; it must have 4"),
-        ("0 1 2 3\n\n10 1 x 3\n", "line 3: x is 'x'; it must be a finite number"),
-        ("0 1 nan 3\n", "line 1: x is 'nan'; it must be a finite number"),
-        ("0 1 2 inf\n", "line 1: y is 'inf'; it must be a finite number"),
-        ("0 1 2 3\n1e12 1 2 3\n", "line 2: the frame number is 1e+12"),
-        ("0 1 2 3\n10 1 1e12 3\n", "line 2: a position is 1e+12"),
-        ("0 1.5 2 3\n", "line 1: the id of a person is 1.5; it must be a whole number"),
-        ("-1e9 2 0 0\n1e-320 1 0 0\n0 1 1 1\n", "the median speed is 1.41e+09 m/s"),
-        ("0 1 2 3\n0 1 2 4\n", "person 1 is in frame 0 twice, at (2, 3) in line 1 and at (2, 4)"),
-        ('{"track": {"f": 1, "p": 1, "x": 0}}\n', "line 1: y is None; it must be a number"),
-        ('{"trak": {}}\n', "line 1: '{\"trak\": {}}' is neither a scene nor a track"),
-    ],
-)
-def test_a_malformed_line_is_named(tmp_path: Path, text: str, said: str) -> None:
-    with pytest.raises(ConfigurationError, match=re.escape(said)):
-        World(recorded(written(tmp_path, text)))
 
 
 def test_what_is_no_recording_is_refused(tmp_path: Path) -> None:
@@ -245,31 +196,3 @@ def test_an_episode_does_not_depend_on_the_batch() -> None:
         one.step(rest(one))
         for name in many.state._fields:
             np.testing.assert_array_equal(getattr(many.state, name)[7], getattr(one.state, name)[0])
-
-
-@pytest.mark.skipif(not RECORDED.is_dir(), reason="the recordings belong to their authors")
-@pytest.mark.parametrize("path", sorted(RECORDED.glob("*.txt")), ids=lambda path: path.stem)
-def test_the_fields_own_recordings_are_plausible(path: Path) -> None:
-    people = read_people(path, 0.0667 if path.stem == "biwi_eth" else None)
-    assert find_problem(people) is None
-    summary = summarize(people)
-    assert summary.speed_largest < 3.9
-    assert summary.longest_gap < 0.7
-    assert summary.tracks == summary.people
-
-
-@pytest.mark.skipif(not RECORDED.is_dir(), reason="the recordings belong to their authors")
-@pytest.mark.parametrize(("name", "seconds"), [("biwi_eth", 0.0667), ("students001", None)])
-def test_the_fields_own_recordings_are_read(name: str, seconds: float | None) -> None:
-    scenario = recorded(str(RECORDED / f"{name}.txt"), frame_seconds=seconds)
-    world = World(scenario, len(CASES))
-    world.reset(CASES)
-    speeds = []
-    for _ in range(40):
-        world.step(rest(world))
-        velocity = world.state.human_velocity[world.state.human_present]
-        speeds.append(np.linalg.norm(velocity, axis=-1))
-    walking = np.concatenate(speeds)
-    walking = walking[walking > 0.3]
-    assert 0.7 < walking.mean() < 1.6  # as people do
-    assert walking.max() < 5.0

@@ -1,7 +1,6 @@
 """One recording in the formats and with the faults of public files: read rightly, or refused."""
 
 import contextlib
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +8,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mrsan import ConfigurationError, Crowd, Scenario
 from mrsan.recording import (
     People,
     Recording,
@@ -18,7 +16,6 @@ from mrsan.recording import (
     read_people,
     summarize,
 )
-from mrsan.recording.formats import read_rows
 
 CASES = Path(__file__).parents[1] / "data/recordings"
 TRUTH = CASES / "plain.txt"  # 40 people at 1.2 m/s on 14 x 14 m, 25 frames/s, every tenth
@@ -32,20 +29,6 @@ REFUSED: dict[str, tuple[str, dict[str, float]]] = {
     "seconds.txt": ("scenario.frame_seconds to about 0.9", {"frame_seconds": 1.0}),
     "only_once_each.txt": ("must have the same id in every frame", {}),
     "five_seconds.txt": ("lasts 4.4 s; it must last at least 6 s", {}),
-}
-FORMATS = {  # that must be recognised; others are plain tables
-    "header.csv": "table with named columns",
-    "indented_comment.txt": "table with named columns",
-    "obsmat8.txt": "obsmat.txt of ETH",
-    "pandas_index.csv": "table with named columns",
-    "pedpy_id_first.txt": "PedPy or JuPedSim",
-    "sdd_annotations.txt": "SDD",
-    "semicolon_comment.txt": "table with named columns",
-    "trajnet.ndjson": "TrajNet++",
-    "trajnet_compact.ndjson": "TrajNet++",
-    "trajnet_predictions.ndjson": "TrajNet++ predictions",
-    "trajnet_spaced.ndjson": "TrajNet++",
-    "true_pos_.csv": "transposed",
 }
 
 
@@ -76,12 +59,6 @@ def test_a_recording_is_the_same_people_or_is_refused(path: Path) -> None:
             assert_is_the_truth(load(path, **remedy))
 
 
-def test_the_format_is_recognised() -> None:
-    for path in CASES.iterdir():
-        expected = FORMATS.get(path.name, "plain table")
-        assert read_rows(path).format.startswith(expected), path.name
-
-
 def test_what_is_only_written_differently_is_the_same_to_the_last_bit() -> None:
     names = "bom.txt crlf.txt decimal_comma.csv exact_duplicates.txt header.csv unsorted.txt"
     names += " indented_comment.txt pedpy_id_first.txt semicolon_comment.txt utf16.txt"
@@ -90,17 +67,6 @@ def test_what_is_only_written_differently_is_the_same_to_the_last_bit() -> None:
         other = load_recording(CASES / name, None, 0.25)
         for one, two in zip(truth, other, strict=True):
             np.testing.assert_array_equal(one, two, err_msg=name)
-
-
-def test_a_scenario_names_its_field() -> None:
-    path = CASES / "renumbered_2_5_fps.txt"
-    scenario = Scenario(crowd=Crowd.recorded, recording=str(path))
-    with pytest.raises(
-        ConfigurationError, match=r"scenario\.recording is .*frame_seconds to about 0\.4"
-    ):
-        scenario.load_recording()
-    fast = Scenario(crowd=Crowd.recorded, recording=str(path), recording_check=False)
-    assert fast.load_recording().steps == 35  # 223 frames of 0.04 s: 8.92 s
 
 
 ROWS = np.array(
@@ -212,30 +178,15 @@ def test_recordings_far_from_the_origin_give_the_same_people(tmp_path: Path) -> 
     ("text", "words"),
     [
         ("0 1 2 3 4\n", "rows have 5 values and no header names them; it must have 4"),
-        ("0 1 2 3 4 5 6 7\n1 1 2 9 4 5 6 7\n", "rows have 8 values, but neither those of ETH"),
         ("frame,id,x\n0,1,2\n", "'frame,id,x' has no column named y"),
-        ("frame,who,x,y\n0,1,2,3\n", "'frame,who,x,y' has no column named id"),
-        ("frame,id,x,y\n0,1,2,5,3,5\n", "does not name 6 columns"),
         ("id,frame,ped_id,x,y\n0,1,2,5,3\n", "columns 'id' and 'ped_id' may both be id"),
-        ("recorded in May\n0 1 2 3\n", "line 1: 'recorded in May' is neither a row of numbers"),
-        ("a b c d\n", "line 1: 'a b c d' is not a row of numbers"),
         ("x/m y/cm id frame\n0 1 2 3\n", "x is in m and y in cm; both must be in the same unit"),
-        ("0 1 ? ?\n10 1 ? ?\n", "every position is '?'"),
-        ("12 - the number of splines\n", "splines of UCY"),
-        ("[1, 2]\n", "a JSON document"),
-        ("<xml>\n", "an XML document"),
         ('{"track": {"f": 0, "p": 1.5, "x": 0, "y": 0}}\n', "p is 1.5; it must be a whole number"),
-        ('{"track": \n', "line 1: '{\"track\": ' must be a JSON object"),
-        ('{"scene": {"id": 0}}\n', "has no tracks"),
-        ('1 2 3 4 5 6 0 0 0 "Biker"\n', "of a visible Pedestrian"),
         (
             "0,0,0,0,0\n1,1,1,1,1\n0,.1,.2,.3,.4\n0,.1,.2,.3,.4\n",
             "relative to the width and height of the image",
         ),
-        ('0 1 "2 3\n', "has a quotation mark that is not closed"),
         (b"\x1f\x8b\x08", "compressed; unpack it first"),
-        (b"PK\x03\x04", "Excel"),
-        (b"SQLite format 3\0", "SQLite"),
         (bytes(range(256)), "cannot be read as text"),
     ],
 )
@@ -249,20 +200,6 @@ def test_a_refusal_says_what_is_wrong_with_this_file(
     assert (
         "must" in str(error.value) or "unpack" in str(error.value) or "export" in str(error.value)
     )
-
-
-def test_reading_without_pandas_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(RecordingError, match="pip install pandas"):
-        load(written(tmp_path, lines(*ROWS.T)))
-
-
-def test_a_file_that_would_fill_the_memory_is_refused_at_once(tmp_path: Path) -> None:
-    path = tmp_path / "day.csv"
-    with path.open("wb") as file:
-        file.truncate(3 * 10**8)
-    with pytest.raises(RecordingError, match="it has 300 MB; it must have at most 200 MB"):
-        load(path)
 
 
 def test_boxes_of_people_in_the_picture_are_used(tmp_path: Path) -> None:

@@ -2,16 +2,12 @@
 
 from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from mrsan import ConfigurationError, Kinematics, Reward, Scenario, State, World
-from mrsan.gymnasium_env import GymnasiumEnv
 from mrsan.reward_terms import REWARD_TERMS, register_reward_term
-from samarl.configuration import scenario_of
-from tests.samarl.test_workflows import run
 
 SCENARIO = Scenario(robots=2, humans=3, kinematics=Kinematics.holonomic, time_limit=2.0)
 
@@ -62,13 +58,6 @@ def test_weighted_terms_are_added_to_the_reward_of_driving_robots() -> None:
     assert world.state.done.all()
 
 
-def test_wrappers_report_them() -> None:
-    env = GymnasiumEnv(humans=0, reward=Reward(terms={"speed": 3.0}), kinematics="holonomic")
-    env.reset(seed=0)
-    *_, info = env.step(np.array([0.5, 0.0]))
-    assert info["reward_parts"]["custom"] == pytest.approx(1.5)  # 3 times 0.5 m/s
-
-
 @pytest.mark.parametrize(
     ("terms", "message"),
     [
@@ -93,17 +82,3 @@ def test_invalid_terms_are_named() -> None:
         worlds_of({"broken": 1.0}).step(action)
     with pytest.raises(ValueError, match="'a b'; it must be an identifier"):
         register_reward_term("a b")
-
-
-def test_commands_import_terms_from_plugins(tmp_path: Path) -> None:
-    assert scenario_of({"reward": {"terms": {"speed": 0.5}}}).reward.terms == {"speed": 0.5}
-    (tmp_path / "my_terms.py").write_text(
-        "import mrsan\n\n\n@mrsan.register_reward_term('calm')\ndef calm(state, scenario):\n"
-        "    return -abs(state.robot_acceleration).sum(-1)\n"
-    )
-    words = ["policy=flat", "scenario.humans=1", "worlds=2", "run_dir=run", "trainer.steps=8"]
-    small = ["trainer.rollout=4", "trainer.validation_cases=1", "encoder.width=8"]
-    term = ["plugins=[my_terms]", "scenario.reward.terms.calm=0.1"]
-    run("train", *words, *small, *term, cwd=tmp_path)
-    done = run("train", *words, *small, term[1], cwd=tmp_path, code=2)
-    assert "scenario.reward.terms has 'calm'; it must be registered" in done.stderr

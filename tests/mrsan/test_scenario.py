@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mrsan import ConfigurationError, Crowd, Kinematics, Layout, Reward, Scenario
+from mrsan import ConfigurationError, Crowd, Layout, Reward, Scenario
 from mrsan.parameters import kernel_parameters
 from samarl.evaluation.runner import Evaluation
 
@@ -67,24 +67,6 @@ def test_the_ends_of_each_range_can_be_used() -> None:
             configuration = make(owner, **{name: value}, **others)
             actual = getattr(configuration.reward if owner is Reward else configuration, name)
             assert actual == value, f"{PATH[owner]}.{name}"
-
-
-def test_switches_are_true_or_false() -> None:
-    for field in dataclasses.fields(Scenario):
-        if field.type == "bool":
-            with pytest.raises(ConfigurationError, match=rf"{field.name} is 1; it must be true or"):
-                Scenario(**{field.name: 1})
-
-
-@pytest.mark.parametrize(
-    ("name", "choices"), [("crowd", Crowd), ("kinematics", Kinematics), ("layout", Layout)]
-)
-def test_names_are_among_the_choices(name: str, choices: Any) -> None:
-    with pytest.raises(ConfigurationError) as error:
-        Scenario(**{name: "nobody"})
-    message = str(error.value)
-    assert message.startswith(f"scenario.{name} is 'nobody'; it must be one of ")
-    assert ", ".join(choices.__members__) in message
 
 
 @pytest.mark.parametrize(
@@ -155,22 +137,3 @@ def test_fields_may_contradict_each_other_where_one_of_them_is_not_used(
             Scenario(**fields, **place)
     for place in unused:
         assert kernel_parameters(Scenario(**fields, **place))
-
-
-def test_replacing_checks_again() -> None:
-    with pytest.raises(ConfigurationError, match=r"scenario.fov_degrees is 400; .*\(0, 360\]"):
-        dataclasses.replace(Scenario(), fov_degrees=400)
-
-
-def test_the_defaults_are_samarls() -> None:
-    s = Scenario()
-    assert (s.robots, s.humans, s.circle_radius, s.time_step, s.time_limit_steps) == (
-        3,
-        10,
-        5.0,
-        0.25,
-        200,
-    )
-    assert (s.max_acceleration, s.max_turn_rate, s.min_turning_radius) == (5.0, 60.0, 1.0)
-    assert (s.robot_radius, s.robot_speed, s.sensing_range) == (0.3, 1.0, 10.0)
-    assert kernel_parameters(s).max_turn == pytest.approx(math.pi / 12)

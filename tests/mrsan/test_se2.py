@@ -1,9 +1,6 @@
 """Planar rigid transforms: numbers from paper and pencil, inverses, and every kind of argument."""
 
-import math
-
 import numpy as np
-import pytest
 import torch
 
 from mrsan.kernels import function
@@ -11,7 +8,6 @@ from mrsan.se2 import (
     rotate,
     rotate_vectors,
     transform,
-    unrotate,
     unrotate_vectors,
     untransform,
 )
@@ -27,15 +23,6 @@ def test_ahead_and_left_of_a_body_that_faces_up() -> None:
     assert transform(*UP, *BODY, 1.0, 0.0) == (2.0, 2.0)
     assert transform(*UP, *BODY, 0.0, 1.0) == (1.0, 1.0)
     assert untransform(*UP, *BODY, 1.0, 1.0) == (0.0, 1.0)
-
-
-@pytest.mark.parametrize("degrees", [0.0, 30.0, 100.0, -170.0])
-def test_leaving_a_frame_undoes_entering_it(degrees: float) -> None:
-    angle = math.radians(degrees)
-    heading = math.cos(angle), math.sin(angle)
-    assert unrotate(*heading, *rotate(*heading, 3.0, -2.0)) == pytest.approx((3.0, -2.0))
-    point = transform(*heading, *BODY, 3.0, -2.0)
-    assert untransform(*heading, *BODY, *point) == pytest.approx((3.0, -2.0))
 
 
 def test_floats_arrays_tensors_and_kernels_give_the_same_bits() -> None:

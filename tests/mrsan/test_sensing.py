@@ -38,12 +38,6 @@ def test_the_field_of_view_ends_at_its_half_angle(fov_degrees: float, heading: f
             assert not seen.robots[0, 0].any()
 
 
-@pytest.mark.parametrize(("distance", "seen"), [(9.99, True), (10.01, False)])
-def test_the_range_ends_at_ten_metres(distance: float, seen: bool) -> None:
-    world = stage([(0, 0, 0, 0, 9, 9)], [(distance, 0, 0, 0)])
-    assert bool(world.observe().humans_visible[0, 0, 0]) is seen
-
-
 def test_an_observation_by_hand() -> None:
     """A robot at (1, 2) that faces north: north is ahead, west is to the left."""
     world = stage([(1, 2, math.pi / 2, 0.5, 1, 5), (-1, 2, 0, 1, 9, 9)], [(2, 4, -1, 0)], clock=50)
@@ -98,11 +92,6 @@ def test_noise_has_the_stated_spread_in_each_direction_alone() -> None:
     np.testing.assert_allclose(inside, 0.6827, atol=FIVE_SIGMA * 0.466 / np.sqrt(n))
 
 
-def test_noise_of_one_kind_leaves_the_other_exact() -> None:
-    assert (errors(position_noise=0.1)[:, 2:] == 0).all()
-    assert (errors(velocity_noise=0.1)[:, :2] == 0).all()
-
-
 def test_noise_of_the_radius_is_of_people_and_drawn_anew_at_every_step() -> None:
     """The radius itself stays what it is, and that of robots is known."""
     error = errors(radius_noise=0.05)
@@ -123,18 +112,6 @@ def test_noise_of_the_radius_is_of_people_and_drawn_anew_at_every_step() -> None
     assert (world.observe(privileged=True).humans[..., 4] == np.float32(0.3)).all()
 
 
-def test_noise_leaves_some_of_a_radius() -> None:
-    seen = observed(radius_noise=2.0).observe()
-    assert seen.humans[seen.humans_visible][:, 4].min() == np.float32(0.05)
-
-
-def test_noise_of_two_people_is_independent() -> None:
-    exact, noisy = observed(), observed(position_noise=0.1)
-    error = (noisy.observe().humans - exact.observe().humans)[:, 0, :, 0]
-    both = noisy.observe().humans_visible[:, 0].all(1)
-    assert abs(np.corrcoef(error[both].T)[0, 1]) < FIVE_SIGMA / np.sqrt(both.sum())
-
-
 def test_detections_are_missed_with_the_stated_probability_at_every_step_anew() -> None:
     world = observed(missed_detection=0.3)
     exact = observed()
@@ -148,7 +125,3 @@ def test_detections_are_missed_with_the_stated_probability_at_every_step_anew() 
     assert share == pytest.approx(0.3, abs=FIVE_SIGMA * np.sqrt(0.21 / n))
     both = (missed & later)[there].mean()
     assert both == pytest.approx(0.09, abs=FIVE_SIGMA * np.sqrt(0.09 * 0.91 / n))
-
-
-def test_a_sensor_that_misses_everything_sees_nobody() -> None:
-    assert not observed(missed_detection=1.0).observe().humans_visible.any()

@@ -90,28 +90,6 @@ def test_only_the_chosen_worlds_go_back() -> None:
             np.testing.assert_array_equal(step.reward[some], theirs.reward[some])
 
 
-def test_a_snapshot_is_a_copy_and_so_is_what_is_restored() -> None:
-    world = begun()
-    past = world.snapshot()
-    past_bytes = bits(past)
-    go_on(world)
-    assert bits(past) == past_bytes
-    world.restore(past)
-    go_on(world)
-    assert bits(past) == past_bytes
-
-
-def test_an_ended_world_can_be_taken_back_before_its_end() -> None:
-    world = begun(auto_reset=False)
-    past = world.snapshot()
-    go_on(world)
-    assert world.state.done.all()
-    world.restore(past)
-    assert not world.state.truncated.any()
-    world.step(ACTIONS[0])
-    assert (world.state.clock == past.clock + ~past.done).all()
-
-
 def test_what_does_not_fit_is_refused_and_nothing_is_written() -> None:
     world = begun()
     before = bits(world.state)

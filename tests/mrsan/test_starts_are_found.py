@@ -34,27 +34,6 @@ def test_routes_of_one_fixed_length_are_drawn(length: float) -> None:
     assert np.abs([state.robot_position, state.robot_goal]).max() < 7.0 * 2.0
 
 
-def test_routes_of_nearly_one_length_point_everywhere() -> None:
-    fields = {"layout": Layout.square, "humans": 0, "robots": 1}
-    narrow = Scenario(**fields, route_length_min=8.0, route_length_max=8.0)
-    state = reset(narrow, 4000).state
-    start, goal = state.robot_position[:, 0], state.robot_goal[:, 0]
-    assert np.abs([start, goal]).max() < 7.0 + 1e-5
-    direction = (goal - start) / 8.0
-    assert np.abs(direction.mean(0)).max() < 5 * np.sqrt(0.5 / 4000)
-    np.testing.assert_allclose((direction**2).mean(0), 0.5, atol=5 * np.sqrt(0.125 / 4000))
-    assert np.abs(start.mean(0)).max() < 0.5
-
-
-def test_people_who_find_no_room_on_a_walled_floor_start_beyond_it() -> None:
-    scenario = Scenario(layout=Layout.square, humans=64, floor_size=6.0, arena_radius=8.0)
-    state = reset(scenario, 5).state
-    assert np.abs(state.robot_position).max() <= 3.0 + 1e-5
-    assert np.abs(state.human_position).max() > 3.0
-    gap = np.linalg.norm(state.human_position[:, :, None] - state.human_position[:, None], axis=-1)
-    assert (gap + np.eye(64) * 9 >= 0.6 + 0.4 - 1e-5).all()
-
-
 @pytest.mark.parametrize(
     ("fields", "named"),
     [

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mrsan.kernels import kernel
-from mrsan.kernels.structs import KeepsStruct, Struct, by_reference
+from mrsan.kernels.structs import KeepsStruct, by_reference
 
 
 class _Inner(NamedTuple):
@@ -53,28 +53,6 @@ def test_compiled_code_reads_every_kind_of_field_and_writes_into_arrays(rows: in
     expected = [1.0 + 0.5 + 0.25 + 1 + 6, 3.0 + 0.5 + 0.25 + 1 + 6, 12.75, 14.75]
     np.testing.assert_array_equal(out[:rows], expected[:rows])
     np.testing.assert_array_equal(grid[:rows, 0], 7.0)
-
-
-def test_a_change_of_a_field_is_another_type() -> None:
-    grid = np.zeros((4, 2))
-    same = [Struct(outer._fields, outer).type for outer in (make_outer(grid), make_outer(grid + 1))]
-    assert same[0] == same[1]
-    others = [make_outer(grid)._replace(count=1.0), make_outer(grid.astype(np.float32))]
-    assert all(Struct(other._fields, other).type != same[0] for other in others)
-
-
-@pytest.mark.parametrize(
-    ("value", "problem"),
-    [
-        (np.zeros((4, 4))[:, ::2], "C-contiguous"),
-        ((1, 2), "named"),
-        ("text", "str"),
-        (np.int32(1), "int32"),
-    ],
-)
-def test_other_values_are_refused(value: Any, problem: str) -> None:
-    with pytest.raises(TypeError, match=problem):
-        Struct(["field"], [value])
 
 
 def test_a_kept_struct_is_neither_pickled_nor_copied() -> None:

@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
 from mrsan import Layout, Scenario, World
 from mrsan.kernels.routes import GOAL
@@ -80,17 +79,3 @@ def test_messages_change_nothing_else() -> None:
             with_messages.step(action).observation,
             without.step(action).observation,
         )
-
-
-def test_misuse_is_refused() -> None:
-    world = World(replace(ROOMS, team_messages=False))
-    world.reset([0])
-    with pytest.raises(ValueError, match="team_messages is false"):
-        world.tell(np.zeros((1, 4), int))
-    world = World(ROOMS)
-    for wrong in (np.zeros((1, 3), int), np.zeros((1, 4)), np.full((1, 4), -1)):
-        with pytest.raises(ValueError, match="macro_actions"):
-            world.tell(wrong)
-    world.tell(np.ones((1, 4), int))
-    world.reset([0])
-    assert not world.state.macro_action.any()

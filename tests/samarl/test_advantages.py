@@ -184,36 +184,6 @@ def test_both_levels_agree_with_loops_over_every_stream(
     check(data, discount, lam)
 
 
-def test_robots_with_different_numbers_of_decisions_have_nothing_of_each_other() -> None:
-    # Robot 0 decides three times, robot 1 once: the slots that it does not use are padding.
-    # To be paid 1 for ever is worth 10, so nobody is surprised ...
-    t, yes = 6, [1, 1]
-    decided = [[[1, 1], [0, 0], [1, 0], [0, 0], [0, 0], [1, 0]]]
-    numbers = {"active": [[yes] * t], "done": [[0] * t], "terminated": [[[0, 0]] * t]}
-    value = torch.full((1, t + 1, 2), 10.0)
-    data = made(**numbers, decided=decided, reward=[[[1.0, 1.0]] * t], value=value.tolist())
-    of = streams(data.steps)
-    advantage, target, where = macro_advantages(of, data.decided, data.reward, value, 0.9, 0.95)
-    assert where.sum((0, 1)).tolist() == [3, 1]
-    assert advantage[where].tolist() == pytest.approx([0.0] * 4, abs=1e-5)
-    assert target[where].tolist() == pytest.approx([10.0] * 4)
-    # ... and only the first of each decision knows what the first state is worth.
-    value[:, 0] = 1000.0
-    advantage, target, _ = macro_advantages(of, data.decided, data.reward, value, 0.9, 0.95)
-    assert advantage[0, 0].tolist() == pytest.approx([-990.0] * 2)
-    assert advantage[0, 2, 0].item() == pytest.approx(0.0, abs=1e-5)
-    assert advantage[0, 5, 0].item() == pytest.approx(0.0, abs=1e-5)
-    assert target[0, 0].tolist() == pytest.approx([10.0] * 2, abs=1e-3)
-    # What the rollout ends in is worth 11: 0.9 more for the last decision, of one step.
-    value[:, 0], value[:, t] = 10.0, 11.0
-    advantage, _, _ = macro_advantages(of, data.decided, data.reward, value, 0.9, 0.95)
-    last, only = 0.9, 0.9**6
-    middle = 0.9**3 * 0.95 * last
-    assert advantage[0, 5, 0].item() == pytest.approx(last, abs=1e-5)
-    assert advantage[0, 2, 0].item() == pytest.approx(middle, abs=1e-5)
-    assert advantage[0, 0].tolist() == pytest.approx([0.9**2 * 0.95 * middle, only], abs=1e-5)
-
-
 def test_macro_rewards_are_discounted_sums_over_their_durations() -> None:
     data = made(
         active=[[[1]] * 7],

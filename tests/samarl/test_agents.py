@@ -2,20 +2,18 @@
 
 import json
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from mrsan import ConfigurationError, Crowd, Kinematics, Layout, Observation, Scenario, Split, World
+from mrsan import ConfigurationError, Kinematics, Observation, Scenario, Split, World
 from mrsan.fields import required
 from samarl.agents import Agent, build_agent
 from samarl.configuration import available_agents, load_agent_config, scenario_of
 from samarl.evaluation.runner import run_cases
 from samarl.files import find_folder
 from samarl.policies.card import find_policy
-from samarl.policies.checkpoint import load_policy, save_policy
 
 CONFIGS = {name: load_agent_config(name) for name in available_agents()}
 LEARNED = {name for name, config in CONFIGS.items() if "checkpoint" in config}
@@ -36,10 +34,6 @@ def drives(name: str) -> list[Kinematics]:
 
 def agent_in(name: str, scenario: Scenario) -> Agent:
     return build_agent(CONFIGS[name], scenario)
-
-
-def test_all_planners_are_available() -> None:
-    assert set(CONFIGS) >= PLANNERS
 
 
 @pytest.mark.parametrize(
@@ -119,17 +113,6 @@ def test_straight_alone_always_arrives_on_the_straight_line(kinematics: Kinemati
     assert (episodes.time <= episodes.straight_line / 1.0 + 0.25).all()
 
 
-@pytest.mark.parametrize(("wall_strength", "wall_reach"), [(10.0, 0.15), (20.0, 0.6)])
-def test_social_forces_pass_a_door_only_if_its_walls_repel_little(
-    wall_strength: float, wall_reach: float
-) -> None:
-    scenario = Scenario(layout=Layout.doorway, robots=1, humans=0)
-    changes = {"wall_strength": wall_strength, "wall_reach": wall_reach}
-    agent = build_agent(CONFIGS["social_force_places"] | changes, scenario)
-    passed = run_cases(agent, scenario, CASES, batch=40).success.mean()
-    assert passed > 0.9 if wall_reach < 0.3 else passed < 0.3
-
-
 def test_driving_around_the_crowd_beats_driving_through_it() -> None:
     scenario = Scenario()
     perimeter, straight = (
@@ -180,14 +163,6 @@ def test_invalid_agents_are_refused(fields: dict[str, Any], message: str) -> Non
         build_agent(fields, Scenario())
 
 
-def test_a_custom_agent_needs_one_class() -> None:
-    scenario = Scenario(robots=2, humans=0, time_limit=2.0)
-    agent = build_agent({"_target_": HERE, "patience": 3}, scenario)
-    episodes = run_cases(agent, scenario, CASES[:3], batch=2)
-    assert episodes.timeout.all()
-    assert not episodes.path_length.any()
-
-
 def test_the_scenarios_of_included_policies_have_the_fields_of_this_version() -> None:
     cards = sorted((find_folder("results") / "checkpoints").glob("*.json"))
     assert len(cards) > 30
@@ -198,14 +173,3 @@ def test_the_scenarios_of_included_policies_have_the_fields_of_this_version() ->
             scenarios[json.dumps(stage["scenario"])] = stage["scenario"], card.name
     for scenario, name in scenarios.values():
         scenario_of(scenario, name)
-
-
-def test_a_policy_warns_about_recordings_it_was_trained_on(tmp_path: Path) -> None:
-    policy, card = load_policy(find_policy("samarl_flat"))
-    provenance = {"configuration": {"stages": [{"scenario": {"recording": "mine/walk.txt"}}]}}
-    save_policy(tmp_path / "known.safetensors", policy, card.policy, provenance)
-    fields = {**CONFIGS["samarl_flat"], "checkpoint": str(tmp_path / "known.safetensors")}
-    for recording, known in (("theirs/walk.txt", True), ("mine/run.txt", False), (None, False)):
-        scenario = Scenario(crowd=Crowd.recorded, recording=recording)
-        warning = build_agent(fields, scenario).scope_warning()
-        assert (warning or "").endswith("was trained among the people of walk.txt") == known

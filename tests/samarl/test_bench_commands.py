@@ -154,24 +154,6 @@ def test_a_policy_with_damaged_weights_differs(tmp_path: Path) -> None:
     assert damaged.startswith("DIFFERS ")
 
 
-def test_a_row_of_a_policy_has_its_training_commands() -> None:
-    agents = [
-        load_agent_config("samarl_flat"),
-        load_agent_config("samarl_flat") | {"checkpoint": "samarl_flat_seed0"},
-    ]
-    scenario = Scenario(humans=0, robots=1)
-    row = row_of("samarl_flat", agents, scenario, Evaluation(cases=1))
-    train = "samarl-train trainer.threads=1 trainer.seed=2 policy=flat run_dir=outputs/samarl_flat"
-    assert row["from_training"] == (
-        f"{train} && {row['command']} checkpoint=outputs/samarl_flat/last.safetensors"
-    )
-    other = train.replace("seed=2", "seed=0") + "_seed0"
-    assert row["training_commands"] == [train, other]
-    planner = [load_agent_config("straight")]
-    straight = row_of("straight", planner, scenario, Evaluation(cases=1))
-    assert "from_training" not in straight
-
-
 def test_a_planner_that_is_five_points_worse_differs() -> None:
     agent = load_agent_config("perimeter")
     good = row_of("perimeter", [agent], Scenario(), Evaluation())
@@ -179,16 +161,6 @@ def test_a_planner_that_is_five_points_worse_differs() -> None:
     worse = row_of("perimeter", [{**agent, "radius": 7.0}], Scenario(), Evaluation())
     assert 4.0 < good["success_rate"] - worse["success_rate"] < 6.0
     assert compare(worse, committed()).startswith("DIFFERS ")
-
-
-@pytest.mark.parametrize("setting", ["jobs=0", "learned_cases=0", "evaluation.cases=0"])
-def test_a_wrong_number_is_named(
-    setting: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with pytest.raises(SystemExit):
-        played(monkeypatch, setting)
-    name, _, value = setting.partition("=")
-    assert f"error: {name} is {value}; it must be" in capsys.readouterr().err
 
 
 def test_methods_have_settings_and_labels(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 import json
 import shlex
@@ -18,16 +17,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import samarl
-from mrsan import ConfigurationError, Scenario
-from mrsan.pettingzoo_env import PettingZooEnv
+from mrsan import ConfigurationError
 from mrsan.recording import SAMPLE
 from mrsan.suggestions import choice_hint, closest_names
 from samarl import main
 from samarl.commands import bench, evaluate
 from samarl.commands.bench import Bench
 from samarl.commands.overrides import CommandLine
-from samarl.commands.recordings import recordings_in
-from samarl.configuration import composed, hydra_tree, register_schemas, scenario_of
+from samarl.configuration import composed, hydra_tree, register_schemas
 from samarl.evaluation.table import row_settings
 from samarl.training.settings import train_schema
 
@@ -69,22 +66,6 @@ def test_any_text_is_a_value(text: str) -> None:
     assert not isinstance(value, str) or value in (text, text[1:-1]) or "\\" in text
 
 
-@pytest.mark.parametrize(
-    ("word", "value"),
-    [
-        ("output='a (1), b'", "a (1), b"),
-        ('output="a (1), b"', "a (1), b"),
-        ("checkpoint=null", None),
-        ("checkpoint='null'", "null"),
-        ("output=plain/x.png", "plain/x.png"),
-        ("hydra.run.dir=${now:%Y} (1)", "${now:%Y} (1)"),
-    ],
-)
-def test_quotes_null_and_interpolations_keep_their_meaning(word: str, value: Any) -> None:
-    (quoted,) = CommandLine.parse([word]).quoted().words()
-    assert value_of(quoted) == value
-
-
 def test_a_sweep_accepts_paths_separated_by_commas() -> None:
     words = ["checkpoint=a (1).x, it's,'b,c'", "-m", "agent=orca,straight"]
     command = CommandLine.parse(words).quoted()
@@ -111,32 +92,6 @@ def test_invalid_words_are_refused(words: list[str], message: str) -> None:
         CommandLine.parse(words).quoted()
     assert str(error.value).startswith(message)
     assert "\n" not in str(error.value)
-
-
-def test_options_may_stand_anywhere() -> None:
-    command = CommandLine.parse(
-        ["agent=orca", "--config-dir", "a=b (1)", "-m", "scenario.robots=1,2"]
-    )
-    assert command.folder == Path("a=b (1)")
-    assert command.is_sweep
-    assert command.quoted().words() == [
-        "--config-dir=a=b (1)",
-        "-m",
-        "agent=orca",
-        "scenario.robots=1,2",
-        "hydra.job.config.override_dirname.exclude_keys=[agent]",
-    ]
-
-
-def test_recordings_may_have_an_extension_in_capitals(tmp_path: Path) -> None:
-    for name in ("b.TXT", "a.txt", "notes.md"):
-        (tmp_path / name).touch()
-    default = Scenario().frame_seconds
-    expected = {tmp_path / "a.txt": default, tmp_path / "b.TXT": 0.1}
-    assert recordings_in(str(tmp_path), {"b": 0.1}) == expected
-    assert recordings_in(None, {}) == {}
-    with pytest.raises(ConfigurationError, match="recordings is 'nowhere'"):
-        recordings_in("nowhere", {})
 
 
 @pytest.mark.parametrize(
@@ -180,25 +135,6 @@ def test_recordings_in_folders_with_special_characters_are_played(
 
 
 @pytest.mark.parametrize(
-    ("name", "field"),
-    [
-        ("dt", "time_step"),
-        ("n_humans", "humans"),
-        ("human_num", "humans"),
-        ("num_pedestrians", "humans"),
-        ("robot_num", "robots"),
-        ("number_of_agents", "robots"),
-        ("fov", "fov_degrees"),
-    ],
-)
-def test_names_of_other_simulators_are_understood(name: str, field: str) -> None:
-    fields = [f.name for f in dataclasses.fields(Scenario)]
-    assert closest_names(name, fields)[0] == field
-    with pytest.raises(ConfigurationError, match=rf"'{name}' \(3\); did you mean {field}"):
-        PettingZooEnv(**{name: 3})
-
-
-@pytest.mark.parametrize(
     ("config_name", "setting", "message"),
     [
         ("bench", "agents={a: 3}", "agents: "),
@@ -214,11 +150,6 @@ def test_errors_while_composing_are_explained(config_name: str, setting: str, me
     with hydra_tree(), pytest.raises(ConfigurationError, match=message) as error:
         composed(config_name, [setting])
     assert "\n" not in str(error.value)
-
-
-def test_a_field_of_a_column_is_named_where_a_mapping_is_expected() -> None:
-    with pytest.raises(ConfigurationError, match=r"columns: .*Reward.*5"):
-        scenario_of({"reward": 5})
 
 
 def test_the_command_samarl_lists_and_runs_the_others(

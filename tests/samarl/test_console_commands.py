@@ -96,14 +96,6 @@ def test_what_is_understood_of_a_map(
         assert picture.width > 300
 
 
-def test_a_map_of_another_program_is_refused_with_the_formats_that_are_read(tmp_path: Path) -> None:
-    done = run_module("samarl.commands.map", str(MAPS / "irsim.yaml"), cwd=tmp_path)
-    assert done.returncode == 2
-    (line,) = done.stderr.splitlines()
-    assert line.startswith("error: ")
-    assert all(word in line for word in ("irsim.yaml", "GeoJSON", "ROS"))
-
-
 def test_paths_outside_of_the_locale(tmp_path: Path) -> None:
     shutil.copy(MAPS / "metres.geojson", tmp_path / "Zürich.geojson")
     variables = {**os.environ, "LC_ALL": "C", "PYTHONUTF8": "0"}

@@ -12,12 +12,11 @@ import torch
 from torch import nn
 
 import samarl
-from mrsan import ConfigurationError, Observation, Scenario, Split, World
+from mrsan import Observation, Scenario, Split, World
 from mrsan.gymnasium_env import robot_observations
 from mrsan.recording import read_people
 from samarl.agents import Agent
-from samarl.evaluation import minari_dataset
-from samarl.evaluation.minari_dataset import check_dataset_id, robot_episodes, write_dataset
+from samarl.evaluation.minari_dataset import robot_episodes, write_dataset
 from samarl.evaluation.runner import run_cases
 from tests.samarl.test_workflows import run
 
@@ -131,25 +130,6 @@ def test_the_environment_of_a_single_robot_is_recovered() -> None:
     assert Scenario(**dataset.storage.metadata["scenario"]) == scenario
 
 
-def test_an_interrupted_dataset_is_removed(datasets: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(minari_dataset, "_BATCH", 4)
-    ended = 0
-
-    def interrupt(count: int) -> None:
-        nonlocal ended
-        ended += count
-        if ended > 4:  # the first four cases have been written
-            assert (datasets / "samarl/x-v0/data/main_data.hdf5").stat().st_size
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        write_dataset(
-            "samarl/x-v0", samarl.load_agent("straight", SCENARIO), TEST_CASES, "", "", interrupt
-        )
-    assert minari.list_local_datasets() == {}
-    check_dataset_id("samarl/x-v0")
-
-
 @pytest.mark.parametrize(
     ("words", "message"),
     [
@@ -164,15 +144,6 @@ def test_an_unsuitable_output_is_refused(words: list[str], message: str, tmp_pat
     done = run("record", *words, cwd=tmp_path, code=2)
     assert done.stderr.startswith(f"error: {message}")
     assert done.stderr.count("\n") == 1
-
-
-def test_a_dataset_is_not_overwritten_and_needs_minari(monkeypatch: pytest.MonkeyPatch) -> None:
-    write("x-v0", samarl.load_agent("straight", SCENARIO), TEST_CASES[:1])
-    with pytest.raises(ConfigurationError, match=r"output is 'x-v0', which exists"):
-        check_dataset_id("x-v0")
-    monkeypatch.setattr(minari_dataset, "find_spec", lambda name: None)
-    with pytest.raises(ConfigurationError, match=r"pip install '\.\[datasets\]' installs it$"):
-        check_dataset_id("x-v1")
 
 
 def test_trajnet_tracks_are_the_recorded_positions(tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ import torch
 from torch.nn import Parameter
 from torch.utils._pytree import tree_map
 
-from mrsan import ConfigurationError, Scenario
+from mrsan import Scenario
 from samarl.commands.train import main
 from samarl.distributed import (
     all_gather_cat,
@@ -26,7 +26,7 @@ from samarl.distributed import (
     average_gradients,
     init_process_group,
 )
-from samarl.launch import launcher, per_process, rank
+from samarl.launch import rank
 from samarl.policies.card import LAST
 from samarl.rollout import Rollout
 from samarl.training.curriculum import CurriculumStage
@@ -281,22 +281,6 @@ def test_a_killed_process_ends_the_run_in_one_line_and_the_same_command_resumes(
     error = capsys.readouterr().err
     assert error.startswith("error: run holds a run with WORLD_SIZE=2; ")
     assert error.endswith(" WORLD_SIZE=1\n")
-
-
-def test_numbers_that_cannot_be_divided_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert launcher() == []
-    monkeypatch.setenv("RANK", "1")
-    monkeypatch.setenv("WORLD_SIZE", "3")
-    stage = CurriculumStage(6)
-    assert per_process(stage, "curriculum.stages[0]", "worlds").worlds == 2
-    stage.worlds = 8
-    with pytest.raises(ConfigurationError) as error:
-        per_process(stage, "curriculum.stages[0]", "worlds")
-    assert str(error.value) == (
-        "curriculum.stages[0].worlds is 8; it must be a multiple of 3, the number of processes"
-    )
-    with pytest.raises(ConfigurationError, match=r"^trainer.device is 'mps'; with several proc"):
-        init_process_group("mps")
 
 
 @pytest.mark.slow

@@ -9,16 +9,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import yaml
 
-from mrsan import Layout, Scenario
-from mrsan.choices import ACTION_SIZE
-from mrsan.features import EGO_FEATURES, OTHER_FEATURES
+from mrsan import Layout
 from samarl.configuration import available_agents
 from samarl.evaluation.metrics import metric_fields
 from samarl.evaluation.summary import read_rows
-from samarl.files import find_folder
-from samarl.planning.shield import DIRECTIONS, Shield
 from tests.commands import run_module
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -217,15 +212,6 @@ def test_the_python_interface_evaluates_as_printed() -> None:
     assert {"step", "x", "y"} <= set(values["steps"].columns)
 
 
-def test_every_feature_of_an_observation_is_described() -> None:
-    """The table of actions and observations has the sizes of the simulator."""
-    text = (DOCS / "environment.md").read_text()
-    for kinematics, size in ACTION_SIZE.items():
-        assert re.search(rf"\| `{kinematics.name}`[^|]*\| {size} \|", text), kinematics
-    assert f"| `ego` | {len(EGO_FEATURES)} |" in text
-    assert f"| `humans` | M x {len(OTHER_FEATURES)} |" in text
-
-
 def test_every_agent_and_layout_is_described() -> None:
     pages = "".join((DOCS / name).read_text() for name in ("agents.md", "models.md"))
     assert [name for name in available_agents() if f"`{name}`" not in pages] == []
@@ -246,36 +232,3 @@ def test_a_metric_of_your_own(tmp_path: Path) -> None:
     assert re.fullmatch(r"\d+\.\d", row.split("|")[column].strip())
     written = json.loads(next((tmp_path / "outputs").rglob("row.json")).read_text())["row"]
     assert written["longest_time"] > 0
-
-
-def config(path: str) -> dict[str, Any]:
-    content: dict[str, Any] = yaml.safe_load((find_folder("conf") / path).read_text())
-    return content
-
-
-MACRO_STEPS = config("policy/hierarchical.yaml")["macro_steps"]
-MACRO_SECONDS = MACRO_STEPS * Scenario().time_step
-RADII = [config(f"scenario/{name}.yaml")["circle_radius"] for name in ("5p3r", "10p3r", "20p3r")]
-
-
-WORDS = {"two": "2"}
-NUMBERS: list[tuple[str, str, list[float]]] = [
-    ("concepts.md", r"K = (\d+) steps \(([\d.]+) s\)", [MACRO_STEPS, MACRO_SECONDS]),
-    (
-        "decisions.md",
-        r"every (\d+) steps \(([\d.]+) s, `policy.macro_steps`\)",
-        [MACRO_STEPS, MACRO_SECONDS],
-    ),
-    ("concepts.md", r"in \[-1, 1\], every ([\d.]+) s", [Scenario().time_step]),
-    ("environment.md", r"in \[-1, 1\], every ([\d.]+) s", [Scenario().time_step]),
-    ("environment.md", r"radius (\d+), (\d+) and (\d+) m", RADII),
-    ("concepts.md", r"(\d+) directions, at full speed", [DIRECTIONS]),
-    ("concepts.md", r"for (\w+) seconds of everybody the robot sees", [Shield().horizon]),
-]
-
-
-def test_numbers_in_the_docs_agree_with_the_configuration() -> None:
-    for page, pattern, numbers in NUMBERS:
-        match = re.search(pattern, (DOCS / page).read_text())
-        assert match, f"{page}: {pattern}"
-        assert [float(WORDS.get(text, text)) for text in match.groups()] == numbers, page

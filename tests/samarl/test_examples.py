@@ -41,13 +41,6 @@ def test_stable_baselines_learns_to_arrive_alone(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_stable_baselines_begins_softly_among_people(tmp_path: Path) -> None:
-    numbers = ("--humans", "2", "--robots", "2", "--steps", "8192", "--cases", "5")
-    said = run("sb3_ppo.py", *numbers, cwd=tmp_path)
-    assert sum(ast.literal_eval(said.splitlines()[-1]).values()) == 100
-
-
-@pytest.mark.slow
 def test_torchrl_trains_by_its_own_parts(tmp_path: Path) -> None:
     said = run("torchrl_mappo.py", "--steps", "8192", cwd=tmp_path)
     assert said.startswith("success rate by tenths of the training, %: ")

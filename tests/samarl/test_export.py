@@ -2,7 +2,6 @@
 
 import copy
 import dataclasses
-import re
 from pathlib import Path
 
 import numpy as np
@@ -22,12 +21,11 @@ from samarl.planning.shield import Shield
 from samarl.planning.velocity_control import action_to_motion
 from samarl.policies.checkpoint import save_policy
 from samarl.policies.flat import FlatPolicy
-from samarl.policies.policy import POLICIES, Policy
+from samarl.policies.policy import Policy
 from samarl.runtime import Command, Driver, KnownMap
 from samarl.runtime.network import Network
 from samarl.runtime.simulation import as_seen, sensor_readings, walls_in_view
 from tests import learning
-from tests.commands import run_module
 
 SAME = 1e-4
 
@@ -133,10 +131,6 @@ PAIRS = [("flat", name) for name in ENCODERS] + [
     ("lookahead", "social_attention"),
     ("squashed", "temporal_spatial_graph"),
 ]
-
-
-def test_every_policy_is_among_them() -> None:
-    assert {policy for policy, _ in PAIRS} == set(POLICIES)
 
 
 @pytest.mark.parametrize(("policy", "encoder"), PAIRS)
@@ -260,12 +254,6 @@ def test_what_cannot_be_exported_is_said(agent: dict, message: str, tmp_path: Pa
     assert list(tmp_path.iterdir()) == []
 
 
-def test_robots_with_weights_of_their_own_are_not_exported(tmp_path: Path) -> None:
-    agent = agent_of(learning.policy("flat", num_parameter_sets=3), "flat", tmp_path, Scenario())
-    with pytest.raises(ConfigurationError, match=r"policy\.num_parameter_sets .*3.* 1\b"):
-        export_agent(tmp_path / "p.onnx", agent, "mine")
-
-
 def test_a_wrong_translation_is_not_written(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -281,10 +269,3 @@ def test_a_wrong_translation_is_not_written(
     with pytest.raises(ConfigurationError, match=r"action .*\d"):
         export_agent(tmp_path / "p.onnx", agent, "mine")
     assert not (tmp_path / "p.onnx").exists()
-
-
-def test_a_mistake_on_the_command_line_ends_in_one_line(tmp_path: Path) -> None:
-    done = run_module("samarl.commands.export", "output=policy.pt", cwd=tmp_path)
-    assert done.returncode == 2
-    assert re.fullmatch(r"error: output .*policy\.pt.*\.onnx\n", done.stderr)
-    assert list(tmp_path.iterdir()) == []

@@ -72,15 +72,3 @@ def test_nearer_agents_pass_on_more() -> None:
     share = proximity_convolution(passed, position, torch.ones(1, 3, dtype=torch.bool), 2.0)
     expected = torch.softmax(-2.0 * torch.tensor([0.0, 1.0, 3.0]), 0)
     torch.testing.assert_close(share[0, 0], expected)
-
-
-def test_no_frames() -> None:
-    assert frame_attention(
-        torch.zeros(0, 1, 4), torch.zeros(0, 2, 8), torch.zeros(0, 2, 2)
-    ).shape == (0, 1, 4)
-    none = torch.zeros(0, 2, dtype=torch.bool)
-    assert proximity_convolution(torch.zeros(0, 2, 4), torch.zeros(0, 2, 2), none, 1.0).shape == (
-        0,
-        2,
-        4,
-    )

@@ -25,12 +25,6 @@ def test_each_warning_is_given_once() -> None:
     assert list(health.warnings.values()) == [diverges, entropy, failing]
 
 
-def test_one_success_is_enough() -> None:
-    health = Health()
-    assert health.update({"validation/success_90_10h_3r": 0.1}, 0.2) == []
-    assert health.update({"charts/success": 0.0}, 0.9) == []
-
-
 def test_a_resumed_run_knows_what_was_before(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

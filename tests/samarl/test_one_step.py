@@ -14,19 +14,6 @@ from samarl.planning.one_step import command_set, predict_outcomes
 from tests.scenes import COMMANDS, known, scene_of
 
 
-def test_the_commands_of_each_kind_of_robot() -> None:
-    for kinematics, count, still in (
-        (Kinematics.acceleration_heading, 25, (-1.0, 0.0, 0.0)),
-        (Kinematics.unicycle, 25, (-1.0, 0.0)),
-        (Kinematics.holonomic, 81, (0.0, 0.0)),
-    ):
-        commands = command_set(COMMANDS, kinematics)
-        assert len(np.unique(commands.round(5), axis=0)) == len(commands) == count
-        assert (np.linalg.norm(commands[:, :2], axis=1) <= math.sqrt(2.0)).all()
-        assert np.abs(commands).max() == 1.0
-        assert (np.abs(commands - np.array(still)).max(1) < 1e-6).any()
-
-
 @pytest.mark.parametrize("kinematics", Kinematics)
 def test_outcomes_of_a_single_robot_match_the_simulator(kinematics: Kinematics) -> None:
     scenario = Scenario(robots=1, humans=0, kinematics=kinematics)

@@ -9,7 +9,7 @@ import pytest
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-from mrsan import ConfigurationError, Layout, Scenario
+from mrsan import ConfigurationError, Scenario
 from samarl.commands.train import settings_in
 from samarl.configuration import composed, hydra_tree, load_scenario, register_schemas
 from samarl.training.curriculum import CurriculumStage
@@ -47,12 +47,6 @@ def test_a_scenario_replaces_those_of_the_curriculum() -> None:
     assert stage == CurriculumStage(32, scenario=load_scenario("20p3r"))
     assert len(stages("experiment=msa3c")) == 2
     assert [s.worlds for s in stages()] == [96, 48, 96, 96]
-
-
-def test_an_experiment_may_set_the_scenario() -> None:
-    config = training()
-    config.scenario.layout = Layout.square  # as the text of a file in experiment/ would
-    assert [s.scenario.layout for s in settings_in(config).stages] == [Layout.square]
 
 
 def test_a_stage_may_name_its_scenario() -> None:
@@ -128,9 +122,3 @@ def _stages_of(card: Path) -> list[tuple[Any, ...]]:
     ]["stages"]
     names = ("name", "humans", "layout")
     return [(stage["worlds"], *(stage["scenario"][name] for name in names)) for stage in saved]
-
-
-def test_a_resumed_run_has_no_scenario_of_its_own(tmp_path: Path) -> None:
-    run("train", "scenario.humans=2", "worlds=4", "run_dir=run", *SHORT, cwd=tmp_path)
-    config = training(f"resume={tmp_path / 'run'}")
-    assert settings_in(config).stages == stages("scenario.humans=2", "worlds=4")

@@ -7,7 +7,6 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from benchmarks.physics import AGENTS, HARDER, PAPER_INTRUSIONS, Run, all_runs, engines_of, page
 from tests.commands import run_module
 
 
@@ -56,35 +55,3 @@ def test_a_film_has_a_picture_per_decision_where_the_machine_can_render(tmp_path
     film = Image.open(tmp_path / "film.gif")
     assert film.n_frames == 5  # the start and four decisions
     assert len(film.convert("RGB").getcolors(2**16) or []) > 8  # not an empty picture
-
-
-def test_a_film_cannot_be_a_figure(tmp_path: Path) -> None:
-    done = run("render", "engine=mujoco", "output=case.png", cwd=tmp_path)
-    assert done.returncode == 2
-    assert "output is 'case.png'; it must end in .gif or .mp4" in done.stderr
-
-
-def row_of(run: Run, success: float) -> dict:
-    """A row as `evaluate_agent` returns it, of invented results."""
-    names = "human_collision_rate robot_collision_rate timeout_rate cir success_low success_high"
-    row: dict = dict.fromkeys(names.split(), 1.0)
-    row |= {"path_length": None, "time_to_goal": 12.0, "success_rate": success}
-    return row | {"command": run.command(100), "method": run.agent, "commit": "0123abc"}
-
-
-def test_the_page_compares_engines_and_says_what_share_of_success_is_kept() -> None:
-    ideal, plain, late = engines_of("samarl", "samarl")
-    assert late.command(100) == (
-        "samarl-evaluate agent=samarl engine=mujoco engine.latency=0.05 evaluation.cases=100"
-    )
-    text = page([row_of(ideal, 80.0), row_of(plain, 78.0), row_of(late, 72.0)], 100)
-    shares = [line.split("|")[-2].strip() for line in text.splitlines() if "| " in line]
-    assert shares[-2:] == ["98", "90"]  # 78 / 80 and 72 / 80
-    assert "at commit 0123abc" in text
-    assert f"{PAPER_INTRUSIONS['msa3cpred']:.2f}" in text
-
-
-def test_every_row_is_evaluated_once() -> None:
-    commands = [run.command(100) for run in all_runs()]
-    compared = 3 * sum(len(agents) for agents in AGENTS.values())
-    assert len(set(commands)) == len(commands) == compared + len(HARDER)

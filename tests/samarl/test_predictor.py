@@ -47,19 +47,6 @@ def test_windows_hold_the_positions_of_the_world() -> None:
     assert windows.known.all()
 
 
-def test_windows_are_recorded_without_robots_nearby() -> None:
-    """People walk as in a world whose robot is far away."""
-    scenario = Scenario(humans=4)
-    windows = simulate_windows(scenario, np.arange(3), SMALL)
-    world = World(replace(scenario, robots=1), 3)
-    world.reset(np.arange(3))
-    world.state.robot_position[:] = 500.0
-    for _ in range(5):
-        world.step(np.zeros((3, 1, 3)))
-    position = world.state.human_position.reshape(-1, 2)
-    np.testing.assert_array_equal(windows.past[: len(position), -1], position)
-
-
 def test_windows_of_a_recording_lie_within_the_recorded_tracks(tmp_path: Path) -> None:
     """One person walks at 1 m/s and turns; two others appear in a single frame each."""
     rows = [(20 + k, 1, 0.25 * min(k, 6), 0.25 * max(k - 6, 0)) for k in range(12)]
@@ -118,17 +105,6 @@ def test_training_reduces_the_error_and_resumes(tmp_path: Path) -> None:
     assert displacement(again.predictor(), windows, 4)[-1] < plain[-1]
 
 
-def test_saved_predictors_are_read_by_the_simulator(tmp_path: Path) -> None:
-    torch.manual_seed(0)
-    network = Network(6)
-    torch.nn.init.normal_(network.w_output)
-    save_predictor(tmp_path / "mine.safetensors", network.predictor(5, DT), {"command": "mine"})
-    predictor = find_predictor(str(tmp_path / "mine.safetensors"), DT)
-    windows = simulate_windows(Scenario(), np.arange(4), SMALL)
-    assert displacement(predictor, windows, 4) == displacement(network.predictor(5, DT), windows, 4)
-    assert json.loads((tmp_path / "mine.json").read_text())["provenance"] == {"command": "mine"}
-
-
 @pytest.mark.parametrize(
     ("crowd", "gain"), [(Scenario(), 0.05), (Scenario(crowd=Crowd.social_force), 0.1)]
 )
@@ -180,19 +156,6 @@ def test_the_default_predictor_is_constant_velocity(
         np.testing.assert_array_equal(driven(predicting_agent(who, name)), expected)
     otherwise = driven(predicting_agent(who, "recurrent"))
     assert any((a != b).any() for a, b in zip(otherwise, expected, strict=True))
-
-
-def test_invalid_predictors_are_refused() -> None:
-    for scenario, name, message in (
-        (SCENARIO, "crystal_ball", "'crystal_ball'; it must be"),
-        (replace(SCENARIO, time_step=0.1), "recurrent", "predicts in steps of 0.25 s"),
-    ):
-        for who, field in (
-            ("shield", r"agent\.shield\.predictor"),
-            ("model_predictive", r"agent\.predictor"),
-        ):
-            with pytest.raises(ConfigurationError, match=f"{field}.*{message}"):
-                build_agent(predicting_agent(who, name), scenario)
 
 
 class Sideways(ConstantVelocity):

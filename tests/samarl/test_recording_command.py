@@ -99,18 +99,6 @@ def test_converted_files_need_no_settings(
     np.testing.assert_allclose(again.position, truth.position, atol=2e-5)
 
 
-def test_converted_files_are_plain_tables(run) -> None:
-    run(CASES / "pedpy_id_first.txt", "--output", "new.txt")
-    rows = np.loadtxt("new.txt")
-    truth = np.loadtxt(CASES / "plain.txt")
-    np.testing.assert_array_equal(rows, truth[np.lexsort((truth[:, 1], truth[:, 0]))])
-    run(CASES / "pedpy_id_first.txt", "--output", "new.csv")
-    assert Path("new.csv").read_text(encoding="utf-8").splitlines()[:2] == [
-        "frame,id,x,y",
-        "0,6,6.8002,12.4359",
-    ]
-
-
 def test_implausible_recordings_are_drawn_but_not_converted(run) -> None:
     words = [CASES / "renumbered_2_5_fps.txt", "--figure", "new.png", "--output", "new.txt"]
     code, printed, error = run(*words)
@@ -149,11 +137,3 @@ def test_user_errors_end_in_one_line(run, words: list, message: str) -> None:
     code, _, error = run(*words)
     assert code == 2
     assert re.fullmatch(f"error: .*{message}.*\n", error)
-
-
-def test_help_and_version(run) -> None:
-    code, printed, _ = run("--help")
-    assert code == 0
-    for option in ("FILE", "--frame-seconds", "--scale", "--figure", "--output", "--no-check"):
-        assert option in printed
-    assert run("--version")[1].startswith("samarl ")

@@ -9,25 +9,21 @@ import numpy as np
 import pytest
 from matplotlib.axes import Axes
 
-from mrsan import CrowdReaction, Groups, Layout, Reactions, Scenario, TeamPerception
+from mrsan import CrowdReaction, Groups, Reactions, Scenario, TeamPerception
 from samarl.agents import build_agent
-from samarl.commands.report import _methods
-from samarl.configuration import available_agents, load_agent_config
 from samarl.evaluation.methods import label_of
-from samarl.evaluation.metrics import metric_fields
-from samarl.evaluation.summary import HEADLINE, Row, column_of
+from samarl.evaluation.summary import Row, column_of
 from samarl.evaluation.trajectory import record_episode
 from samarl.files import find_folder
-from samarl.report.build import build_site, read_runs, read_tables, slug
+from samarl.report.build import read_runs, read_tables, slug
 from samarl.report.curves import chart_data, group_runs
 from samarl.report.figures import (
     draw_curves,
     draw_table,
-    settings_labels,
     sweep_figures,
 )
 from samarl.report.leaderboard import GROUPS, is_best, ranked
-from samarl.report.replays import ReplayFolder, as_replay, digest_of
+from samarl.report.replays import ReplayFolder, as_replay
 from samarl.training.learning_curve import read_curve
 from tests.reporting import STRAIGHT, report, straight_trajectory
 
@@ -124,26 +120,6 @@ def test_methods_are_in_groups_best_first() -> None:
     assert best.name == "perimeter shield=true"
 
 
-def test_rows_of_another_version_are_shown(tmp_path: Path) -> None:
-    """Rows that lack a metric or have an unknown one."""
-    first, *others = json.loads((find_folder("results") / "table1.json").read_text())[:3]
-    optional = [field for field in metric_fields() if field not in HEADLINE]
-    rows = [{key: first[key] for key in first if key not in optional} | {"unknown": 1.0}, *others]
-    (tmp_path / "results").mkdir()
-    (tmp_path / "results/table1.json").write_text(json.dumps(rows))
-    build_site(tmp_path / "site", tmp_path / "results")
-    assert first["command"] in (tmp_path / "site/table-1.html").read_text()
-
-
-def test_every_method_of_the_results_has_a_label_of_its_own() -> None:
-    tables = read_tables(find_folder("results"))
-    methods = {row["method"] for table in tables for row in table.rows}
-    labels = {method: label_of(method) for method in methods}
-    assert [method for method, label in labels.items() if method == label] == []
-    assert len(set(labels.values())) == len(labels)
-    assert label_of("mine shield=true") == "mine, shielded"
-
-
 def test_replays_are_kept_unless_what_they_depend_on_changes(tmp_path: Path) -> None:
     folder = ReplayFolder(tmp_path, ["a-1", "b-1"])
     folder.add("a-1", "straight", "test case 0", straight_trajectory())
@@ -154,17 +130,6 @@ def test_replays_are_kept_unless_what_they_depend_on_changes(tmp_path: Path) -> 
     assert (tmp_path / "a-1.js").stat().st_mtime_ns == before
     assert "a-1" not in ReplayFolder(tmp_path, ["a-2", "b-1"])
     assert [path.name for path in tmp_path.iterdir()] == ["index.js"]
-
-
-def test_a_digest_depends_on_the_files_that_are_named(tmp_path: Path) -> None:
-    file = tmp_path / "policy"
-    file.write_text("one")
-    settings = {"checkpoint": str(file), "waypoints": ["learned"]}
-    digest = digest_of(settings, 3)
-    assert digest == digest_of(settings, 3)
-    assert digest != digest_of(settings, 4)
-    file.write_text("two")
-    assert digest != digest_of(settings, 3)
 
 
 def test_a_curve_is_the_mean_of_its_seeds_and_their_range(site: Path) -> None:
@@ -201,12 +166,6 @@ def test_curves_are_grouped_by_the_task_of_the_training() -> None:
     steps, mean, low, high = flat["lines"]["charts/success"]
     assert len(steps) == 60
     assert all(0 <= a <= b <= c <= 100 for a, b, c in zip(low, mean, high, strict=True))
-
-
-def test_settings_labels_distinguish_rows() -> None:
-    shared = "samarl-evaluate agent=orca scenario.humans=5 evaluation.cases=9"
-    rows = [{"command": shared}, {"command": f"{shared} scenario.occlusion=true"}]
-    assert settings_labels(rows) == ["default", "occlusion=true"]  # type: ignore[arg-type]
 
 
 def drawn(rows: list[Row]) -> dict[str, Axes]:
@@ -274,17 +233,6 @@ def test_a_replay_marks_agents_shared_by_team_mates() -> None:
     assert alone["humansReported"] is alone["robotsReported"] is None
 
 
-def test_a_replay_has_the_ranges_of_the_lidar() -> None:
-    scenario = Scenario(layout=Layout.rooms, humans=2, robots=2, time_limit=1.0, lidar_rays=9)
-    trajectory = record_episode(build_agent(STRAIGHT, scenario), scenario, 3)
-    assert trajectory.lidar is not None
-    lidar = as_replay(trajectory)["lidar"]
-    assert lidar["angles"] == pytest.approx(np.radians(np.arange(9) * 40.0 - 180.0), abs=1e-4)
-    metres = np.transpose(lidar["ranges"], (1, 0, 2)) / 100.0
-    np.testing.assert_allclose(metres, trajectory.lidar, atol=0.0051)
-    assert as_replay(straight_trajectory())["lidar"] is None
-
-
 def test_a_replay_records_groups_and_reactions() -> None:
     scenario = Scenario(
         humans=4,
@@ -298,52 +246,6 @@ def test_a_replay_records_groups_and_reactions() -> None:
     assert replay["humanReactions"] == ["curious"] * 4
     alone = as_replay(straight_trajectory())
     assert alone["humanGroups"] is alone["humanReactions"] is None
-
-
-def test_a_replay_marks_the_steps_with_a_replaced_action() -> None:
-    scenario = Scenario()
-    trajectory = record_episode(
-        build_agent({**STRAIGHT, "shield": True}, scenario), scenario, 2**41
-    )
-    assert trajectory.shielded is not None
-    assert trajectory.shielded.any()
-    assert not trajectory.shielded.all()
-    steps = as_replay(trajectory)["shielded"]
-    assert [(i, t) for i, at in enumerate(steps) for t in at] == [
-        (i, t)
-        for t, i in sorted(zip(*trajectory.shielded.nonzero(), strict=True), key=lambda p: p[1])
-    ]
-
-
-def test_only_the_named_agents_play_each_by_its_own_configuration() -> None:
-    results = find_folder("results")
-    assert list(_methods(["orca", "cadrl"], results)) == ["orca", "cadrl"]
-    methods = _methods(None, results)
-    assert list(methods) == available_agents()
-    assert not methods["cadrl"].get("shield")
-    for name, method in methods.items():
-        config = load_agent_config(name)
-        shown = {**method, "checkpoint": Path(method.get("checkpoint", "")).stem}
-        assert shown == {**config, "checkpoint": config.get("checkpoint", "")}
-
-
-def test_an_agent_without_its_checkpoint_is_skipped(tmp_path: Path) -> None:
-    (tmp_path / "results").mkdir()
-    (tmp_path / "conf/agent").mkdir(parents=True)
-    (tmp_path / "conf/agent/mine.yaml").write_text("defaults:\n  - samarl\ncheckpoint: nowhere\n")
-    done = report(
-        "--config-dir",
-        "conf",
-        "results=results",
-        "agents=[mine]",
-        "cases=[0]",
-        "output=site",
-        "columns=[{robots: 2}]",
-        cwd=tmp_path,
-    )
-    written, skipped = done.stdout.splitlines()
-    assert written.startswith("written to site/index.html")
-    assert re.match(r"skipped: mine .*checkpoint is 'nowhere'", skipped)
 
 
 @pytest.mark.parametrize(

@@ -171,15 +171,6 @@ def test_with_a_narrow_view_progress_is_measured_on_the_way_round() -> None:
     assert rewards[1] < -0.05
 
 
-@pytest.mark.parametrize("scene", [{"robots": 1}, {"humans": 0}])
-def test_collisions_are_tried_again_where_nobody_else_is(scene: dict[str, int]) -> None:
-    going = collector(
-        policy("flat"), 6, 8, replace(SCENARIO, **scene), failure_restart_probability=1.0
-    )
-    for _ in range(3):
-        assert torch.isfinite(going.collect().steps["agents", "action"]).all()
-
-
 def test_a_collision_is_tried_again_from_shortly_before() -> None:
     torch.manual_seed(0)
     going = collector(policy(gain=30.0), 24, 1, crowded(), failure_restart_probability=1.0)

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from mrsan.maps import MapError
-from samarl.runtime import Command, Detection, Driver, InputError, KnownMap, OwnState
+from samarl.runtime import Detection, Driver, InputError, KnownMap, OwnState
 
 FOLDER = Path(__file__).parents[2] / "examples/ros2"
 
@@ -63,12 +63,6 @@ def test_people(conversion: ModuleType) -> None:
     ids = [detection.id for detection in conversion.detections(seen)]
     assert ids == ["7", None, "9", "10"]
     assert conversion.detections(seen)[1] == Detection(3.0, 4.0, -1.0, 0.5)
-
-
-def test_time_and_velocity(conversion: ModuleType) -> None:
-    assert conversion.seconds(message({"sec": 12, "nanosec": 250_000_000})) == 12.25
-    command = Command(np.zeros(3, np.float32), 1.0, 0.0, 0.1, 0.7, 0.4, False)
-    assert conversion.velocity(command) == (0.7, 0.4)
 
 
 def test_an_occupancy_grid_gives_walls_and_a_route(conversion: ModuleType) -> None:
@@ -200,14 +194,3 @@ def test_the_node_stops_on_old_messages_and_avoids_what_is_not_on_its_map(node: 
     node._on_map(grid)
     with pytest.raises(InputError, match=r"map is in frame 'map'.*'odom'"):
         node._decision()
-
-
-def test_ros_is_asked_for_by_the_node_alone() -> None:
-    ros = ("rclpy", "_msgs")
-    importing = {
-        path.name
-        for path in FOLDER.parent.rglob("*.py")
-        for line in path.read_text().splitlines()
-        if line.startswith(("import ", "from ")) and any(word in line for word in ros)
-    }
-    assert importing == {"driver_node.py"}

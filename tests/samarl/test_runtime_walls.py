@@ -2,7 +2,6 @@
 
 import math
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -26,15 +25,6 @@ def test_a_route_leads_round_the_end_of_a_wall() -> None:
     assert own.next_y == pytest.approx(2.4, abs=1e-3)
     above = KnownMap([BOUNDS, PARTITION]).with_route(OWN._replace(x=-1.0, y=3.0, goal_y=3.0))
     assert (above.next_x, above.next_y) == (3.0, 3.0)
-
-
-def test_a_grid_gives_the_same_route() -> None:
-    free = np.ones((160, 240), bool)  # 5 cm per cell, the top row first
-    free[40:, 119:121] = False
-    known = KnownMap.of_grid(free, 0.05, (-6.0, -4.0, 0.0))
-    own = known.with_route(OWN)
-    assert own.next_x == pytest.approx(-0.45, abs=0.1)
-    assert own.next_y == pytest.approx(2.4, abs=0.2)  # outlines are simplified
 
 
 def test_the_walls_of_a_scan_are_those_of_the_room() -> None:
@@ -179,47 +169,3 @@ def test_commands_do_not_depend_on_the_origin_of_the_frame(
     expected = drive(0.0, 0.0)
     assert 0 < expected[:, -3].sum() < 12  # shielded here and there
     np.testing.assert_allclose(drive(x, y), expected, atol=1e-4)
-
-
-def test_where_the_crowd_is_can_be_told(driver: Driver) -> None:
-    """This policy observes where it is; by default the centre is half way to the goal."""
-    commands = []
-    for centre in (None, (0.0, 0.0), (2.0, 1.0)):
-        driver.reset(centre)
-        commands.append(driver.step(OWN, [], 0.0).action)
-    np.testing.assert_array_equal(commands[0], commands[1])
-    assert np.abs(commands[0] - commands[2]).max() > 1e-4
-    for centre, field in (((1.0, math.nan), r"centre\[1\]"), (3.0, "centre ")):
-        with pytest.raises(InputError, match=field):
-            driver.reset(centre)
-
-
-@pytest.mark.parametrize(
-    "walls",
-    [
-        [[0.0, 1.0, 2.0]],
-        [0.0, 1.0, 2.0, 3.0],
-        "wall",
-        [[0.0, 1.0, math.nan, 3.0]],
-        [[0.0, 1.0, None, 3.0]],
-        [[], []],
-        np.ma.masked_equal([[0.0, 1.0, 2.0, 3.0]], 2.0),
-        None,
-    ],
-)
-def test_walls_that_cannot_be_used_are_named(driver: Driver, walls: Any) -> None:
-    driver.reset()
-    with pytest.raises(InputError, match=r"walls .*start_x"):
-        driver.step(OWN, [], 1.0, walls=walls)
-
-
-def test_half_a_next_point_is_refused(driver: Driver) -> None:
-    driver.reset()
-    with pytest.raises(InputError, match=r"own\.next_y"):
-        driver.step(OWN._replace(next_x=1.0), [], 1.0)
-
-
-def test_a_map_file_is_loaded(tmp_path: Path) -> None:
-    path = tmp_path / "map.yaml"
-    path.write_text("bounds: [[-6, -4], [6, -4], [6, 4], [-6, 4]]\nwalls: [[[0, -4], [0, 2]]]\n")
-    assert KnownMap.load(path).with_route(OWN).next_y == pytest.approx(2.4, abs=1e-3)

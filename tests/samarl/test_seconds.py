@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from mrsan import Crowd, Scenario, World
-from mrsan.parameters import kernel_parameters
 from samarl.agents import build_agent
 from samarl.configuration import load_agent_config
 from samarl.observations.tracker import Tracker
@@ -53,22 +52,6 @@ def test_the_shield_looks_two_seconds_ahead(time_step: float, gap: float, replac
     action = np.float32([[[0.0, 0.0, 0.0]]])
     checked = apply_shield(scene_of(ring, (9.0, 0.0), 1.0, scenario), action, scenario, Shield())
     assert bool((checked != action).any()) == replaced
-
-
-def test_every_duration_of_a_scenario_is_converted_once() -> None:
-    scenario = Scenario(
-        time_step=0.1,
-        time_limit=30.0,
-        team_delay=0.5,
-        late_time=12.0,
-        goal_change_interval=5.0,
-        start_clear_time=2.0,
-        slot_reuse_delay=6.0,
-    )
-    p = kernel_parameters(scenario)
-    assert (p.time_limit_steps, p.team_delay_steps, p.late_steps) == (300, 5, 120)
-    assert (p.goal_change_steps, p.start_clear_time_steps) == (50, 20)
-    assert p.slot_reuse_delay_steps == 60
 
 
 @pytest.mark.parametrize("time_step", [0.1, 0.25])

@@ -1,6 +1,5 @@
 """Groups of entities and sensors that the package does not know are passed on by their names."""
 
-import re
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,9 +13,7 @@ from torch import Tensor, nn
 from torchrl.envs.utils import check_env_specs
 
 from mrsan import (
-    ConfigurationError,
     EntitySensor,
-    PluginError,
     Scenario,
     ValueSensor,
     World,
@@ -28,7 +25,7 @@ from mrsan.pettingzoo_env import PettingZooEnv
 from mrsan.se2 import unrotate_vectors
 from mrsan.sensors.sensor import SENSORS
 from mrsan.torchrl_env import TorchRLEnv
-from samarl.agents.learned import DeployedPolicy, Learned
+from samarl.agents.learned import Learned
 from samarl.encoders import ENCODERS, Encoder
 from samarl.export import export_agent
 from samarl.observations.features import ADDITIONAL_FEATURES, empty_frames, register_features
@@ -235,48 +232,3 @@ def test_wrong_readings_are_named(tmp_path: Path, scenario: Scenario) -> None:
             driver.step(own, detections, 1.0, wrong)
         assert all(word in str(error.value) for word in words)
     driver.step(own, detections, 1.0, readings)  # nothing was lost
-
-
-def test_a_policy_refuses_a_scenario_without_its_sensors(
-    tmp_path: Path, scenario: Scenario
-) -> None:
-    trainer = train(tmp_path, scenario)
-    with pytest.raises(ConfigurationError, match=r"scenario\.sensors is .*posts with 4 features"):
-        DeployedPolicy(trainer.policy, OTHERS)
-
-
-@pytest.mark.parametrize(
-    ("sensors", "words"),
-    [
-        ({"sonar": {}}, ["scenario.sensors", "'sonar'", "posts"]),
-        ({"posts": {"count": 3}}, ["scenario.sensors.posts", "'count'", "number"]),
-        ({"posts": {"number": 0}}, ["scenario.sensors.posts.number", "0", "[1, 64]"]),
-        ({"posts": 3}, ["scenario.sensors.posts", "3"]),
-        ({"compass": {"noise": 1}}, ["scenario.sensors.compass", "'noise'", "empty"]),
-        (["posts"], ["scenario.sensors", "['posts']"]),
-    ],
-)
-def test_wrong_settings_are_named(sensors: Any, words: list[str]) -> None:
-    with pytest.raises(ConfigurationError) as error:
-        Scenario(sensors=sensors)
-    assert all(word in str(error.value) for word in words)
-
-
-@pytest.mark.parametrize("name", ["ego", "humans", "route", "posts_visible", "two words"])
-def test_names_of_other_parts_are_refused(name: str) -> None:
-    with pytest.raises(ValueError, match=re.escape(repr(name))):
-        register_sensor(name)
-
-
-def test_values_that_a_sensor_does_not_write_are_named() -> None:
-    @register_sensor("forgetful")
-    class Forgetful(ValueSensor):
-        shape = (2,)
-
-        def observe(self, state, worlds, values):
-            values[worlds, :, 0] = 1.0
-
-    world = World(Scenario(humans=1, robots=2, sensors={"forgetful": {}}), 3)
-    with pytest.raises(PluginError, match=r"sensor forgetful is nan for robot 0 in world 0.*\[1\]"):
-        world.reset(np.arange(3))
-    del SENSORS["forgetful"]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mrsan import ConfigurationError, Crowd, Kinematics, Observation, Scenario, Split, World
+from mrsan import Crowd, Kinematics, Observation, Scenario, Split, World
 from mrsan.features import GOAL
 from samarl.agents import Agent, build_agent
 from samarl.configuration import load_agent_config, load_method_config
@@ -15,18 +15,6 @@ CASES = Split.test.case(0) + np.arange(40)
 
 def shielded_agent(name: str, scenario: Scenario) -> Agent:
     return build_agent({**load_agent_config(name), "shield": True}, scenario)
-
-
-@pytest.mark.parametrize("kinematics", Kinematics)
-def test_every_action_passes_in_an_empty_world(kinematics: Kinematics) -> None:
-    scenario = Scenario(robots=1, humans=0, kinematics=kinematics)
-    world = World(scenario, 30)
-    observation = world.reset(CASES[:30])
-    rng = np.random.default_rng(0)
-    for _ in range(10):
-        action = rng.uniform(-1, 1, (30, 1, scenario.action_size)).astype(np.float32)
-        np.testing.assert_array_equal(apply_shield(observation, action, scenario, Shield()), action)
-        observation = world.step(action).observation
 
 
 @pytest.mark.parametrize("kinematics", Kinematics)
@@ -62,19 +50,6 @@ def test_actions_of_arrived_robots_are_not_replaced() -> None:
     assert (apply_shield(world.observe(), action, scenario, Shield()) != action).any()
     state.robot_goal[0, 0] = state.robot_position[0, 0]
     np.testing.assert_array_equal(apply_shield(world.observe(), action, scenario, Shield()), action)
-
-
-@pytest.mark.parametrize(
-    ("shield", "message"),
-    [
-        ({"horizon": 0.0}, r"agent.shield.horizon is 0.0; .* in \(0, 100\]"),
-        ({"step": 4}, r"agent\.shield\.step is not known; .*horizon"),
-        ("yes", r"agent.shield is 'yes'; it must be true, false or"),
-    ],
-)
-def test_invalid_shield_fields_are_reported(shield: object, message: str) -> None:
-    with pytest.raises(ConfigurationError, match=message):
-        build_agent({**load_agent_config("straight"), "shield": shield}, Scenario())
 
 
 @pytest.mark.parametrize("name", ["samarl", "samarl_transformer"])

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,14 +12,12 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from mrsan import ConfigurationError, Kinematics, Scenario, World
-from samarl.agents.learned import DeployedPolicy, Learned
+from samarl.agents.learned import DeployedPolicy
 from samarl.algorithms import ALGORITHMS
 from samarl.algorithms.action_values import AttentionCritic, ConcatenationCritic
 from samarl.algorithms.soft_actor_critic import SoftActorCritic, features, sequences_of
-from samarl.encoders.temporal_spatial_graph import towards
-from samarl.policies.checkpoint import make_policy, save_policy
+from samarl.policies.checkpoint import make_policy
 from samarl.policies.squashed import SquashedPolicy, log_slope
-from samarl.reward_shaping import RewardShaping
 from samarl.rollout import Rollout
 from samarl.training.collector import RolloutCollector
 from samarl.training.curriculum import CurriculumStage
@@ -76,16 +72,6 @@ def test_what_drives_is_squashed_and_so_is_its_density() -> None:
     assert (-log_prob).exp().mean().item() == pytest.approx(4.0, rel=0.05)
 
 
-def test_the_slope_is_exact_where_tanh_is_one() -> None:
-    x = torch.tensor([[0.0], [1.0], [-3.0], [15.0], [-40.0]], requires_grad=True)
-    expected = [math.log(1.0 - math.tanh(v) ** 2) for v in (0.0, 1.0, -3.0)]
-    expected += [2.0 * (math.log(2.0) - v) for v in (15.0, 40.0)]  # 4 exp(-2 |x|)
-    assert log_slope(x).tolist() == pytest.approx(expected, abs=1e-5)
-    log_slope(x).sum().backward()
-    assert x.grad is not None
-    torch.testing.assert_close(x.grad, -2.0 * x.tanh().detach())
-
-
 @pytest.mark.parametrize("action_size", [2, 3])
 def test_it_is_deployed_with_the_tanh_of_the_mean(action_size: int) -> None:
     kinematics = {2: Kinematics.holonomic, 3: Kinematics.acceleration_heading}[action_size]
@@ -102,16 +88,6 @@ def test_it_is_deployed_with_the_tanh_of_the_mean(action_size: int) -> None:
                 kinematics=Kinematics.holonomic if action_size == 3 else "acceleration_heading"
             )  # type: ignore[arg-type]
         )
-
-
-def test_its_card_says_which_robots_it_drives(tmp_path: Path) -> None:
-    """Holonomic robots and unicycles both take two numbers, which mean something else."""
-    provenance = {"configuration": {"stages": [{"kinematics": str(Kinematics.holonomic)}]}}
-    save_policy(tmp_path / "policy.safetensors", squashed(), "squashed", provenance)
-    agent = partial(Learned, checkpoint=str(tmp_path / "policy.safetensors"))
-    agent(Scenario(kinematics=Kinematics.holonomic))
-    with pytest.raises(ConfigurationError, match=r"kinematics .*unicycle.* holonomic"):
-        agent(Scenario(kinematics=Kinematics.unicycle))
 
 
 def test_features_of_sequences_are_those_of_acting() -> None:
@@ -131,28 +107,7 @@ def test_features_of_sequences_are_those_of_acting() -> None:
     assert torch.equal(batch["action"], inside[:, :-1].tanh())
 
 
-def test_vectors_along_the_way_to_the_goal() -> None:
-    """The goal is to the left: what is to the left is ahead, what is ahead is to the right."""
-    direction = torch.tensor([0.0, 1.0])
-    assert towards(direction, torch.tensor([0.0, 2.0])).tolist() == [2.0, 0.0]
-    assert towards(direction, torch.tensor([3.0, 0.0])).tolist() == [0.0, -3.0]
-
-
 # The critics
-
-
-def test_attention_between_two_robots_by_hand() -> None:
-    torch.manual_seed(0)
-    critic = AttentionCritic(5, 2, 8, 2)
-    y, own, others = torch.randn(2, 5), torch.randn(2, 2), torch.randn(2, 2)
-    both, none = torch.ones(2, dtype=torch.bool), torch.zeros(2, dtype=torch.bool)
-    for active in (both, none):
-        q = critic(y, own, others, active)
-        for i, j in ((0, 1), (1, 0)):
-            of_self = critic.embed_own(torch.cat([y[i], own[i]]))
-            value = critic.value(critic.embed_other(torch.cat([y[j], others[j]])))  # a share of 1
-            expected = critic.out(torch.cat([value * active[j], of_self]))
-            torch.testing.assert_close(q[i], expected[0])
 
 
 def test_attention_among_many_by_hand() -> None:
@@ -236,13 +191,6 @@ TERMINATED = [
     [[x, x], [x, x], [x, x], [x, x]],
     [[x, x], [x, x], [x, o], [x, x]],
 ]
-
-
-def test_robots_are_paid_the_sum_of_their_team_or_their_own_without_its_bonus() -> None:
-    team = learner(squashed(), team_reward=True).reward_shaping
-    assert team == RewardShaping(team_bonus=True, shared=True)
-    own = learner(squashed(), team_reward=False).reward_shaping
-    assert own == RewardShaping(team_bonus=False, shared=False)
 
 
 def test_where_values_are_learned_and_where_they_end() -> None:
@@ -396,22 +344,6 @@ def test_what_does_not_fit_is_refused() -> None:
     flat = make_policy(numbers.pop("name"), numbers, 2)
     with pytest.raises(ConfigurationError, match=r"policy\.name .*squashed"):
         learner(flat)  # type: ignore[arg-type]
-
-
-def test_teams_of_other_sizes_are_kept_apart() -> None:
-    policy = squashed()
-    algorithm = learner(policy, learning_starts=1, updates=6)
-    one, three = (
-        collected(policy, scenario=Scenario(kinematics=Kinematics.holonomic, robots=n, humans=m))
-        for n, m in ((1, 0), (3, 2))
-    )
-    algorithm.update([one, three])
-    assert sorted(len(replay) for replay in algorithm.replays.values()) == [12, 12]
-    assert algorithm.steps_stored == 240
-    for _ in range(3):
-        statistics = algorithm.update([one])
-    assert all(math.isfinite(value) for value in statistics.values())
-    assert max(len(replay) for replay in algorithm.replays.values()) == 48
 
 
 def test_it_learns_to_drive_to_the_goal() -> None:

@@ -41,17 +41,6 @@ def test_robots_are_put_on_their_way_among_people_who_have_walked() -> None:
     assert state.arrived[put].all(1).mean() > 0.4
 
 
-def test_the_crowd_walks_on_when_its_time_is_over() -> None:
-    crowd = WarmStartCrowd(replace(SCENARIO, humans=3), 4, 0)
-    crowd.world.state.clock[:2] = crowd.world.scenario.time_limit / SCENARIO.time_step - 1
-    crowd.step()
-    assert crowd.world.state.clock.tolist() == [0, 0, 1, 1]
-    for _ in range(3):
-        crowd.step()
-    assert crowd.world.state.clock.tolist() == [3, 3, 4, 4]
-    assert not crowd.world.state.done.any()
-
-
 def test_episodes_begin_midway_as_often_as_they_should() -> None:
     torch.manual_seed(0)
     scenario = replace(SCENARIO, robots=1, humans=2, time_limit=1.0)

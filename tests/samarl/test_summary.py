@@ -9,12 +9,8 @@ import pytest
 
 from mrsan import (
     ConfigurationError,
-    Crowd,
     Episodes,
-    Groups,
-    Layout,
     Outcome,
-    Reward,
     Scenario,
 )
 from samarl.commands.bench import merged
@@ -37,13 +33,11 @@ from samarl.evaluation.summary import (
     first_cases,
     read_rows,
     row_fields,
-    scenario_column,
     summarise,
 )
 from samarl.evaluation.table import (
     column_name,
     grids_as_markdown,
-    has_driving_metrics,
     rows_as_cells,
     rows_as_markdown,
 )
@@ -64,15 +58,6 @@ from samarl.files import find_folder
 )
 def test_wilson_interval(successes: int, trials: int, low: float, high: float) -> None:
     assert wilson_interval(successes, trials) == pytest.approx((low, high), abs=5e-5)
-
-
-@pytest.mark.parametrize("trials", [1, 7, 500])
-def test_the_interval_contains_the_rate_and_is_symmetric(trials: int) -> None:
-    for successes in range(trials + 1):
-        low, high = wilson_interval(successes, trials)
-        assert 0 <= low <= successes / trials <= high <= 1
-        other_low, other_high = wilson_interval(trials - successes, trials)
-        assert (1 - other_high, 1 - other_low) == pytest.approx((low, high))
 
 
 def four_episodes() -> Episodes:
@@ -212,16 +197,6 @@ def test_compare_with_the_committed_row(change: dict[str, Any], status: str) -> 
     assert len(line.splitlines()) == 1
 
 
-def test_compare_shows_both_numbers() -> None:
-    line = compare(row(success_rate=80.0, social_score=50.0), [row()])
-    assert line == (
-        "DIFFERS  mine 360° 10h 2r: success 25.0 -> 80.0 %, social score 30.2 -> 50.0: "
-        "success_rate is outside [4.6, 69.9]"
-    )
-    line = compare(row(social_score=90.0), [row()])
-    assert line.endswith("social score 30.2 -> 90.0: social_score is outside [0.0, 61.5]")
-
-
 def test_a_table_of_several_kinds_of_columns() -> None:
     rows = [
         row(),
@@ -258,42 +233,6 @@ def test_a_table_of_several_kinds_of_columns() -> None:
     )
 
 
-def test_a_column_lists_all_changed_fields() -> None:
-    assert scenario_column(Scenario(fov_degrees=90.0, humans=3, layout=Layout.square)).changes == ""
-    changed = Scenario(position_noise=0.1, crowd=Crowd.social_force, occlusion=True, humans_min=2)
-    assert scenario_column(changed).changes == (
-        "humans_min=2 occlusion=True position_noise=0.1 crowd=social_force"
-    )
-    recorded = Scenario(
-        crowd=Crowd.recorded, route_length_max=9.0, frame_seconds=0.1, missed_detection=1
-    )
-    assert scenario_column(recorded).changes == "missed_detection=1"
-    parts = Scenario(groups=Groups(share=0.5, size_max=2), reward=Reward(arrival=1.0))
-    assert scenario_column(parts).changes == "groups.share=0.5 groups.size_max=2"
-
-
-def test_the_metrics_of_groups_are_shown_where_there_are_groups() -> None:
-    alone = four_episodes()._replace(intrusion_share=np.full((4, 2), np.nan))
-    without = summarise(alone, Scenario(robots=2), "mine", "command", "abc", 7)
-    assert without["group_intrusion_rate"] is without["group_intrusion_share"] is None
-    assert "in a group %" not in rows_as_cells([without])[0]
-    header, (line, other) = rows_as_cells([row(changes="groups.share=0.5"), without])
-    assert (line[header.index("in a group %")], other[header.index("in a group %")]) == (
-        "25.0",
-        "-",
-    )
-
-
-def test_rows_of_older_tables_belong_to_table_1(tmp_path: Path) -> None:
-    old = row()
-    for field in ("layout", "goal_turn_degrees", "team_perception", "recording", "changes"):
-        del old[field]
-    (tmp_path / "old.json").write_text(json.dumps([old]))
-    rows = read_rows(tmp_path / "old.json")
-    assert rows is not None
-    assert compare(row(), rows).startswith("same ")
-
-
 def test_tables_are_aligned_and_show_the_results_of_the_papers() -> None:
     rows = [row(method="orca", fov_degrees=90.0, robots=3), row(method="perimeter")]
     for table in (rows_as_markdown(rows), grids_as_markdown(rows)):
@@ -308,11 +247,6 @@ def test_tables_are_aligned_and_show_the_results_of_the_papers() -> None:
     assert cells["orca"] == "25.0 / 30.2"
     assert cells["perimeter"] == ""
     assert cells["paper: SAMARL"] == "93 / -"
-
-
-def test_rows_of_other_cases_are_not_compared() -> None:
-    line = compare(row(success_rate=80.0, command="command evaluation.split=other"), [row()])
-    assert line.startswith("other    mine 360° 10h 2r: success 25.0 -> 80.0 %")
 
 
 def test_the_first_cases_of_a_row_by_hand() -> None:
@@ -377,16 +311,6 @@ def test_the_page_compares_training_seeds() -> None:
     assert "improvement" not in page("table1", "Title", rows)
 
 
-def test_the_page_begins_with_a_short_table() -> None:
-    rows = [row(method=name) for name in ("one", "two", "three")]
-    text = page("table1", "Title", rows, headline=["three", "one", "absent"])
-    short, every = text.split("## All methods\n")
-    names = [line.split("|")[1].strip() for line in short.splitlines() if line.startswith("|")]
-    assert names[2:] == ["three", "one"]
-    assert "| two" in every
-    assert "All methods" not in page("table1", "Title", rows)
-
-
 COMMITTED = find_folder("results") / "table1.json"
 
 
@@ -412,67 +336,6 @@ def test_every_metric_returns_its_fields() -> None:
             assert (m.heading in header) == (bool(m.heading) and table in m.tables)
             if m.heading in header:
                 assert lines[0][header.index(m.heading)] == m.cell(one)
-
-
-def test_committed_rows_have_every_metric_of_the_printed_table() -> None:
-    """The metrics of driving and of MSA3C were added later; all are in the order of the fields."""
-    rows = read_rows(COMMITTED)
-    assert rows is not None
-    added = Tables.driving, Tables.counted, Tables.walled, Tables.grouped
-    later = {f for metric in METRICS.values() if metric.tables in added for f in metric.fields}
-    later |= {"scenario", "terminate_on_collision"}
-    seed_fields = list(across_seeds(rows[:2]))
-    optional = {*seed_fields, "from_training", "training_commit", "training_commands"}
-    for one in rows:
-        assert set(row_fields()) - later <= one.keys()
-        assert [name for name in one if name not in optional] == [
-            name for name in row_fields() if name in one
-        ]
-    assert {tuple(name for name in one if name in seed_fields) for one in rows} == {
-        (),
-        tuple(seed_fields),
-    }
-
-
-def test_a_row_without_driving_metrics_has_empty_cells() -> None:
-    """Only the close share and collisions between robots were measured before."""
-    later = {
-        f for metric in METRICS.values() if metric.tables is Tables.driving for f in metric.fields
-    }
-    old = {name: value for name, value in row().items() if name not in later}
-    assert not has_driving_metrics([old])
-    assert has_driving_metrics([old, row()])
-    header, (line, of_now) = rows_as_cells([old, row()], table=Tables.driving)
-    assert header[4:] == (
-        "success % [95 %]",
-        "robots' success %",
-        "robot on person %",
-        "person on robot %",
-        "hit robot %",
-        "close %",
-        "personal %",
-        "social %",
-        "soonest collision s",
-        "not moving %",
-        "heading change rad",
-        "irregularity rad/m",
-    )
-    assert line[4:] == ["25.0 [4.6, 69.9]", "", "", "", "25.0", "12.5", "", "", "", "", "", ""]
-    assert of_now[4:] == [
-        "25.0 [4.6, 69.9]",
-        "37.5",
-        "25.0",
-        "0.0",
-        "25.0",
-        "12.5",
-        "25.0",
-        "25.0",
-        "4.0",
-        "5.0",
-        "2.00",
-        "0.15",
-    ]
-    assert rows_as_markdown([old]) == rows_as_markdown([row()])
 
 
 @pytest.fixture
@@ -510,10 +373,3 @@ def test_a_row_without_a_required_field_is_refused(tmp_path: Path) -> None:
         with pytest.raises(ConfigurationError, match=f"has no {name} in row 3; every") as caught:
             read_rows(path)
         assert len(str(caught.value).splitlines()) == 1
-
-
-@pytest.mark.parametrize("content", ["{}", "[]", "[1, 2]", '[{"worlds": 1}]', '"text"'])
-def test_files_without_rows_are_ignored(tmp_path: Path, content: str) -> None:
-    path = tmp_path / "other.json"
-    path.write_text(content)
-    assert read_rows(path) is None

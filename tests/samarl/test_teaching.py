@@ -4,10 +4,8 @@ from collections import defaultdict
 from dataclasses import replace
 
 import numpy as np
-import pytest
 import torch
 
-from mrsan import ConfigurationError, Scenario
 from samarl.algorithms.advantages import streams
 from samarl.planning.shield import Shield, apply_shield
 from samarl.policies.policy import LOCAL
@@ -148,23 +146,3 @@ def test_the_policy_learns_what_the_teacher_would_do() -> None:
     rollout = collector.collect()
     errors = [learner.update([rollout])["losses/teacher_error"] for _ in range(5)]
     assert errors[-1] < 0.5 * errors[0]
-
-
-def test_imitation_of_the_teacher_fades_out() -> None:
-    learner = learning.algorithm(
-        learning.policy("flat"), teacher="orca", teacher_coefficient=2.0, teacher_end=0.5
-    )
-    weights = []
-    for share in (0.0, 0.25, 0.5, 1.0):
-        learner.set_progress(share)
-        weights.append(learner.teacher_weight)
-    assert weights == [2.0, 1.0, 0.0, 0.0]
-    assert learner.teacher is None
-
-
-def test_an_unknown_teacher_is_refused() -> None:
-    with pytest.raises(
-        ConfigurationError, match=r"algorithm\.teacher: agent is 'orka', which does not exist"
-    ):
-        build_teacher("orka", Scenario())
-    assert build_teacher(None, Scenario()) is None

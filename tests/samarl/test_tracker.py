@@ -44,16 +44,3 @@ def test_memory_survives_turning_and_ends_with_the_episode() -> None:
     after = tracker.update(world.reset(worlds=gone), memory, gone)
     assert (after.humans_known[gone] == world.observe().humans_visible[gone]).all()
     assert (after.humans_known[~gone] == tracks.humans_known[~gone]).all()
-
-
-def test_without_memory_it_is_the_sensor() -> None:
-    world = World(Scenario(fov_degrees=120.0), worlds=3)
-    observation = world.reset([5, 6, 7])
-    tracker = Tracker(track_time=0.0, time_step=0.25)
-    memory = tracker.initial(3, 3, 10)
-    for step in range(20):
-        tracks = tracker.update(observation, memory, np.full(3, step == 0))
-        assert (tracks.humans_known == observation.humans_visible).all()
-        np.testing.assert_allclose(tracks.humans[..., :5], observation.humans, atol=1e-5)
-        np.testing.assert_allclose(tracks.robots[..., :5], observation.robots, atol=1e-5)
-        observation = world.step(np.full((3, 3, 3), 0.3)).observation

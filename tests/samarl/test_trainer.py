@@ -7,7 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 import torch
 
@@ -102,14 +101,6 @@ def test_no_two_worlds_of_a_run_play_the_same_cases(tmp_path: Path) -> None:
                 cases += collector.crowd.world.state.case.tolist()
     assert len(cases) == 2 * (2500 + 2 * 1700 + 30)
     assert len(set(cases)) == len(cases)
-
-
-def test_fewer_worlds_than_minibatches_learn(tmp_path: Path) -> None:
-    stages = [CurriculumStage(2, scenario=Scenario(humans=2, robots=2))]
-    small_trainer = trainer(tmp_path, stages, algorithm={"minibatches": 8})
-    before = {key: value.clone() for key, value in small_trainer.policy.state_dict().items()}
-    assert all(np.isfinite(value) for value in small_trainer.round().values())
-    assert any(not torch.equal(v, before[k]) for k, v in small_trainer.policy.state_dict().items())
 
 
 def test_the_teacher_acts_until_it_is_not_imitated_any_more(tmp_path: Path) -> None:

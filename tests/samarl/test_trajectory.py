@@ -1,6 +1,5 @@
 """Trajectories of episodes, and the figures and animations drawn from them."""
 
-import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -12,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 from PIL import Image, ImageColor
 
-from mrsan import ConfigurationError, Observation, Outcome, Scenario, World
+from mrsan import Observation, Outcome, Scenario, World
 from samarl.agents import Agent, build_agent
 from samarl.agents.learned import DeployedPolicy
 from samarl.encoders.transformer_layers import Pool
@@ -21,18 +20,14 @@ from samarl.policies.checkpoint import save_policy
 from samarl.report.animation import (
     _draw_state,
     ending,
-    frame_times,
-    playback_speed,
     save_animation,
 )
-from samarl.report.pictures import picture_writer
 from samarl.report.replays import as_replay
 from samarl.report.style import COLOURS
 from samarl.report.trajectories import save_trajectories
 from tests.small import small_policy
 
 SCENARIO = Scenario(humans=4, robots=3, fov_degrees=120.0, time_limit=4.0)
-SHORT = Scenario(humans=1, robots=1, time_limit=0.5)
 STRAIGHT = {"_target_": "samarl.agents.planners.straight.Straight"}
 
 
@@ -182,52 +177,3 @@ def test_an_animation_tells_how_the_episode_ended() -> None:
     assert ending([Outcome.hit_robot] * 2) == "Failure: robots 0 and 1 hit a robot"
     both = [Outcome.timeout, Outcome.hit_wall]
     assert ending(both) == "Failure:\nrobot 0 ran out of time\nrobot 1 hit a wall"
-
-
-@pytest.mark.parametrize(("steps", "time_step"), [(40, 0.25), (200, 0.25), (5000, 0.01)])
-def test_an_animation_takes_at_most_20_seconds(steps: int, time_step: float) -> None:
-    speed = playback_speed(steps * time_step)
-    for rate in (10.0, 20.0):
-        times, seconds = frame_times(steps, time_step / speed, rate)
-        assert len(times) * seconds + 3.0 <= 20.0
-    assert (speed == 1.0) == (steps == 40)
-
-
-@pytest.mark.parametrize(
-    ("time_step", "rate", "frames_a_second"),
-    [
-        (0.25, 20.0, 20.0),
-        (0.25, 10.0, 12.0),
-        (0.04, 20.0, 25.0),
-        (0.01, 20.0, 20.0),
-        (0.01, 10.0, 10.0),
-        (0.03, 20.0, 100 / 3),
-        (1.0, 10.0, 10.0),
-    ],
-)
-def test_short_steps_do_not_make_more_frames(
-    time_step: float, rate: float, frames_a_second: float
-) -> None:
-    times, seconds = frame_times(103, time_step, rate)
-    assert seconds == pytest.approx(1 / frames_a_second)
-    assert (times[0], times[-1]) == (0.0, 103.0)
-    np.testing.assert_allclose(np.diff(times)[:-1] * time_step, seconds)
-    assert 0 < (times[-1] - times[-2]) * time_step <= seconds + 1e-9
-    assert frame_times(0, time_step, rate)[0].tolist() == [0.0]
-
-
-@pytest.mark.parametrize("name", ["case.PNG", "case.Svg", "case.GIF", "case.MP4"])
-def test_the_file_extension_may_be_in_capitals(name: str, tmp_path: Path) -> None:
-    agent = build_agent({"_target_": "samarl.agents.planners.straight.Straight"}, SHORT)
-    draw = picture_writer(tmp_path / name)
-    draw([(record_episode(agent, SHORT, 0), "title")], tmp_path / name)
-    starts = {".png": b"\x89PNG", ".svg": b"<?xml", ".gif": b"GIF89a", ".mp4": b"\0\0\0"}
-    assert (tmp_path / name).read_bytes().startswith(starts[Path(name).suffix.lower()])
-
-
-def test_a_missing_encoder_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
-    trajectory = record_episode(build_agent(STRAIGHT, SCENARIO), SCENARIO, 3)
-    with pytest.raises(ConfigurationError, match=r"pip install 'samarl\[video\]'"):
-        save_animation([(trajectory, "a title")], tmp_path / "case.mp4")
-    assert list(tmp_path.iterdir()) == []

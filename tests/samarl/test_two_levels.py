@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from mrsan import ConfigurationError, World
+from mrsan import World
 from mrsan.features import GOAL
 from samarl.agents.learned import DeployedPolicy
 from samarl.algorithms.action_limits import action_limits, excess
@@ -39,20 +39,6 @@ def test_a_robot_decides_from_its_own_observations_alone() -> None:
         assert (first[:, 1] != second[:, 1]).any()
         observations = [one.step(first).observation, other.step(first).observation]
         observations[1] = other.observe()
-
-
-def test_the_batch_does_not_change_a_decision() -> None:
-    model, scenario = policy(), replace(SCENARIO, time_limit=50.0)
-    world = World(scenario, 5)
-    agent, alone = DeployedPolicy(model, scenario), DeployedPolicy(model, scenario)
-    agent.reset(np.ones(5, np.bool_))
-    alone.reset(np.ones(1, np.bool_))
-    observation = world.reset([0, 1, 2, 3, 4])
-    for _ in range(8):
-        actions = agent.act(observation)
-        third = alone.act(observation.of_worlds(np.array([3])))
-        np.testing.assert_allclose(third[0], actions[3], atol=1e-5)
-        observation = world.step(actions).observation
 
 
 @pytest.mark.parametrize(
@@ -194,18 +180,6 @@ def test_critics_observe_the_waypoints_of_team_mates() -> None:
         np.testing.assert_allclose(seen, expected, atol=1e-5)
 
 
-def test_a_flat_agent_learns_the_tasks_own_reward() -> None:
-    model = policy("flat")
-    going = collector(model, 16, 16, replace(SCENARIO, humans=0, fov_degrees=360.0))
-    rollout = going.collect()
-    assert "waypoint_features" not in rollout.steps["agents"].keys()  # noqa: SIM118
-    assert ("agents", MACRO) not in rollout.steps.keys(include_nested=True)
-    before = copy.deepcopy(model.state_dict())
-    statistics = algorithm(model).update([rollout])
-    assert all(np.isfinite(value) for value in statistics.values())
-    assert any(not torch.equal(v, before[key]) for key, v in model.state_dict().items())
-
-
 def test_robots_with_parameters_of_their_own_act_alone() -> None:
     model = policy(num_parameter_sets=2)
     rollout = collector(model).collect()
@@ -220,11 +194,6 @@ def test_robots_with_parameters_of_their_own_act_alone() -> None:
     after = DeployedPolicy(model, SCENARIO).act(observation)
     np.testing.assert_array_equal(after[:, 0], before[:, 0])
     assert (after[:, 1] != before[:, 1]).any()
-
-
-def test_robots_with_parameters_of_their_own_must_be_so_many() -> None:
-    with pytest.raises(ConfigurationError, match=r"scenario\.robots .*3.* 2\b"):
-        DeployedPolicy(policy(num_parameter_sets=2), replace(SCENARIO, robots=3))
 
 
 def test_commands_beyond_the_limits_cost_and_only_those() -> None:
@@ -248,21 +217,6 @@ def test_commands_beyond_the_limits_cost_and_only_those() -> None:
     forgiven = excess(mean[2:3], torch.full((1, 3), 0.2), speed[2:3], limits[2:3])
     assert forgiven.item() == pytest.approx(0.1**2)
     assert not excess(mean[:, :2], mean[:, :2], speed, limits).any()  # holonomic
-
-
-def test_the_mean_is_drawn_back_to_what_can_be_done() -> None:
-    def mean_after(penalty: float) -> float:
-        model = policy()
-        bias = model.networks[0].heads[LOCAL].body[-1].bias
-        with torch.no_grad():
-            bias[0] = 1.5
-        rollout = collector(model, 8, 6, replace(SCENARIO, humans=0)).collect()
-        learner = algorithm(model, action_limit_penalty=penalty, learning_rate=0.01)
-        for _ in range(5):
-            learner.update([rollout])
-        return bias[0].item()
-
-    assert mean_after(10.0) < mean_after(0.0) - 0.02
 
 
 def test_kept_samples_are_those_of_the_largest_advantages() -> None:

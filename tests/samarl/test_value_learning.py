@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,21 +12,17 @@ import torch
 from tensordict import TensorDict
 
 from mrsan import ConfigurationError, Scenario, World
-from mrsan.fields import required
 from samarl.agents import build_agent
 from samarl.agents.learned import DeployedPolicy, Learned
 from samarl.algorithms import ALGORITHMS
 from samarl.algorithms.value_learning import OTHERS, ValueLearning, samples_of, widened
 from samarl.configuration import load_agent_config
-from samarl.encoders import ENCODERS, Encoder
 from samarl.observations.features import frames_of
-from samarl.observations.frames import FeatureSizes, Frames
+from samarl.observations.frames import Frames
 from samarl.planning.one_step import command_set
 from samarl.policies.card import LAST
 from samarl.policies.checkpoint import make_policy
 from samarl.policies.lookahead import LookaheadPolicy
-from samarl.registry import Entry
-from samarl.reward_shaping import RewardShaping
 from samarl.rollout import Rollout
 from samarl.training.config import TrainerConfig
 from samarl.training.curriculum import CurriculumStage
@@ -161,47 +156,6 @@ def test_a_value_is_the_least_over_pairs() -> None:
     torch.testing.assert_close(policy.value(blind(frames), rows), 10.0 * by_itself)
 
 
-@dataclass
-class PooledConfig:
-    """Sizes of an encoder for this test."""
-
-    features: int = required(2, 64)
-
-
-class Pooled(Encoder):
-    """The sum of the people who are known, who share the attention."""
-
-    def __init__(self, config: PooledConfig, sizes: FeatureSizes) -> None:
-        super().__init__(config, sizes)
-        self.features = config.features
-        self.human = torch.nn.Linear(sizes.entities["humans"], config.features)
-
-    def observe(self, frames: Frames, is_init: Any, state: Any, samples: Any = None) -> Any:
-        known = frames.humans_known.unsqueeze(-1)
-        return (self.human(frames.humans) * known).sum(2).flatten(0, 1), known[:, 0, :, 0]
-
-    def read(self, scene: Any, query: torch.Tensor) -> torch.Tensor:
-        return torch.relu(scene[0])
-
-    def attention(self, scene: Any, query: torch.Tensor) -> Any:
-        return torch.zeros(len(query), 1), scene[1] / scene[1].sum(-1, keepdim=True)
-
-
-def test_attention_instead_of_the_minimum_needs_an_encoder_alone(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setitem(ENCODERS._entries, "pooled", Entry(Pooled, PooledConfig))
-    policy = lookahead(encoder_numbers={"name": "pooled", "features": 8})
-    assert policy.networks[0].heads["local"][-1].out_features == 1
-    scenario = Scenario(robots=2, humans=4, sensing_range=20.0)
-    observation = World(scenario, 2).reset([0, 1])
-    deployed = DeployedPolicy(policy, scenario)
-    deployed.act(observation)
-    explanation = deployed.explain()
-    assert explanation is not None
-    assert np.asarray(explanation.humans) == pytest.approx(np.full((2, 2, 4), 0.25))
-
-
 # What is learned
 
 
@@ -248,10 +202,6 @@ def rollout_of(
     scenario = Scenario(robots=n, humans=humans)
     begins = torch.zeros(s * n, t, dtype=torch.bool)
     return Rollout(scenario, 0.0, steps, frames, begins, ({},), None, [], s * t)
-
-
-def test_no_robot_is_paid_for_the_arrival_of_its_team() -> None:
-    assert learner(lookahead()).reward_shaping == RewardShaping(team_bonus=False)
 
 
 def test_what_a_value_is_regressed_on() -> None:
@@ -358,22 +308,6 @@ def test_scenarios_of_other_sizes_share_a_replay() -> None:
     wide = widened(samples, [5, 5, 4, 4])
     assert [wide["now", part].shape[2] for part in OTHERS] == [5, 5, 4, 4]
     torch.testing.assert_close(algorithm.targets(wide), algorithm.targets(samples))
-
-
-def test_orca_drives_first_and_epsilon_falls_then() -> None:
-    algorithm = learner(lookahead())
-    schedule = []
-    for share in (0.0, 0.49, 0.5, 0.7, 0.9, 1.0):
-        algorithm.set_progress(share)
-        schedule.append((algorithm.policy.imitating, round(algorithm.policy.epsilon, 6)))
-    assert schedule == [
-        (True, 0.5),
-        (True, 0.5),
-        (False, 0.5),
-        (False, 0.3),
-        (False, 0.1),
-        (False, 0.1),
-    ]
 
 
 STAGES = [

@@ -38,14 +38,3 @@ def test_it_is_torchs_in_value_and_gradient(share: float, threads: int) -> None:
     assert not results[0][0][nobody].any()
     if share == 0.0:
         assert not any(gradient.any() for gradient in results[0][1:])
-
-
-@pytest.mark.parametrize(("p", "m"), [(7, 0), (0, 5), (0, 0)])
-def test_nobody_to_attend_to_and_nobody_who_does(p: int, m: int) -> None:
-    query, key_value, *others = inputs(0.5, p, m)
-    for attend in (windowed_attention, by_torch):
-        q, k = query.clone().requires_grad_(), key_value.clone().requires_grad_()
-        out = attend(q, k, *others)
-        assert out.shape == query.shape
-        out.sum().backward()
-        assert k.grad is None or not k.grad.any()

@@ -1,8 +1,6 @@
 """Workflows of users: commands run in a folder of their own."""
 
 import json
-import os
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -101,29 +99,6 @@ def test_a_sweep_writes_a_table_and_resumes(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_sweep_of_a_cluster_resumes_on_one_machine(tmp_path: Path) -> None:
-    sweep = [
-        "-m",
-        "agent=straight",
-        "scenario.fov_degrees=90,360",
-        "scenario.robots=2,3",
-        "evaluation.cases=4",
-    ]
-    run("evaluate", *sweep, "hydra/launcher=submitit_local", cwd=tmp_path)
-    (folder,) = (tmp_path / "outputs/sweep").iterdir()
-    assert len(list(folder.glob("*/row.json"))) == 4
-    assert len(list(folder.glob(".submitit/*/*_result.pkl"))) == 4  # one job per cell
-    table = (folder / "table.md").read_text()
-    rows = json.loads((folder / "table.json").read_text())
-    columns = [(row["fov_degrees"], row["robots"]) for row in rows]
-    assert columns == [(90.0, 2), (90.0, 3), (360.0, 2), (360.0, 3)]
-
-    again = run("evaluate", *sweep, cwd=tmp_path)
-    assert again.stdout.count("already finished") == 4
-    assert (folder / "table.md").read_text() == table
-
-
-@pytest.mark.slow
 def test_a_sweep_of_training_runs_has_a_folder_for_each_and_resumes(tmp_path: Path) -> None:
     small = ["scenario.humans=2", "worlds=4", "encoder.width=16", "policy=flat"]
     small += ["trainer.rollout=4", "trainer.validation_cases=2", "trainer.threads=1"]
@@ -155,12 +130,6 @@ def test_the_summary_of_a_sweep_is_the_mean_over_seeds(tmp_path: Path) -> None:
         "| policy-flat         |     2 |   200 |   95.0 [90.0, 100.0] |",
         "| policy-hierarchical |     2 |   200 |    65.0 [60.0, 70.0] |",
     ]
-
-
-def test_cells_that_would_write_one_file_are_refused(tmp_path: Path) -> None:
-    done = run("render", "-m", "agent=straight", "case=1,2", cwd=tmp_path, code=2)
-    assert done.stderr.startswith("error: output is 'outputs/case.png' in several cells")
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_the_bench_writes_table_1_in_the_documented_form(tmp_path: Path) -> None:
@@ -204,23 +173,6 @@ def test_the_bench_evaluates_other_layouts_and_recordings(tmp_path: Path) -> Non
     assert done.stdout.count("new ") >= 6
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        ["agents=[orca,nobody]"],
-        ["recordings=nowhere"],
-        ["columns=[{fov: 90}]"],
-        ["columns=[{robots: 99}]"],
-        ["evaluation.cases=0"],
-        ["colums=[]"],
-    ],
-)
-def test_the_bench_refuses_invalid_settings(tmp_path: Path, arguments: list[str]) -> None:
-    done = run("bench", *arguments, cwd=tmp_path, code=2)
-    assert done.stderr.startswith("error: ")
-    assert len(done.stderr.splitlines()) == 1
-
-
 def test_the_bench_evaluates_policies_only_in_their_views(tmp_path: Path) -> None:
     words = ["agents=[samarl_flat]", "evaluation.cases=1", "output=mine"]
     columns = "[{fov_degrees: 90, robots: 1}, {fov_degrees: 360, robots: 1}]"
@@ -232,12 +184,6 @@ def test_the_bench_evaluates_policies_only_in_their_views(tmp_path: Path) -> Non
     assert done.stderr.startswith(
         "error: columns has no column that an agent can play: samarl_flat was trained"
     )
-
-
-def test_user_errors_are_one_line_with_exit_code_2(tmp_path: Path) -> None:
-    done = run("evaluate", "scenario.fov_degrees=400", cwd=tmp_path, code=2)
-    assert done.stderr == "error: scenario.fov_degrees is 400.0; it must lie in (0, 360]\n"
-    assert done.stdout == ""
 
 
 def test_a_closed_pipe_is_not_an_error(tmp_path: Path) -> None:
@@ -371,27 +317,6 @@ def test_help_is_fast(command: str, tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-INTERRUPTED_IMPORT = """
-import sys
-from samarl.main import evaluate
-
-class Interrupting:
-    def find_spec(self, name, path, target=None):
-        if name == "numba":
-            raise KeyboardInterrupt
-
-sys.meta_path.insert(0, Interrupting())
-evaluate()
-"""
-
-
-def test_an_interrupt_during_imports_is_reported_in_one_line() -> None:
-    done = subprocess.run(
-        [sys.executable, "-c", INTERRUPTED_IMPORT], capture_output=True, text=True
-    )
-    assert (done.returncode, done.stderr) == (130, "interrupted\n")
-
-
 def test_help_describes_the_selected_configuration(tmp_path: Path) -> None:
     done = run("train", "algorithm=ippo", "encoder=gru", "--help", cwd=tmp_path)
     assert "name: ippo" in done.stdout
@@ -405,15 +330,6 @@ def test_help_describes_the_selected_configuration(tmp_path: Path) -> None:
     assert run("bench", "--version", cwd=tmp_path).stdout == f"samarl {samarl.__version__}\n"
 
 
-def test_unwritable_outputs_are_refused_before_anything_is_run(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("a file")
-    for command, output in (("render", "file/case.png"), ("bench", "file"), ("report", "file")):
-        done = run(command, f"output={output}", cwd=tmp_path, code=2)
-        assert "which cannot be written" in done.stderr
-        assert done.stderr.startswith("error: output is 'file")
-        assert len(done.stderr.splitlines()) == 1
-
-
 def test_a_policy_outside_of_its_views_prints_a_warning(tmp_path: Path) -> None:
     words = ["agent=samarl_flat", "evaluation.cases=1", "scenario.time_limit=1"]
     done = run("evaluate", *words, "scenario.fov_degrees=120", cwd=tmp_path)
@@ -421,36 +337,3 @@ def test_a_policy_outside_of_its_views_prints_a_warning(tmp_path: Path) -> None:
     assert note in done.stderr
     done = run("evaluate", *words, "scenario.fov_degrees=360", cwd=tmp_path)
     assert "note:" not in done.stderr
-
-
-def test_an_ascii_terminal_is_enough(tmp_path: Path) -> None:
-    words = ["agent=straight", "evaluation.cases=2", "hydra.run.dir=here"]
-    done = subprocess.run(
-        [sys.executable, "-m", "samarl.commands.evaluate", *words],
-        cwd=tmp_path,
-        env=os.environ | {"PYTHONIOENCODING": "ascii"},
-        capture_output=True,
-        text=True,
-    )
-    assert "| straight | 360? |" in done.stdout
-
-
-def test_every_command_is_installed() -> None:
-    folder = str(Path(sys.executable).parent)
-    for command in COMMANDS:
-        assert shutil.which(f"samarl-{command}", path=folder) is not None, command
-
-
-def test_the_planner_in_the_docs_runs(tmp_path: Path) -> None:
-    page = Path(__file__).parents[2] / "docs/extending.md"
-    text = page.read_text().split("## A planner\n")[1]
-    python = text.split("```python\n")[1].split("```")[0]
-    yaml = text.split("```yaml\n")[1].split("```")[0]
-    assert python.count("\n") <= 25
-    (tmp_path / "my_planner.py").write_text(python)
-    (tmp_path / "my_conf/agent").mkdir(parents=True)
-    (tmp_path / "my_conf/agent/mine.yaml").write_text(yaml)
-    done = run(
-        "evaluate", "--config-dir", "my_conf", "agent=mine", "evaluation.cases=3", cwd=tmp_path
-    )
-    assert "| mine   |" in done.stdout
