@@ -19,7 +19,7 @@ EGO_FEATURES = (
 )
 GOAL_X, GOAL_Y, VELOCITY_X, VELOCITY_Y, ORIGIN_X, ORIGIN_Y = range(6)
 HEADING_COS, HEADING_SIN, RADIUS, PREFERRED_SPEED, TIME = range(6, 11)
-GOAL, VELOCITY, ORIGIN = slice(0, 2), slice(2, 4), slice(4, 6)
+GOAL, VELOCITY, ORIGIN, HEADING = slice(0, 2), slice(2, 4), slice(4, 6), slice(6, 8)
 
 # Features of another agent, relative to the robot:
 OTHER_FEATURES = ("x", "y", "velocity_x", "velocity_y", "radius")

@@ -29,6 +29,7 @@ _RESERVED = (
     "walls",
     "route",
     "lidar",
+    "passages",
     "messages",
     "priority",
     "is_init",
