@@ -40,26 +40,27 @@ from samarl.planning.right_of_way import (
     distance_from_way,
     distance_to,
     is_parked,
+    look_ahead,
     number_of_mode,
     update_mode,
 )
+from samarl.planning.velocity_control import track_rotated_velocity
 
 _POINTS = 128  # of a path
 _APPROACH = 0.45  # m, of the points before and behind a passage through which robots drive
 _NEAR_WALL = 4.5  # m, farther than a rollout leads
 _AT_GOAL, _AT_PLACE = 0.12, 0.25  # m, distances at which robots stop
+_ALONE = 1.0  # m, surface distance from which on nobody disturbs a robot that stands
 _STUCK = 10  # steps, after which a robot comes closer to people
 _PREDICTED = 3  # steps for which team-mates who share no plans move
 _ROUND, _CLEAR = 0.12, 0.06  # m, at which paths lead round them, and that paths keep from them
 
 
 @kernel
-def act(
+def perceive(
     first,
     last,
     ego,
-    humans,
-    humans_visible,
     robots,
     robots_visible,
     messages,
@@ -71,18 +72,15 @@ def act(
     distance,
     mouths,
     memory,
-    settings,
+    central,
     p,
-    action,
 ):
-    """Write the actions of all robots [E, N, A], and update their memory.
+    """Update where robots are, what they believe of each other, and which passages they come to.
 
     Args:
         first: first world to work on.
         last: the one after the last.
         ego: [E, N, 11], and so on: what robots observe.
-        humans: likewise.
-        humans_visible: likewise.
         robots: likewise.
         robots_visible: likewise.
         messages: [E, N, N - 1, 7], `mrsan.sensors.team.MESSAGE_FEATURES`.
@@ -94,13 +92,70 @@ def act(
         distance: likewise.
         mouths: `Mouths`.
         memory: `Memory`, updated.
+        central: whether robots know the truth of each other.
+        p: the scenario's parameters.
+    """
+    path, cost = np.zeros((_POINTS, 2)), np.zeros(corners.shape[2], np.float32)
+    for e in range(first, last):
+        known_map = walls[e], place[e], corners[e], distance[e]
+        for i in range(ego.shape[1]):
+            _write_pose(ego[e, i], memory.pose[e, i], memory.goal[e, i])
+            from_goal = _length(memory.goal[e, i], memory.pose[e, i])
+            memory.arrived[e, i] = from_goal < p.robot_radius
+        _believe(
+            e,
+            ego,
+            robots,
+            robots_visible,
+            messages,
+            messages_received,
+            priority,
+            mouths,
+            memory,
+            central,
+            p.time_step,
+        )
+        for i in range(ego.shape[1]):
+            look_ahead(e, i, mouths, memory, known_map, cost, path)
+
+
+@kernel
+def drive(
+    first,
+    last,
+    ego,
+    humans,
+    humans_visible,
+    place,
+    walls,
+    corners,
+    distance,
+    mouths,
+    memory,
+    settings,
+    p,
+    action,
+):
+    """Write the actions of all robots [E, N, A] after they have perceived and chosen.
+
+    Args:
+        first: first world to work on.
+        last: the one after the last.
+        ego: [E, N, 11], and so on: what robots observe.
+        humans: likewise.
+        humans_visible: likewise.
+        place: [E, 9], and so on: the map that robots know.
+        walls: likewise.
+        corners: likewise.
+        distance: likewise.
+        mouths: `Mouths`.
+        memory: `Memory`, updated.
         settings: `Settings`.
         p: the scenario's parameters.
         action: [E, N, A], written.
     """
     n, m = ego.shape[1], humans.shape[2]
-    pose, goal = np.zeros((n, 5)), np.zeros((n, 2))
-    arrived, decided = np.zeros(n, np.bool_), np.zeros(n, np.bool_)
+    decided = np.zeros(n, np.bool_)
     people, present = np.zeros((m, 5)), np.zeros(m, np.bool_)
     expected, stops, counts = (
         np.zeros((n, STEPS + 1, 2)),
@@ -121,40 +176,23 @@ def act(
         np.zeros((STEPS + 1, 2)),
     )
     for e in range(first, last):
-        for i in range(n):
-            _write_pose(ego[e, i], pose[i], goal[i])
-            arrived[i] = _length(goal[i], pose[i]) < p.robot_radius
-        _believe(
-            e,
-            ego,
-            pose,
-            arrived,
-            robots,
-            robots_visible,
-            messages,
-            messages_received,
-            priority,
-            mouths,
-            memory,
-            settings.central,
-            p.time_step,
-        )
         known_map = walls[e], place[e], corners[e], distance[e]
+        pose, goal = memory.pose[e], memory.goal[e]
         for i in range(n):
-            update_mode(e, i, pose, goal, arrived, mouths, memory, known_map, settings, cost, path)
+            update_mode(e, i, mouths, memory, settings.central)
         present[:] = False
         if settings.central:
             for i in range(n):
                 _see(ego[e, i], pose[i], humans[e, i], humans_visible[e, i], people, present)
         for i in range(n):
-            decided[i] = arrived[i]
+            decided[i] = memory.arrived[e, i]
             _brake(pose[i], p.time_step, plan_stops[i])
             for t in range(STEPS + 1):
                 plans[i, t, 0], plans[i, t, 1] = plan_stops[i, 0], plan_stops[i, 1]
             plans[i, 0, 0], plans[i, 0, 1] = pose[i, 0], pose[i, 1]
             action[e, i, :] = 0.0
         for _ in range(n):
-            i = _next_to_plan(e, pose, decided, memory)
+            i = _next_to_plan(e, decided, memory)
             if i < 0:
                 break
             if settings.central:
@@ -167,8 +205,17 @@ def act(
                 others = Others(expected, stops, counts, people, present)
             length = _write_path(e, i, pose[i], goal[i], mouths, memory, known_map, cost, path)
             at_goal = _length(path[length - 1], goal[i]) < 1e-6
+            decided[i] = True
+            if not at_goal and _stands(i, pose, path[length - 1], others, p):
+                track_rotated_velocity(
+                    pose[i, 2], pose[i, 3], pose[i, 4], 0.0, 0.0, action[e, i], p, np.float32(0.0)
+                )
+                memory.stuck[e, i] = max(memory.stuck[e, i] - 2, 0)
+                continue
             tolerance = _AT_GOAL if at_goal else _AT_PLACE
-            columns = near_walls_of(walls[e], place[e], pose[i, 0], pose[i, 1], _NEAR_WALL, near)
+            columns, room = near_walls_of(
+                walls[e], place[e], pose[i, 0], pose[i, 1], _NEAR_WALL, near
+            )
             length = _go_round(e, i, pose[i], mouths, memory, near, columns, p, path, length)
             write_rest(path, length, rest)
             weights = _weigh(e, i, pose[i], at_goal, mouths, memory, settings)
@@ -182,6 +229,7 @@ def act(
                 tolerance,
                 near,
                 columns,
+                room,
                 others,
                 weights,
                 p,
@@ -189,7 +237,6 @@ def act(
                 action[e, i],
                 plans[i],
             )
-            decided[i] = True
             plan_stops[i, 0] = 1.5 * plans[i, 1, 0] - 0.5 * plans[i, 0, 0]
             plan_stops[i, 1] = 1.5 * plans[i, 1, 1] - 0.5 * plans[i, 0, 1]
             _count_standstill(e, i, pose[i], at_goal, memory)
@@ -232,6 +279,20 @@ def _see(ego, pose, humans, visible, people, present):
 
 
 @function
+def _stands(i, pose, place, others, p):
+    """Return whether robot `i` stands at its place, with nobody near."""
+    x, y = pose[i, 0], pose[i, 1]
+    stands = math.hypot(pose[i, 2], pose[i, 3]) < 0.01 and _length(place, pose[i]) < _AT_PLACE
+    for j in range(pose.shape[0]):
+        gap = math.hypot(others.robots[j, 0, 0] - x, others.robots[j, 0, 1] - y)
+        stands &= j == i or not others.counts[j] or gap > 2.0 * p.robot_radius + _ALONE
+    for h in range(others.present.shape[0]):
+        gap = math.hypot(others.people[h, 0] - x, others.people[h, 1] - y)
+        stands &= not others.present[h] or gap > p.robot_radius + others.people[h, 4] + _ALONE
+    return stands
+
+
+@function
 def _brake(pose, dt, out):
     """Write where a robot stands that brakes now."""
     out[0], out[1] = pose[0] + 0.5 * dt * pose[2], pose[1] + 0.5 * dt * pose[3]
@@ -241,8 +302,6 @@ def _brake(pose, dt, out):
 def _believe(
     e,
     ego,
-    pose,
-    arrived,
     robots,
     robots_visible,
     messages,
@@ -254,7 +313,7 @@ def _believe(
     dt,
 ):
     """Update what the robots believe of each other: the truth, messages, or what they see."""
-    n = pose.shape[0]
+    n, pose = ego.shape[1], memory.pose[e]
     for i in range(n):
         memory.belief[e, i, i, PRIORITY] = priority[e, i, 0]
         for j in range(n):
@@ -266,7 +325,7 @@ def _believe(
                 memory.known[e, i, j] = True
                 for f in range(4):
                     out[f] = pose[j, f]
-                out[THROUGH] = 1.0 if arrived[j] else 0.0
+                out[THROUGH] = 1.0 if memory.arrived[e, j] else 0.0
                 out[MACRO_ACTION] = number_of_mode(e, j, mouths, memory)
             elif slot < received.shape[2] and received[e, i, slot]:
                 memory.known[e, i, j] = True
@@ -373,7 +432,7 @@ def _has_room(e, i, x, y, mouths, memory, walls, seen, p):
 
 
 @function
-def _next_to_plan(e, pose, decided, memory):
+def _next_to_plan(e, decided, memory):
     """Return the robot that plans next: those on the way first; -1 if all have."""
     best, robot = 4, -1
     for i in range(decided.shape[0]):

@@ -27,6 +27,12 @@ _TURN_FIRST, _ON_ARC = np.float32(0.2), np.float32(1.2)  # rad, above which it t
 _REACHED = 0.3  # m, from a point of the path to the next one
 _PASSED = 0.25  # m, beside the way between them where it is behind the robot
 _DISCOUNT = 0.93  # per step
+# Of the steps after step t, the sum of the discounts, and the same times their number.
+_LATER = tuple(math.fsum(_DISCOUNT**s for s in range(t + 1, STEPS)) for t in range(STEPS))
+_LATER_STEPS = tuple(
+    math.fsum(_DISCOUNT**s * (s - t) for s in range(t + 1, STEPS)) for t in range(STEPS)
+)
+_CUT = 0.3  # m, by which a robot may shorten its path at a point
 _PERSON_STEPS, _PERSON_MOVES = 8, 4  # for which people count, and for which they move
 _ROBOT_MARGIN, _ROBOT_COMFORT, _PERSON_COMFORT = 0.03, 0.25, 0.4  # m, surface to surface
 _WALL_MARGIN = 0.012  # m
@@ -91,15 +97,20 @@ def _following_point(path, count, k, x, y):
 
 @separate
 def near_walls_of(walls, place, x, y, reach, near):
-    """Copy the walls within reach into `near`; return the number of columns to examine."""
-    count = 0
+    """Copy the walls within reach into `near`.
+
+    Returns the number of columns to examine, and the distance of the nearest wall, m.
+    """
+    count, nearest = 0, reach
     for k in range(wall_count(place)):
         px, py = nearest_point(walls, k, x, y)
-        if math.hypot(px - x, py - y) < reach and count < near.shape[1]:
+        gap = math.hypot(px - x, py - y)
+        nearest = min(nearest, gap)
+        if gap < reach and count < near.shape[1]:
             for row in range(WALL_ROWS):
                 near[row, count] = walls[row, k]
             count += 1
-    return count
+    return count, nearest
 
 
 @function
@@ -129,6 +140,7 @@ def plan(
     tolerance,
     walls,
     seen,
+    room,
     others,
     weights,
     p,
@@ -148,6 +160,7 @@ def plan(
         tolerance: distance at which the end of the path is reached, m.
         walls: [12, K] the walls near the robot, `seen` of them.
         seen: likewise.
+        room: distance of the nearest wall, m.
         others: what it expects of others, `Others`.
         weights: `Weights`.
         p: the scenario's parameters.
@@ -159,7 +172,7 @@ def plan(
     x0, y0 = pose[0], pose[1]
     k0 = _following_point(path, count, 0, x0, y0)
     bearing = math.atan2(path[k0, 1] - y0, path[k0, 0] - x0)
-    cheapest = np.inf
+    cheapest, radius = np.inf, p.robot_radius + _WALL_MARGIN
     stands = math.hypot(pose[2], pose[3]) < 0.01
     for index in range(_CANDIDATES):
         x, y, vx, vy, heading = x0, y0, pose[2], pose[3], pose[4]
@@ -186,21 +199,24 @@ def plan(
                 if not possible:
                     break
                 cost += _near_people(x, y, new_x, new_y, stop_x, stop_y, others, weights.gap, p)
-            elif not is_clear(
-                walls, seen, x, y, new_x - x, new_y - y, p.robot_radius + _WALL_MARGIN
+            elif math.hypot(new_x - x0, new_y - y0) + radius > room and not is_clear(
+                walls, seen, x, y, new_x - x, new_y - y, radius
             ):
                 new_x, new_y, new_vx, new_vy = x, y, 0.0, 0.0
                 cost += 0.5
             x, y, vx, vy, heading = new_x, new_y, new_vx, new_vy, wrap_angle(new_heading)
             way[t + 1, 0], way[t + 1, 1] = x, y
             k = _following_point(path, count, k, x, y)
-            cost += discount * (math.hypot(path[k, 0] - x, path[k, 1] - y) + rest[k])
+            left = math.hypot(path[k, 0] - x, path[k, 1] - y) + rest[k]
+            cost += discount * left
             cost += discount * _discomfort(i, t, x, y, others, weights, p)
             from_goal = math.hypot(x - goal[0], y - goal[1])
             if weights.avoids_goal and t < _PERSON_STEPS and from_goal < p.robot_radius + 0.04:
                 cost += _OWN_GOAL_COST
             discount *= _DISCOUNT
-            if cost >= cheapest:
+            least = (left - _CUT) * _LATER[t] - p.robot_speed * p.time_step * _LATER_STEPS[t]
+            if cost + max(least, 0.0) >= cheapest:
+                cost = np.inf
                 break
         if not possible or cost >= cheapest:
             continue

@@ -23,11 +23,16 @@ from samarl.planning.path_rollouts import write_route
 DRIVE, WAIT, GO, HOLD = range(4)  # macro actions; WAIT and GO with the mouth where a robot enters
 MODES = 4
 CLAIM = 2.5  # m, from the mouth, besides the length of the passage
+BY_RULE, QUEUE, ENTER = range(-1, 2)  # choices before a passage
+STUCK = 8  # steps, after which a robot inside may turn back if it is told to
+
+_CHOICE_STEPS = 16  # after which a choice ends at the latest
 
 _FOLLOW = 1.5  # m, before the mouth, from where on the next one may follow
 _RELEASE = 1.0  # m, before the end of the passage, from where on robots no longer hold up others
 _BEFORE, _BEYOND, _ASIDE = 0.3, 0.75, 0.3  # m, where a passage is entered and left
 _GOAL_ASIDE = 0.6  # m, from its goal, at which a robot must pass it to its place
+_AT_PLACE = 0.3  # m, at which a robot has reached its queue place
 _TAKEN = 0.7  # m, from a parked robot, within which a place is not free
 _PARKED = 0.05  # m/s, below which team-mates who do not go count as parked
 _FAR = 1e9
@@ -49,6 +54,9 @@ class Mouths(NamedTuple):
 class Memory(NamedTuple):
     """What robots do and believe."""
 
+    pose: np.ndarray  # [E, N, 5] position, velocity and heading in the world frame
+    goal: np.ndarray  # [E, N, 2] m
+    arrived: np.ndarray  # [E, N] bool
     is_new: np.ndarray  # [E, N] bool, its way has to be examined
     mode: np.ndarray  # [E, N]
     entry: np.ndarray  # [E, N] mouth at which it enters its next passage; -1: there is none
@@ -61,6 +69,10 @@ class Memory(NamedTuple):
     macro_action: np.ndarray  # [E, N] what they tell, see `number_of_mode`
     known: np.ndarray  # [E, N, N] bool, whether robot i has heard of robot j
     belief: np.ndarray  # [E, N, N, 7] what it believes: MESSAGE_FEATURES in the world frame
+    choice: np.ndarray  # [E, N] BY_RULE, QUEUE or ENTER
+    due: np.ndarray  # [E, N] bool, whether to choose anew
+    age: np.ndarray  # [E, N] steps since the last choice
+    event: np.ndarray  # [E, N] number of the situation in which it was made; -1: there is none
 
 
 class Settings(NamedTuple):
@@ -75,7 +87,7 @@ class Settings(NamedTuple):
 
 
 @function
-def _ahead(mouths, k, x, y):
+def ahead_of(mouths, k, x, y):
     """Return how far (x, y) is before mouth `k`, m; negative inside."""
     dx, dy = x - mouths.position[k, 0], y - mouths.position[k, 1]
     return dx * mouths.outward[k, 0] + dy * mouths.outward[k, 1]
@@ -89,9 +101,9 @@ def _aside(mouths, k, x, y):
 
 
 @function
-def _is_blocked(mouths, k, x, y):
+def is_blocked(mouths, k, x, y):
     """Return whether a robot parked at (x, y) blocks mouth `k`."""
-    ahead = _ahead(mouths, k, x, y)
+    ahead = ahead_of(mouths, k, x, y)
     return -0.1 <= ahead < BLOCKED_LENGTH and _aside(mouths, k, x, y) < (
         0.5 * mouths.width[k] + BLOCKED_MARGIN
     )
@@ -103,7 +115,7 @@ def _crossing(mouths, k, ax, ay, bx, by):
 
     Returns the share, above 1 if it does not, and whether it leads outwards.
     """
-    before, after = _ahead(mouths, k, ax, ay), _ahead(mouths, k, bx, by)
+    before, after = ahead_of(mouths, k, ax, ay), ahead_of(mouths, k, bx, by)
     if before * after > 0.0 or before == after:
         return 2.0, False
     share = before / (before - after)
@@ -160,41 +172,86 @@ def _examine_way(e, i, pose, goal, mouths, memory, known_map, cost, path):
 
 
 @separate
-def update_mode(e, i, pose, goal, arrived, mouths, memory, known_map, settings, cost, path):
-    """Decide what robot `i` does: drive, wait, go or hold off its goal."""
+def look_ahead(e, i, mouths, memory, known_map, cost, path):
+    """Note which passage robot `i` comes to or is in, and whether a choice is due."""
+    pose, goal = memory.pose[e, i], memory.goal[e, i]
     if memory.is_new[e, i]:
-        _examine_way(e, i, pose[i], goal[i], mouths, memory, known_map, cost, path)
-    if arrived[i]:
+        _examine_way(e, i, pose, goal, mouths, memory, known_map, cost, path)
+    if memory.arrived[e, i]:
         memory.mode[e, i], memory.entry[e, i], memory.queued[e, i] = DRIVE, -1, -1
         memory.ahead[e, i], memory.inside[e, i] = 0, False
     elif memory.entry[e, i] >= 0:
-        _pass(e, i, pose[i], goal[i], mouths, memory, known_map, cost, path)
-    if not arrived[i]:
+        _pass(e, i, pose, goal, mouths, memory, known_map, cost, path)
+    memory.age[e, i] += 1
+    event = _event(e, i, mouths, memory)
+    due = event != memory.event[e, i] or memory.age[e, i] >= _CHOICE_STEPS
+    memory.due[e, i] = event >= 0 and due
+    memory.event[e, i] = event
+    if memory.due[e, i]:
+        memory.age[e, i] = 0
+
+
+@separate
+def update_mode(e, i, mouths, memory, central):
+    """Decide what robot `i` does: drive, wait, go or hold off its goal."""
+    if not memory.arrived[e, i]:
         if memory.entry[e, i] < 0:
-            k = _held_off(e, i, goal[i], mouths, memory, settings.central)
+            k = _held_off(e, i, mouths, memory, central)
             memory.mode[e, i] = HOLD if k >= 0 else DRIVE
-            _queue(e, i, k, pose, goal, arrived, mouths, memory, settings.central)
-        elif not memory.inside[e, i]:
-            memory.mode[e, i] = _mode_before(e, i, pose[i], mouths, memory, settings.central)
+            _queue(e, i, k, mouths, memory, central)
+        elif memory.choice[e, i] == BY_RULE:
+            if not memory.inside[e, i]:
+                memory.mode[e, i] = _mode_before(e, i, mouths, memory, central)
+        elif memory.event[e, i] >= 0:
+            memory.mode[e, i] = GO if memory.choice[e, i] == ENTER else WAIT
         if memory.entry[e, i] >= 0:
             k = memory.entry[e, i] if memory.mode[e, i] == WAIT else -1
             if k < 0 and memory.ahead[e, i] & (memory.ahead[e, i] - 1) == 0:  # the last passage
-                k = _held_off(e, i, goal[i], mouths, memory, settings.central)
-            _queue(e, i, k, pose, goal, arrived, mouths, memory, settings.central)
-    if settings.central:  # the next ones to decide know
-        for j in range(pose.shape[0]):
+                k = _held_off(e, i, mouths, memory, central)
+            _queue(e, i, k, mouths, memory, central)
+    if central:  # the next ones to decide know
+        for j in range(memory.known.shape[1]):
             memory.belief[e, j, i, MACRO_ACTION] = number_of_mode(e, i, mouths, memory)
+
+
+@function
+def _event(e, i, mouths, memory):
+    """Return the number of the situation in which robot `i` has to choose; -1: it has not."""
+    entry, pose = memory.entry[e, i], memory.pose[e, i]
+    if entry < 0 or (
+        memory.inside[e, i] and memory.stuck[e, i] < STUCK and memory.mode[e, i] != WAIT
+    ):
+        return -1
+    own = distance_to(mouths, entry, pose[0], pose[1])
+    if memory.mode[e, i] == DRIVE and own > CLAIM + mouths.length[entry]:
+        return -1
+    along = against = through = 0
+    for j in range(memory.known.shape[1]):
+        if j == i or not memory.known[e, i, j]:
+            continue
+        through += memory.belief[e, i, j, THROUGH] > 0.5
+        mode, mouth = believed_mode(mouths, memory, e, i, j)
+        if mode == GO and mouth >= 0 and mouths.passage[mouth] == mouths.passage[entry]:
+            along += mouth == entry
+            against += mouth != entry
+    place = memory.place[e, i]
+    from_place = math.hypot(pose[0] - place[0], pose[1] - place[1])
+    waits = memory.mode[e, i] == WAIT and from_place < _AT_PLACE
+    number = ((through * 64 + along) * 64 + against) * 8
+    return number + 4 * waits + 2 * memory.inside[e, i] + (memory.stuck[e, i] >= STUCK)
 
 
 @function
 def _pass(e, i, pose, goal, mouths, memory, known_map, cost, path):
     """Note that robot `i` has entered its passage, or has left it."""
     entry, leave = memory.entry[e, i], memory.exit[e, i]
-    enters = _ahead(mouths, entry, pose[0], pose[1]) < _BEFORE
+    enters = ahead_of(mouths, entry, pose[0], pose[1]) < _BEFORE
     enters &= _aside(mouths, entry, pose[0], pose[1]) < 0.5 * mouths.width[entry] + 0.1
     memory.inside[e, i] |= enters and memory.mode[e, i] == GO
+    if memory.mode[e, i] == WAIT and ahead_of(mouths, entry, pose[0], pose[1]) > _BEFORE:
+        memory.inside[e, i] = False  # it has turned back
     if memory.inside[e, i] and leave >= 0:
-        ahead = _ahead(mouths, leave, pose[0], pose[1])
+        ahead = ahead_of(mouths, leave, pose[0], pose[1])
         aside = _aside(mouths, leave, pose[0], pose[1])
         if ahead > _BEYOND or (ahead > 0.2 and aside > 0.5 * mouths.width[leave] + _ASIDE):
             _examine_way(e, i, pose, goal, mouths, memory, known_map, cost, path)
@@ -233,9 +290,9 @@ def _goes_before(e, i, j, own, other, mouth, mouths, memory, central):
 
 
 @separate
-def _mode_before(e, i, pose, mouths, memory, central):
+def _mode_before(e, i, mouths, memory, central):
     """Return whether robot `i` before its next passage waits, goes, or need not decide yet."""
-    entry, mode_now = memory.entry[e, i], memory.mode[e, i]
+    entry, mode_now, pose = memory.entry[e, i], memory.mode[e, i], memory.pose[e, i]
     own = distance_to(mouths, entry, pose[0], pose[1])
     if mode_now == DRIVE and own > CLAIM + mouths.length[entry]:
         return DRIVE
@@ -247,12 +304,12 @@ def _mode_before(e, i, pose, mouths, memory, central):
         if mode != GO or mouth < 0 or mouths.passage[mouth] != mouths.passage[entry]:
             continue
         other = memory.belief[e, i, j]
-        before = _ahead(mouths, mouth, other[0], other[1])
+        before = ahead_of(mouths, mouth, other[0], other[1])
         if mouth == entry:
             follows = True
             if mode_now != GO and before > _FOLLOW:
                 return WAIT
-        elif central and before < 0.0 and _ahead(mouths, entry, other[0], other[1]) > -_RELEASE:
+        elif central and before < 0.0 and ahead_of(mouths, entry, other[0], other[1]) > -_RELEASE:
             continue  # it is about to come out
         elif mode_now != GO or before < _BEFORE:
             return WAIT
@@ -275,10 +332,11 @@ def _mode_before(e, i, pose, mouths, memory, central):
 
 
 @separate
-def _held_off(e, i, goal, mouths, memory, central):
+def _held_off(e, i, mouths, memory, central):
     """Return the mouth that robot `i` would block at its goal while others need it, or -1."""
+    goal = memory.goal[e, i]
     for k in range(mouths.first[e], mouths.first[e + 1]):
-        if not _is_blocked(mouths, k, goal[0], goal[1]):
+        if not is_blocked(mouths, k, goal[0], goal[1]):
             continue
         for j in range(memory.known.shape[1]):
             if j == i or not memory.known[e, i, j]:
@@ -303,9 +361,9 @@ def is_parked(e, i, j, mouths, memory):
 
 
 @separate
-def _queue(e, i, k, pose, goal, arrived, mouths, memory, central):
+def _queue(e, i, k, mouths, memory, central):
     """Choose a place for robot `i` beside mouth `k`, unless it has a free one; -1: none."""
-    is_free = True
+    pose, goal, is_free = memory.pose[e, i], memory.goal[e, i], True
     for j in range(memory.known.shape[1]):
         if is_parked(e, i, j, mouths, memory):
             other, own = memory.belief[e, i, j], memory.place[e, i]
@@ -315,23 +373,24 @@ def _queue(e, i, k, pose, goal, arrived, mouths, memory, central):
         return
     memory.queued[e, i] = k
     best = np.inf
-    memory.place[e, i, 0], memory.place[e, i, 1] = pose[i, 0], pose[i, 1]
+    memory.place[e, i, 0], memory.place[e, i, 1] = pose[0], pose[1]
     mouth_x, mouth_y = mouths.position[k, 0], mouths.position[k, 1]
     for q in range(mouths.first_place[k], mouths.first_place[k + 1]):
         x, y = mouths.places[q, 0], mouths.places[q, 1]
-        cost = 0.6 * math.hypot(x - pose[i, 0], y - pose[i, 1])
+        cost = 0.6 * math.hypot(x - pose[0], y - pose[1])
         cost += math.hypot(x - mouth_x, y - mouth_y)
-        if _ahead(mouths, k, goal[i, 0], goal[i, 1]) > 0.0:  # it must not arrive on its way
-            gap = distance_from_way(goal[i, 0], goal[i, 1], mouth_x, mouth_y, x, y)
+        if ahead_of(mouths, k, goal[0], goal[1]) > 0.0:  # it must not arrive on its way
+            gap = distance_from_way(goal[0], goal[1], mouth_x, mouth_y, x, y)
             cost += 20.0 * max(0.9 - gap, 0.0) + (100.0 if gap < _GOAL_ASIDE else 0.0)
         for j in range(memory.known.shape[1]):
             if j == i or not memory.known[e, i, j]:
                 continue
             other = memory.belief[e, i, j]
-            if central and not arrived[j]:
-                cost += 40.0 * max(1.1 - math.hypot(x - goal[j, 0], y - goal[j, 1]), 0.0)
-                if _ahead(mouths, k, goal[j, 0], goal[j, 1]) > 0.0:
-                    gap = distance_from_way(x, y, mouth_x, mouth_y, goal[j, 0], goal[j, 1])
+            other_goal = memory.goal[e, j]
+            if central and not memory.arrived[e, j]:
+                cost += 40.0 * max(1.1 - math.hypot(x - other_goal[0], y - other_goal[1]), 0.0)
+                if ahead_of(mouths, k, other_goal[0], other_goal[1]) > 0.0:
+                    gap = distance_from_way(x, y, mouth_x, mouth_y, other_goal[0], other_goal[1])
                     cost += 20.0 * max(0.9 - gap, 0.0)
                 if memory.queued[e, j] >= 0:
                     place = memory.place[e, j]

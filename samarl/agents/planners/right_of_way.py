@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from mrsan import Observation
@@ -16,8 +17,10 @@ from mrsan.parameters import kernel_parameters
 from mrsan.passages import Passages, find_passages
 from mrsan.sensors.team import MESSAGE_FEATURES
 from samarl.agents.agent import Agent
-from samarl.planning.passage_driving import act
-from samarl.planning.right_of_way import Memory, Mouths, Settings
+from samarl.macro_level.network import load_macro_level
+from samarl.planning.passage_driving import drive, perceive
+from samarl.planning.passage_features import MATE, OWN, TRUTH, write_features
+from samarl.planning.right_of_way import BY_RULE, ENTER, QUEUE, Memory, Mouths, Settings
 from samarl.registry import needed
 
 
@@ -44,6 +47,11 @@ class RightOfWay(Agent):
         0.0, 2.0, unit="m", help="surface distance to people that the next step keeps if possible"
     )
     stuck_gap: float = required(0.0, 2.0, unit="m", help="the same of robots that are stuck")
+    macro_level: str | None = needed(
+        help="trained macro level that chooses who enters a passage: a file, the folder of its "
+        "training, or the name of an included one; null: the rule"
+    )
+    sampled: bool = needed(help="draw the choices of the macro level instead of the likeliest")
 
     def __post_init__(self) -> None:
         """Start without memory.
@@ -52,6 +60,9 @@ class RightOfWay(Agent):
             ConfigurationError: a number is out of range.
         """
         super().__post_init__()
+        self._network, self._random = None, np.random.default_rng(0)
+        if self.macro_level is not None:
+            self._network = load_macro_level(self.macro_level, "agent.macro_level")
         self._passages: list[Passages | None] = []  # of each world
         self._is_init = np.zeros(0, np.bool_)
 
@@ -71,19 +82,81 @@ class RightOfWay(Agent):
 
     def act(self, observation: Observation) -> NDArray[np.float32]:
         """Return the first actions of the cheapest rollouts."""
+        self.perceive(observation)
+        if self._network is not None and self.due.any():
+            due = np.nonzero(self.due)
+            own, mates, _ = self.features()
+            with torch.no_grad():
+                logits = self._network(torch.from_numpy(own[due]), torch.from_numpy(mates[due]))
+            choice = logits.argmax(-1).numpy()
+            if self.sampled:
+                enters = torch.softmax(logits, -1)[:, ENTER].numpy()
+                choice = np.where(self._random.random(len(enters)) < enters, ENTER, QUEUE)
+            self.choose(due, choice)
+        return self.drive(observation)
+
+    def perceive(self, observation: Observation) -> None:
+        """Update beliefs, passages, and whose choice is due."""
         e, n = observation.ego.shape[:2]
         if len(self._is_init) != e:
             self.reset(np.ones(e, np.bool_))
-        known_map = observation.map or _open_floor(e)
+        self._map = observation.map or _open_floor(e)
         if self._is_init.any():
-            self._begin(known_map)
+            self._begin(self._map)
+        self._observation = observation
         if "messages" in observation.entities:
             messages, received = observation.entities["messages"]
             priority = observation.sensors["priority"]
         else:
             messages = np.zeros((e, n, n - 1, len(MESSAGE_FEATURES)), np.float32)
             received, priority = np.zeros((e, n, n - 1), np.bool_), np.zeros((e, n, 1), np.float32)
-        action = np.zeros((e, n, self.scenario.action_size), np.float32)
+        ego, _, _, robots, robots_visible = observation.agents
+        perceive(
+            e,
+            ego,
+            robots,
+            robots_visible,
+            messages,
+            received,
+            priority,
+            *self._map,
+            self._mouths,
+            self._memory,
+            self.central,
+            kernel_parameters(self.scenario),
+        )
+
+    @property
+    def due(self) -> NDArray[np.bool_]:
+        """Which robots [E, N] have to choose now whether they enter a passage or queue."""
+        due: NDArray[np.bool_] = self._memory.due
+        return due
+
+    def features(self) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+        """Return what robots whose choice is due know, as `write_features` describes it.
+
+        Returns:
+            [E, N, OWN], [E, N, N - 1, MATE], and what is true [E, N, N - 1, MATE + TRUTH]; other
+            rows are 0.
+        """
+        e, n = self._memory.due.shape
+        own = np.zeros((e, n, OWN), np.float32)
+        mates = np.zeros((e, n, n - 1, MATE), np.float32)
+        truth = np.zeros((e, n, n - 1, MATE + TRUTH), np.float32)
+        ego, humans, humans_visible, _, _ = self._observation.agents
+        write_features(
+            e, ego, humans, humans_visible, self._mouths, self._memory, own, mates, truth
+        )
+        return own, mates, truth
+
+    def choose(self, robots: tuple[NDArray[np.int64], ...], choice: NDArray[np.int64]) -> None:
+        """Let robots (world and number [B]) queue or enter: `QUEUE` or `ENTER` [B]."""
+        self._memory.choice[robots] = choice
+
+    def drive(self, observation: Observation) -> NDArray[np.float32]:
+        """Return the actions after `perceive` and `choose`."""
+        ego, humans, humans_visible, _, _ = observation.agents
+        action = np.zeros((*ego.shape[:2], self.scenario.action_size), np.float32)
         settings = Settings(
             self.central,
             self.people_weight,
@@ -92,13 +165,12 @@ class RightOfWay(Agent):
             self.gap,
             self.stuck_gap,
         )
-        act(
-            e,
-            *observation.agents,
-            messages,
-            received,
-            priority,
-            *known_map,
+        drive(
+            len(ego),
+            ego,
+            humans,
+            humans_visible,
+            *self._map,
             self._mouths,
             self._memory,
             settings,
@@ -120,6 +192,7 @@ class RightOfWay(Agent):
             memory = self._memory
             memory.is_new[e], memory.queued[e], memory.stuck[e] = True, -1, 0
             memory.known[e], memory.macro_action[e] = False, 0
+            memory.event[e], memory.age[e] = -1, 0
         self._is_init[:] = False
         self._mouths = _mouths_of([passages for passages in self._passages if passages is not None])
 
@@ -128,6 +201,9 @@ def _empty_memory(e: int, n: int) -> Memory:
     """Return the memory of E worlds of N robots before their episodes begin."""
     integers, booleans = np.zeros((e, n), np.int64), np.zeros((e, n), np.bool_)
     return Memory(
+        pose=np.zeros((e, n, 5)),
+        goal=np.zeros((e, n, 2)),
+        arrived=booleans.copy(),
         is_new=booleans | True,
         mode=integers.copy(),
         entry=integers - 1,
@@ -140,6 +216,10 @@ def _empty_memory(e: int, n: int) -> Memory:
         macro_action=np.zeros((e, n), np.int32),
         known=np.zeros((e, n, n), np.bool_),
         belief=np.zeros((e, n, n, len(MESSAGE_FEATURES))),
+        choice=integers + BY_RULE,
+        due=booleans.copy(),
+        age=integers.copy(),
+        event=integers - 1,
     )
 
 

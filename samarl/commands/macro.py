@@ -1,0 +1,106 @@
+"""`samarl-macro`: train the macro level of `right_of_way` and compare it with the rule."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from omegaconf import MISSING, DictConfig, OmegaConf
+
+from mrsan import ConfigurationError, Split
+from mrsan.fields import check_numbers, number
+from samarl.commands.cli import command_line, run_command
+from samarl.configuration import open_mapping, scenario_of
+from samarl.files import check_writable, code_version, write_json
+from samarl.policies.card import BEST
+from samarl.registry import checked_fields
+
+if TYPE_CHECKING:
+    from samarl.agents.planners.right_of_way import RightOfWay
+
+
+@dataclass
+class Macro:
+    """Schema of `conf/macro.yaml`."""
+
+    training: Any = MISSING
+    scenarios: dict[str, Any] = open_mapping()
+    validation_cases: int = number(MISSING, 1, 10**6, help="validation cases per scenario")
+    output: str = MISSING
+    plugins: list[str] = field(default_factory=list)
+
+
+def main() -> None:
+    """Entry point."""
+    run_command(macro, "macro", macro_schema=Macro)
+
+
+def macro(config: DictConfig) -> None:
+    """Train a macro level, measure it beside the rule, and write the results."""
+    from samarl.api import load_agent
+    from samarl.macro_level.learner import Learner
+    from samarl.macro_level.network import NetworkConfig, save_macro_level
+    from samarl.macro_level.settings import MacroRewards, MacroTraining
+
+    values = checked_fields(MacroTraining, config.training, "training")
+    values["rewards"] = MacroRewards(**values["rewards"])
+    values["network"] = NetworkConfig(**values["network"])
+    training = MacroTraining(**values)
+    check_numbers(Macro(validation_cases=config.validation_cases), "")
+    scenarios = {str(name): scenario_of(s, "scenarios") for name, s in config.scenarios.items()}
+    if not scenarios:
+        raise ConfigurationError("scenarios is empty; it must name at least one")
+    if len({scenario.robots for scenario in scenarios.values()}) > 1:
+        raise ConfigurationError("scenarios have different numbers of robots; they must have one")
+    output = Path(config.output)
+    check_writable(output / BEST, "output")
+    agents: dict[str, RightOfWay] = {
+        name: load_agent("right_of_way", scenario)  # type: ignore[misc]
+        for name, scenario in scenarios.items()
+    }
+    learner = Learner(training, agents, output / "training.safetensors")
+    if learner.steps:
+        print(f"resuming at step {learner.steps} of {training.steps}")
+    learner.learn()
+    provenance: dict[str, Any] = {
+        "command": command_line("samarl-macro"),
+        "commit": code_version(),
+        "steps": learner.steps,
+        "configuration": {
+            "training": asdict(training),
+            "scenarios": OmegaConf.to_container(config.scenarios, enum_to_str=True),
+        },
+    }
+    save_macro_level(output / BEST, learner.actor, provenance)
+    rows = _compare(agents, output, config.validation_cases)
+    write_json(output / "macro.json", provenance | {"validation": rows, "curve": learner.curve})
+    print(f"written to {output}")
+
+
+def _compare(agents: dict[str, RightOfWay], output: Path, cases: int) -> dict[str, Any]:
+    """Measure the macro level beside the rule; return and print success and makespan."""
+    from samarl.evaluation.runner import run_cases
+
+    numbers = Split.validation.case(0) + np.arange(cases, dtype=np.int64)
+    rows: dict[str, Any] = {}
+    for name, agent in agents.items():
+        for kind, changes in {
+            "rule": {},
+            "learned": {"macro_level": str(output)},
+            "learned, sampled": {"macro_level": str(output), "sampled": True},
+        }.items():
+            episodes = run_cases(replace(agent, **changes), agent.scenario, numbers, batch=256)
+            success = episodes.success
+            makespan = float(episodes.time.max(1)[success].mean()) if success.any() else np.nan
+            row = {"success": float(success.mean()), "makespan": makespan}
+            rows[f"{name}, {kind}"] = row
+            print(
+                f"{name}, {kind}: success {100 * row['success']:.1f} %, makespan {makespan:.1f} s"
+            )
+    return rows
+
+
+if __name__ == "__main__":
+    main()

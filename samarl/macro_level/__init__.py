@@ -1,0 +1,1 @@
+"""The learned macro level: which robot enters a passage now, and which ones queue."""

@@ -1,0 +1,173 @@
+"""Decisions of robots before passages: each has its own time axis.
+
+A robot chooses at events (see `samarl.planning.right_of_way`), so the decisions of a team are not
+simultaneous. A decision earns the team's rewards until the same robot's next one, discounted over
+its duration, or until the end of the episode.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mrsan import Split, World
+from mrsan.metrics import Episodes, episodes_of
+from samarl.agents.planners.right_of_way import RightOfWay
+from samarl.macro_level.settings import MacroRewards
+from samarl.planning.passage_features import MATE, OWN, TRUTH
+
+Floats = NDArray[np.float32]
+Choose = Callable[[Floats, Floats], tuple[NDArray[np.int64], Floats]]
+
+_LONGEST_PROGRESS = 0.5  # m, per step and robot
+
+
+class Decisions(NamedTuple):
+    """The decisions of a rollout: slots 0 to `count` - 1 of each robot, oldest first."""
+
+    own: Floats  # [E, N, K, OWN]
+    mates: Floats  # [E, N, K, N - 1, MATE]
+    truth: Floats  # [E, N, K, N - 1, MATE + TRUTH]
+    choice: NDArray[np.int64]  # [E, N, K]
+    log_prob: Floats  # [E, N, K]
+    reward: NDArray[np.float64]  # [E, N, K] of the team, discounted to the moment of the decision
+    duration: NDArray[np.int64]  # [E, N, K] steps
+    ended: NDArray[np.bool_]  # [E, N, K] the episode ended before the next decision
+    count: NDArray[np.int64]  # [E, N]; the last one still goes on unless it ended
+
+    @property
+    def is_filled(self) -> NDArray[np.bool_]:
+        """Return which slots hold a decision, [E, N, K]."""
+        filled: NDArray[np.bool_] = np.arange(self.choice.shape[2]) < self.count[..., None]
+        return filled
+
+    @property
+    def is_over(self) -> NDArray[np.bool_]:
+        """Return which slots hold a decision with all its rewards, [E, N, K]."""
+        over: NDArray[np.bool_] = np.arange(self.choice.shape[2]) < self.count[..., None] - 1
+        return over | (self.ended & self.is_filled)
+
+
+class Collector:
+    """Drives a team by `right_of_way` in worlds of one scenario and records its decisions."""
+
+    def __init__(
+        self,
+        agent: RightOfWay,
+        worlds: int,
+        rollout: int,
+        first_case: int,
+        rewards: MacroRewards,
+        discount: float,
+    ) -> None:
+        """Begin episodes in `worlds` worlds, from a training case on."""
+        self.agent, self.scenario, self.rewards = agent, agent.scenario, rewards
+        self.rollout, self.discount = rollout, discount
+        self.world = World(self.scenario, worlds)
+        cases = Split.training.case(first_case) + np.arange(worlds, dtype=np.int64)
+        self._next_case = int(cases[-1]) + 1
+        self._observation = self.world.reset(cases)
+        self._is_init = np.ones(worlds, np.bool_)
+        e, n, k = worlds, self.scenario.robots, rollout + 2
+        self.decisions = Decisions(
+            own=np.zeros((e, n, k, OWN), np.float32),
+            mates=np.zeros((e, n, k, n - 1, MATE), np.float32),
+            truth=np.zeros((e, n, k, n - 1, MATE + TRUTH), np.float32),
+            choice=np.zeros((e, n, k), np.int64),
+            log_prob=np.zeros((e, n, k), np.float32),
+            reward=np.zeros((e, n, k)),
+            duration=np.zeros((e, n, k), np.int64),
+            ended=np.zeros((e, n, k), np.bool_),
+            count=np.zeros((e, n), np.int64),
+        )
+
+    def collect(self, choose: Choose) -> list[Episodes]:
+        """Fill `decisions` with the next rollout; return the episodes that ended.
+
+        Args:
+            choose: returns choices [B] and their log-probabilities for own numbers [B, OWN] and
+                those of mates [B, N - 1, MATE].
+        """
+        self._keep_open_decisions()
+        finished = []
+        for _ in range(self.rollout):
+            if self._is_init.any():
+                self.agent.reset(self._is_init)
+            self.agent.perceive(self._observation)
+            self._decide(choose)
+            action = self.agent.drive(self._observation)
+            self.world.tell(self.agent.macro_actions())
+            ended = self._step(action)
+            self._is_init = ended
+            if ended.any():
+                finished.append(episodes_of(self.world.state, self.scenario, ended))
+                cases = self.world.state.case.copy()
+                cases[ended] = self._next_case + np.arange(ended.sum())
+                self._next_case += int(ended.sum())
+                self._observation = self.world.reset(cases, ended)
+        return finished
+
+    def _decide(self, choose: Choose) -> None:
+        """Choose for the robots that have to, and begin their records."""
+        due = np.nonzero(self.agent.due)
+        if not len(due[0]):
+            return
+        own, mates, truth = self.agent.features()
+        choice, log_prob = choose(own[due], mates[due])
+        self.agent.choose(due, choice)
+        d = self.decisions
+        slot = (*due, d.count[due])
+        d.own[slot], d.mates[slot], d.truth[slot] = own[due], mates[due], truth[due]
+        d.choice[slot], d.log_prob[slot] = choice, log_prob
+        d.reward[slot], d.duration[slot], d.ended[slot] = 0.0, 0, False
+        d.count[due] += 1
+
+    def _step(self, action: Floats) -> NDArray[np.bool_]:
+        """Advance the worlds, and add the team's reward to the decisions that go on."""
+        state, d = self.world.state, self.decisions
+        arrived, left = state.arrived.copy(), np.where(state.arrived, 0.0, state.route_left)
+        step = self.world.step(action)
+        self._observation = step.observation
+        ended = step.terminated | step.truncated
+        reward = self._reward(arrived, left, ended)
+        robot = np.nonzero(d.count > 0)
+        slot = (*robot, d.count[robot] - 1)
+        goes_on = ~d.ended[slot]
+        slot = tuple(index[goes_on] for index in slot)
+        d.reward[slot] += self.discount ** d.duration[slot] * reward[slot[0]]
+        d.duration[slot] += 1
+        d.ended[slot] |= ended[slot[0]]
+        return ended
+
+    def _reward(
+        self,
+        arrived: NDArray[np.bool_],
+        left: NDArray[np.float64],
+        ended: NDArray[np.bool_],
+    ) -> NDArray[np.float64]:
+        """Return the team's reward [E] of the step."""
+        state, r = self.world.state, self.rewards
+        left_now = np.where(state.arrived, 0.0, state.route_left)
+        progress = np.clip(left - left_now, -_LONGEST_PROGRESS, _LONGEST_PROGRESS).sum(1)
+        new = (state.arrived & ~arrived).sum(1)
+        drives = (~state.arrived).mean(1)
+        collided = (state.collision != 0).any(1)
+        success = state.arrived.all(1) & ~collided
+        reward = r.progress * progress + r.arrival * new + r.time * (0.5 + 0.5 * drives)
+        at_end = r.success * success + r.collision * collided
+        total: NDArray[np.float64] = reward + ended * at_end
+        return total
+
+    def _keep_open_decisions(self) -> None:
+        """Move the decisions that go on to the first slots, and forget the others."""
+        d = self.decisions
+        open_ = d.is_filled & ~d.is_over
+        robot = np.nonzero(open_.any(2))
+        last = (*robot, d.count[robot] - 1)
+        first = (*robot, np.zeros(len(robot[0]), np.int64))
+        for array in d[:-1]:
+            array[first] = array[last]
+        d.count[:] = open_.any(2)
