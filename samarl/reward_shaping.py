@@ -38,6 +38,7 @@ def level_rewards(
     state: PolicyState,
     active: NDArray[np.bool_],
     penalty: Floats | float = 0.0,
+    is_directed: bool = False,
 ) -> dict[str, Floats]:
     """Return the reward of each level for one step, [E, N] each.
 
@@ -53,8 +54,9 @@ def level_rewards(
         state: the policy's memory after the decision.
         active: [E, N] the robots that had not arrived when the step began.
         penalty: [E, N] of robots that have stood for too long, see `CurriculumStage`.
+        is_directed: robots are rewarded for progress to the next point of the way in `before`.
     """
-    task = _task_reward(policy, shaping, scenario, before, step)
+    task = _task_reward(policy, shaping, scenario, before, step, is_directed)
     rewards = {LOCAL: task}
     if isinstance(policy, HierarchicalPolicy):
         waypoint = state["waypoint"].view(*task.shape, 2).cpu().numpy()
@@ -66,11 +68,17 @@ def level_rewards(
 
 
 def _task_reward(
-    policy: Policy, shaping: RewardShaping, scenario: Scenario, before: Observation, step: Step
+    policy: Policy,
+    shaping: RewardShaping,
+    scenario: Scenario,
+    before: Observation,
+    step: Step,
+    is_directed: bool,
 ) -> Floats:
     """Return the task's reward [E, N], with progress along the route instead of to the goal."""
     reward, parts = step.reward, step.reward_parts
-    if scenario.fov_degrees < policy.config.perimeter_below_fov and not scenario.has_walls:
+    goes_round = scenario.fov_degrees < policy.config.perimeter_below_fov
+    if is_directed or (goes_round and not scenario.has_walls):
         target = to_world(policy.route(before, scenario), before.ego)
         progress = np.float32(scenario.reward.progress) * progress_to(target, before, step)
         reward = np.where(parts.progress != 0.0, reward - parts.progress + progress, reward)

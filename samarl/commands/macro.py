@@ -86,12 +86,12 @@ def _compare(agents: dict[str, RightOfWay], output: Path, cases: int) -> dict[st
     numbers = Split.validation.case(0) + np.arange(cases, dtype=np.int64)
     rows: dict[str, Any] = {}
     for name, agent in agents.items():
-        for kind, changes in {
-            "rule": {},
-            "learned": {"macro_level": str(output)},
-            "learned, sampled": {"macro_level": str(output), "sampled": True},
+        for kind, measured in {
+            "rule": agent,
+            "learned": replace(agent, macro_level=str(output)),
+            "learned, sampled": replace(agent, macro_level=str(output), sampled=True),
         }.items():
-            episodes = run_cases(replace(agent, **changes), agent.scenario, numbers, batch=256)
+            episodes = run_cases(measured, agent.scenario, numbers, batch=256)
             success = episodes.success
             makespan = float(episodes.time.max(1)[success].mean()) if success.any() else np.nan
             row = {"success": float(success.mean()), "makespan": makespan}

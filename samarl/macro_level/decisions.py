@@ -26,7 +26,7 @@ _LONGEST_PROGRESS = 0.5  # m, per step and robot
 
 
 class Decisions(NamedTuple):
-    """The decisions of a rollout: slots 0 to `count` - 1 of each robot, oldest first."""
+    """The decisions of a rollout: slots 0 to `number` - 1 of each robot, oldest first."""
 
     own: Floats  # [E, N, K, OWN]
     mates: Floats  # [E, N, K, N - 1, MATE]
@@ -36,18 +36,18 @@ class Decisions(NamedTuple):
     reward: NDArray[np.float64]  # [E, N, K] of the team, discounted to the moment of the decision
     duration: NDArray[np.int64]  # [E, N, K] steps
     ended: NDArray[np.bool_]  # [E, N, K] the episode ended before the next decision
-    count: NDArray[np.int64]  # [E, N]; the last one still goes on unless it ended
+    number: NDArray[np.int64]  # [E, N]; the last one still goes on unless it ended
 
     @property
     def is_filled(self) -> NDArray[np.bool_]:
         """Return which slots hold a decision, [E, N, K]."""
-        filled: NDArray[np.bool_] = np.arange(self.choice.shape[2]) < self.count[..., None]
+        filled: NDArray[np.bool_] = np.arange(self.choice.shape[2]) < self.number[..., None]
         return filled
 
     @property
     def is_over(self) -> NDArray[np.bool_]:
         """Return which slots hold a decision with all its rewards, [E, N, K]."""
-        over: NDArray[np.bool_] = np.arange(self.choice.shape[2]) < self.count[..., None] - 1
+        over: NDArray[np.bool_] = np.arange(self.choice.shape[2]) < self.number[..., None] - 1
         return over | (self.ended & self.is_filled)
 
 
@@ -81,7 +81,7 @@ class Collector:
             reward=np.zeros((e, n, k)),
             duration=np.zeros((e, n, k), np.int64),
             ended=np.zeros((e, n, k), np.bool_),
-            count=np.zeros((e, n), np.int64),
+            number=np.zeros((e, n), np.int64),
         )
 
     def collect(self, choose: Choose) -> list[Episodes]:
@@ -119,11 +119,11 @@ class Collector:
         choice, log_prob = choose(own[due], mates[due])
         self.agent.choose(due, choice)
         d = self.decisions
-        slot = (*due, d.count[due])
+        slot = (*due, d.number[due])
         d.own[slot], d.mates[slot], d.truth[slot] = own[due], mates[due], truth[due]
         d.choice[slot], d.log_prob[slot] = choice, log_prob
         d.reward[slot], d.duration[slot], d.ended[slot] = 0.0, 0, False
-        d.count[due] += 1
+        d.number[due] += 1
 
     def _step(self, action: Floats) -> NDArray[np.bool_]:
         """Advance the worlds, and add the team's reward to the decisions that go on."""
@@ -133,8 +133,8 @@ class Collector:
         self._observation = step.observation
         ended = step.terminated | step.truncated
         reward = self._reward(arrived, left, ended)
-        robot = np.nonzero(d.count > 0)
-        slot = (*robot, d.count[robot] - 1)
+        robot = np.nonzero(d.number > 0)
+        slot = (*robot, d.number[robot] - 1)
         goes_on = ~d.ended[slot]
         slot = tuple(index[goes_on] for index in slot)
         d.reward[slot] += self.discount ** d.duration[slot] * reward[slot[0]]
@@ -166,8 +166,8 @@ class Collector:
         d = self.decisions
         open_ = d.is_filled & ~d.is_over
         robot = np.nonzero(open_.any(2))
-        last = (*robot, d.count[robot] - 1)
+        last = (*robot, d.number[robot] - 1)
         first = (*robot, np.zeros(len(robot[0]), np.int64))
         for array in d[:-1]:
             array[first] = array[last]
-        d.count[:] = open_.any(2)
+        d.number[:] = open_.any(2)

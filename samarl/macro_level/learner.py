@@ -120,7 +120,7 @@ class Learner:
             recent = self._recent[name] = self._recent[name] + collector.collect(self._choose)
             while sum(len(part.case) for part in recent[1:]) >= _SHOWN:
                 del recent[0]
-            self.steps += len(collector.decisions.count) * self.training.rollout
+            self.steps += len(collector.decisions.number) * self.training.rollout
         entropy = self._update()
         row = {"steps": float(self.steps), "entropy": entropy}
         for name, recent in self._recent.items():

@@ -23,6 +23,8 @@ class MacroRewards:
 class MacroTraining:
     """Configuration of MAPPO on macro decisions."""
 
+    rewards: MacroRewards
+    network: NetworkConfig
     steps: int = required(1, 10**12, help="world-steps")
     worlds: int = required(1, 10**5, help="parallel worlds, shared equally by the scenarios")
     rollout: int = required(1, 10**5, help="steps of a world between two updates")
@@ -37,8 +39,6 @@ class MacroTraining:
     value_weight: float = required(0.0, 1e3, help="weight of the critic's loss")
     max_gradient_norm: float = required(0.0, 1e6, help="largest gradient norm")
     seed: int = required(0, 10**6, help="seed of the weights, choices and cases")
-    rewards: MacroRewards
-    network: NetworkConfig
 
     def __post_init__(self) -> None:
         """Check every number.

@@ -29,6 +29,7 @@ from samarl.planning.path_rollouts import (
     STEPS,
     Others,
     Weights,
+    following_point,
     near_walls_of,
     plan,
     write_rest,
@@ -41,6 +42,7 @@ from samarl.planning.right_of_way import (
     distance_to,
     is_parked,
     look_ahead,
+    mouths_of_world,
     number_of_mode,
     update_mode,
 )
@@ -70,7 +72,8 @@ def perceive(
     walls,
     corners,
     distance,
-    mouths,
+    all_mouths,
+    first_mouth,
     memory,
     central,
     p,
@@ -90,7 +93,8 @@ def perceive(
         walls: likewise.
         corners: likewise.
         distance: likewise.
-        mouths: `Mouths`.
+        all_mouths: `Mouths` of all worlds.
+        first_mouth: [E + 1] the first mouth of each world.
         memory: `Memory`, updated.
         central: whether robots know the truth of each other.
         p: the scenario's parameters.
@@ -98,6 +102,7 @@ def perceive(
     path, cost = np.zeros((_POINTS, 2)), np.zeros(corners.shape[2], np.float32)
     for e in range(first, last):
         known_map = walls[e], place[e], corners[e], distance[e]
+        mouths = mouths_of_world(all_mouths, first_mouth, e)
         for i in range(ego.shape[1]):
             _write_pose(ego[e, i], memory.pose[e, i], memory.goal[e, i])
             from_goal = _length(memory.goal[e, i], memory.pose[e, i])
@@ -130,7 +135,8 @@ def drive(
     walls,
     corners,
     distance,
-    mouths,
+    all_mouths,
+    first_mouth,
     memory,
     settings,
     p,
@@ -148,7 +154,8 @@ def drive(
         walls: likewise.
         corners: likewise.
         distance: likewise.
-        mouths: `Mouths`.
+        all_mouths: `Mouths` of all worlds.
+        first_mouth: [E + 1] the first mouth of each world.
         memory: `Memory`, updated.
         settings: `Settings`.
         p: the scenario's parameters.
@@ -177,6 +184,7 @@ def drive(
     )
     for e in range(first, last):
         known_map = walls[e], place[e], corners[e], distance[e]
+        mouths = mouths_of_world(all_mouths, first_mouth, e)
         pose, goal = memory.pose[e], memory.goal[e]
         for i in range(n):
             update_mode(e, i, mouths, memory, settings.central)
@@ -241,6 +249,57 @@ def drive(
             plan_stops[i, 1] = 1.5 * plans[i, 1, 1] - 0.5 * plans[i, 0, 1]
             _count_standstill(e, i, pose[i], at_goal, memory)
         for i in range(n):
+            memory.macro_action[e, i] = number_of_mode(e, i, mouths, memory)
+
+
+@kernel
+def direct(
+    first,
+    last,
+    place,
+    walls,
+    corners,
+    distance,
+    all_mouths,
+    first_mouth,
+    memory,
+    central,
+    target,
+    following,
+):
+    """Write where robots have to go, for a driver that follows a route by itself.
+
+    Args:
+        first: first world to work on.
+        last: the one after the last.
+        place: [E, 9], and so on: the map that robots know.
+        walls: likewise.
+        corners: likewise.
+        distance: likewise.
+        all_mouths: `Mouths` of all worlds.
+        first_mouth: [E + 1] the first mouth of each world.
+        memory: `Memory`, updated.
+        central: whether robots know the truth of each other.
+        target: [E, N, 2] their goals or their queue places in the world frame, written, m.
+        following: [E, N, 2] the next point of the way there, written, m.
+    """
+    path, cost = np.zeros((_POINTS, 2)), np.zeros(corners.shape[2], np.float32)
+    for e in range(first, last):
+        known_map = walls[e], place[e], corners[e], distance[e]
+        mouths = mouths_of_world(all_mouths, first_mouth, e)
+        pose, goal = memory.pose[e], memory.goal[e]
+        for i in range(pose.shape[0]):
+            update_mode(e, i, mouths, memory, central)
+        for i in range(pose.shape[0]):
+            count = 1
+            path[0, 0], path[0, 1] = goal[i, 0], goal[i, 1]
+            if not memory.arrived[e, i]:
+                count = _write_path(e, i, pose[i], goal[i], mouths, memory, known_map, cost, path)
+            k = following_point(path, count, 0, pose[i, 0], pose[i, 1])
+            target[e, i, 0], target[e, i, 1] = path[count - 1, 0], path[count - 1, 1]
+            following[e, i, 0], following[e, i, 1] = path[k, 0], path[k, 1]
+            at_goal = _length(path[count - 1], goal[i]) < 1e-6
+            _count_standstill(e, i, pose[i], at_goal, memory)
             memory.macro_action[e, i] = number_of_mode(e, i, mouths, memory)
 
 

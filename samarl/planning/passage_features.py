@@ -22,6 +22,7 @@ from samarl.planning.right_of_way import (
     believed_mode,
     distance_to,
     is_blocked,
+    mouths_of_world,
 )
 
 OWN = 42  # numbers about a robot itself, its passage, and the people that it sees
@@ -37,7 +38,9 @@ _FAR = 5.0  # m, from a mouth, beyond which people do not count
 
 
 @kernel
-def write_features(first, last, ego, humans, humans_visible, mouths, memory, own, mates, truth):
+def write_features(
+    first, last, ego, humans, humans_visible, all_mouths, first_mouth, memory, own, mates, truth
+):
     """Write the features of all robots for which a choice is due; others keep theirs.
 
     Args:
@@ -46,13 +49,15 @@ def write_features(first, last, ego, humans, humans_visible, mouths, memory, own
         ego: [E, N, 11] what robots observe.
         humans: [E, N, M, 5] likewise.
         humans_visible: [E, N, M] likewise.
-        mouths: `Mouths`.
+        all_mouths: `Mouths` of all worlds.
+        first_mouth: [E + 1] the first mouth of each world.
         memory: `Memory`.
         own: [E, N, OWN], written.
         mates: [E, N, N - 1, MATE], written: what robots believe of each other.
         truth: [E, N, N - 1, MATE + TRUTH], written: the same as it is, for the critic.
     """
     for e in range(first, last):
+        mouths = mouths_of_world(all_mouths, first_mouth, e)
         for i in range(memory.pose.shape[1]):
             if not memory.due[e, i]:
                 continue

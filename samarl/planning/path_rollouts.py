@@ -82,7 +82,7 @@ def write_rest(path, count, rest):
 
 
 @function
-def _following_point(path, count, k, x, y):
+def following_point(path, count, k, x, y):
     """Return the point of the path to head for, not before point `k`."""
     while k < count - 1:
         dx, dy = x - path[k, 0], y - path[k, 1]
@@ -170,7 +170,7 @@ def plan(
     """
     trial, first, way = scratch
     x0, y0 = pose[0], pose[1]
-    k0 = _following_point(path, count, 0, x0, y0)
+    k0 = following_point(path, count, 0, x0, y0)
     bearing = math.atan2(path[k0, 1] - y0, path[k0, 0] - x0)
     cheapest, radius = np.inf, p.robot_radius + _WALL_MARGIN
     stands = math.hypot(pose[2], pose[3]) < 0.01
@@ -206,7 +206,7 @@ def plan(
                 cost += 0.5
             x, y, vx, vy, heading = new_x, new_y, new_vx, new_vy, wrap_angle(new_heading)
             way[t + 1, 0], way[t + 1, 1] = x, y
-            k = _following_point(path, count, k, x, y)
+            k = following_point(path, count, k, x, y)
             left = math.hypot(path[k, 0] - x, path[k, 1] - y) + rest[k]
             cost += discount * left
             cost += discount * _discomfort(i, t, x, y, others, weights, p)

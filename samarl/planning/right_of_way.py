@@ -39,15 +39,18 @@ _FAR = 1e9
 
 
 class Mouths(NamedTuple):
-    """The mouths of the passages of all worlds, those of world e from `first[e]` on."""
+    """The mouths of the passages of a world, or of all worlds, one world after the other.
 
-    first: np.ndarray  # [E + 1]
+    Numbers of mouths and passages are those in their world.
+    """
+
     position: np.ndarray  # [K, 2] m
     outward: np.ndarray  # [K, 2]
     width: np.ndarray  # [K] m
     passage: np.ndarray  # [K] its number in the world
     length: np.ndarray  # [K] of its passage, m
-    first_place: np.ndarray  # [K + 1]
+    first_place: np.ndarray  # [K] the first of its queue places ...
+    last_place: np.ndarray  # [K] ... and the one after the last
     places: np.ndarray  # [Q, 2] queue places, m
 
 
@@ -84,6 +87,22 @@ class Settings(NamedTuple):
     robots: float
     gap: float  # m, kept from people in the next step if possible
     stuck_gap: float  # m, the same of robots that have stood for long
+
+
+@function
+def mouths_of_world(mouths, first_mouth, e):
+    """Return the mouths of world `e`, which are those from `first_mouth[e]` on."""
+    first, last = first_mouth[e], first_mouth[e + 1]
+    return Mouths(
+        mouths.position[first:last],
+        mouths.outward[first:last],
+        mouths.width[first:last],
+        mouths.passage[first:last],
+        mouths.length[first:last],
+        mouths.first_place[first:last],
+        mouths.last_place[first:last],
+        mouths.places,
+    )
 
 
 @function
@@ -135,7 +154,7 @@ def _examine_way(e, i, pose, goal, mouths, memory, known_map, cost, path):
     memory.is_new[e, i], memory.inside[e, i] = False, False
     memory.entry[e, i] = memory.exit[e, i] = memory.queued[e, i] = -1
     memory.ahead[e, i], memory.mode[e, i] = 0, DRIVE
-    first, last = mouths.first[e], mouths.first[e + 1]
+    first, last = 0, len(mouths.width)
     enters, leaves, entry, leave = _FAR, _FAR, -1, -1
     for s in range(count):
         ax, ay = (path[s - 1, 0], path[s - 1, 1]) if s > 0 else (pose[0], pose[1])
@@ -261,8 +280,8 @@ def _pass(e, i, pose, goal, mouths, memory, known_map, cost, path):
 def believed_mode(mouths, memory, e, i, j):
     """Return the mode and the mouth (-1: none) of robot `j`, as robot `i` believes."""
     told = int(memory.belief[e, i, j, MACRO_ACTION])
-    mouth = mouths.first[e] + told // MODES - 1
-    if told < MODES or mouth >= mouths.first[e + 1]:
+    mouth = told // MODES - 1
+    if told < MODES or mouth >= len(mouths.width):
         return told % MODES, -1
     return told % MODES, mouth
 
@@ -271,7 +290,7 @@ def believed_mode(mouths, memory, e, i, j):
 def number_of_mode(e, i, mouths, memory):
     """Return what robot `i` tells: its mode and 4 times one more than its mouth in the world."""
     entry = memory.entry[e, i]
-    return memory.mode[e, i] + MODES * (entry - mouths.first[e] + 1 if entry >= 0 else 0)
+    return memory.mode[e, i] + MODES * (entry + 1 if entry >= 0 else 0)
 
 
 @function
@@ -335,7 +354,7 @@ def _mode_before(e, i, mouths, memory, central):
 def _held_off(e, i, mouths, memory, central):
     """Return the mouth that robot `i` would block at its goal while others need it, or -1."""
     goal = memory.goal[e, i]
-    for k in range(mouths.first[e], mouths.first[e + 1]):
+    for k in range(len(mouths.width)):
         if not is_blocked(mouths, k, goal[0], goal[1]):
             continue
         for j in range(memory.known.shape[1]):
@@ -375,7 +394,7 @@ def _queue(e, i, k, mouths, memory, central):
     best = np.inf
     memory.place[e, i, 0], memory.place[e, i, 1] = pose[0], pose[1]
     mouth_x, mouth_y = mouths.position[k, 0], mouths.position[k, 1]
-    for q in range(mouths.first_place[k], mouths.first_place[k + 1]):
+    for q in range(mouths.first_place[k], mouths.last_place[k]):
         x, y = mouths.places[q, 0], mouths.places[q, 1]
         cost = 0.6 * math.hypot(x - pose[0], y - pose[1])
         cost += math.hypot(x - mouth_x, y - mouth_y)

@@ -14,6 +14,7 @@ from torch.utils._pytree import tree_leaves, tree_map
 from mrsan import ActionError, Episodes, Observation, Split, World
 from mrsan.metrics import episodes_of
 from samarl.agents.agent import Agent, checked_act
+from samarl.agents.planners.right_of_way import RightOfWay
 from samarl.observations.features import speed_of, state_features, true_state
 from samarl.observations.frames import Frames
 from samarl.observations.tracker import Tracks
@@ -46,6 +47,7 @@ class RolloutCollector:
         uses_global_state: bool = False,
         uses_shield_targets: bool = False,
         teacher: Agent | None = None,
+        guide: RightOfWay | None = None,
     ) -> None:
         """Start the training cases `first`, `first + 1`, ... in the worlds of `stage`.
 
@@ -57,6 +59,7 @@ class RolloutCollector:
             uses_global_state: store the global state too, for central critics.
             uses_shield_targets: store the actions of the safety shield too.
             teacher: store the actions of this agent too.
+            guide: sends robots to their targets; None: to their goals.
         """
         self.stage, self.policy, self.steps = stage, policy, steps
         self.shaping = RewardShaping()
@@ -65,11 +68,16 @@ class RolloutCollector:
         self.teacher = teacher
         if teacher is not None:
             teacher.reset(np.ones(stage.worlds, np.bool_))
+        self.guide = guide
+        if guide is not None:
+            guide.reset(np.ones(stage.worlds, np.bool_))
         scenario, worlds = stage.scenario, stage.worlds
+        self.scenario = stage.driver_scenario
         self.world = World(scenario, worlds)
-        self.state = policy.initial_state(worlds, scenario)
+        self.state = policy.initial_state(worlds, self.scenario)
         cases = np.array([Split.training.case(first + e) for e in range(worlds)])
         self.observation = self.world.reset(cases)
+        self.directed = self.observation  # what the policy is shown of it
         self.is_init = np.ones(worlds, np.bool_)
         drives_round = scenario.fov_degrees < policy.config.perimeter_below_fov
         self.crowd = None
@@ -82,7 +90,7 @@ class RolloutCollector:
         # Columns of the frame buffer: history for the encoder and restarts, then steps 0 to T.
         self.past = policy.history + (RESTART_STEPS if self._restarts else 0)
         columns = self.past + steps + 1
-        self.frames = policy.empty_frames(scenario, worlds * scenario.robots).map(
+        self.frames = policy.empty_frames(self.scenario, worlds * scenario.robots).map(
             lambda tensor: tensor.repeat(1, columns, *[1] * (tensor.dim() - 2))
         )
         self.begins = torch.ones(self.frames.ego.shape[:2], dtype=torch.bool, device=policy.device)
@@ -145,10 +153,17 @@ class RolloutCollector:
             self.snapshots.append(self.world, self._memory())
         if step == self.steps:
             self.encoder_before = tree_map(torch.clone, self._policy_memory().get("encoder", ()))
-        scenario = self.stage.scenario
+        scenario = self.scenario
         self.active = ~self.world.state.arrived
+        self.directed = self.observation
+        if self.guide is not None:
+            if self.is_init.any():
+                self.guide.reset(self.is_init)
+            self.guide.perceive(self.observation)
+            self.directed = self.guide.direct(self.observation)
+            self.world.tell(self.guide.macro_actions())
         self.decision = self.policy.act(
-            self.observation,
+            self.directed,
             self.state,
             self.is_init,
             scenario,
@@ -156,7 +171,7 @@ class RolloutCollector:
             self.active,
         )
         if self.teacher is not None:
-            action = checked_act(self.teacher, self.observation, scenario, "teacher")
+            action = checked_act(self.teacher, self.observation, self.stage.scenario, "teacher")
             self.teacher_action = torch.from_numpy(action)
         column = self.past + step
         for buffer, tensor in zip(
@@ -215,11 +230,12 @@ class RolloutCollector:
             self.policy,
             self.shaping,
             self.stage.scenario,
-            self.observation,
+            self.directed,
             result,
             self.state,
             self.active,
             np.float32(self.stage.standstill_penalty) * stood_too_long,
+            is_directed=self.guide is not None,
         )
         ended = (result.terminated | result.truncated | stood_too_long.any(1))[:, None]
         failed = self._failed() | stood_too_long
@@ -242,6 +258,8 @@ class RolloutCollector:
         if stage.standstill_limit == 0.0:
             return np.zeros_like(self.active)
         stands = (speed_of(observation.ego) < STANDING) & ~self.world.state.arrived
+        if self.guide is not None:
+            stands &= ~self.guide.waits
         self.standstill = np.where(stands, self.standstill + 1, 0)
         return self.standstill >= max(stage.scenario.steps(stage.standstill_limit), 1)
 
@@ -309,7 +327,8 @@ class RolloutCollector:
     def _memory(self) -> list[Tensor]:
         """Return the state of the collector besides the worlds, [E, ...] each, not copied."""
         e, parts = self.world.worlds, []
-        for leaf in (self.is_init, *tree_leaves(self._policy_memory())):
+        guide = () if self.guide is None else self.guide.memory
+        for leaf in (self.is_init, *guide, *tree_leaves(self._policy_memory())):
             tensor = torch.from_numpy(leaf) if isinstance(leaf, np.ndarray) else leaf
             parts.append(tensor.view(e, len(tensor) // e, *tensor.shape[1:]))
         return parts
@@ -389,6 +408,8 @@ class RolloutCollector:
             "is_init": self.is_init,
             "frames": self.frames,
             "begins": self.begins,
+            "guide": None if self.guide is None else self.guide.memory,
+            "directed": self.directed,
             "decision": self.decision,
             "active": self.active,
             "teacher_action": self.teacher_action,
@@ -401,8 +422,11 @@ class RolloutCollector:
         if self.crowd is not None:
             self.crowd.world.restore(saved["crowd"])
         self.snapshots.snapshots.extend(saved["snapshots"])
+        if self.guide is not None:
+            self.guide.restore(saved["guide"], saved["observation"])
         for name in (
             "observation",
+            "directed",
             "state",
             "age",
             "fresh",

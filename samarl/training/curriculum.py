@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from omegaconf import MISSING
 
 from mrsan import ConfigurationError, Scenario
-from mrsan.fields import check_numbers, number
+from mrsan.fields import check_numbers, number, setting
 
 
 @dataclass
@@ -33,6 +33,17 @@ class CurriculumStage:
     standstill_penalty: float = number(
         0.0, 0.0, 1e6, help="penalty of the robot that ended an episode by standing"
     )
+
+    guide: str | None = setting(
+        None, help="agent like right_of_way that sends robots to goals and queue places"
+    )
+
+    @property
+    def driver_scenario(self) -> Scenario:
+        """The scenario as the policy observes it: a guide keeps the messages for itself."""
+        if self.guide is None:
+            return self.scenario
+        return replace(self.scenario, team_messages=False)
 
     def is_active(self, share: float) -> bool:
         """Return whether the stage is used when `share` of the training is completed."""

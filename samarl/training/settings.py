@@ -271,7 +271,7 @@ def check_settings(settings: RunSettings) -> None:
     from samarl.training.run_dir import STATE, read_progress
     from samarl.training.setup import build_policy
 
-    build_policy(settings.policy, settings.stages[0].scenario)
+    build_policy(settings.policy, settings.stages[0].driver_scenario)
     for stage in settings.stages:
         stage.scenario.load_recording()
     ALGORITHMS.config(settings.algorithm)

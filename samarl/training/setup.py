@@ -22,6 +22,7 @@ from samarl.policies.policy import Policy
 from samarl.training.collector import RolloutCollector
 from samarl.training.config import TrainerConfig
 from samarl.training.curriculum import CurriculumStage
+from samarl.training.guide import build_guide
 
 CASES_PER_SEED = 2**20  # training cases; each world uses two, one of them for `WarmStartCrowd`
 
@@ -145,6 +146,7 @@ def build_collectors(
                 algorithm.uses_global_state,
                 algorithm.uses_shield_targets,
                 build_teacher(algorithm.teacher, stage.scenario),
+                build_guide(stage.guide, stage.scenario),
             )
         )
         first_case += 2 * stage.worlds

@@ -78,7 +78,7 @@ class Trainer:
         use_threads(config.threads)
         torch.manual_seed(config.seed)
         self.policy_name = str(policy.get("name"))
-        self.policy = build_policy(policy, stages[0].scenario)
+        self.policy = build_policy(policy, stages[0].driver_scenario)
         if init_from is not None:
             self.provenance["init_from"] = load_initial_weights(self.policy, init_from)
         distributed.init_process_group(config.device)

@@ -9,10 +9,12 @@ from dataclasses import replace
 import numpy as np
 
 from mrsan import Split, social_score
+from samarl.agents.agent import Controller
 from samarl.agents.learned import DeployedPolicy
 from samarl.evaluation.runner import run_cases
 from samarl.policies.policy import Policy
 from samarl.training.curriculum import CurriculumStage
+from samarl.training.guide import build_guide
 
 
 def validate(
@@ -44,7 +46,13 @@ def validate(
         name += f"_{scenario.layout.name}" if scenario.has_walls else ""
         if f"validation/success_{name}" in row:
             continue
-        agent = DeployedPolicy(policy, scenario)
+        agent: Controller = DeployedPolicy(
+            policy, replace(stage, scenario=scenario).driver_scenario
+        )
+        guide = build_guide(stage.guide, scenario)
+        if guide is not None:
+            guide.drive_with(policy)
+            agent = guide
         episodes = run_cases(agent, scenario, cases, len(cases))
         success_rates.append(float(episodes.success.mean()))
         row[f"validation/success_{name}"] = round(success_rates[-1], 4)

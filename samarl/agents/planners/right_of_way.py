@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
 from mrsan import Observation
+from mrsan.features import GOAL
 from mrsan.fields import required
 from mrsan.kernels.routes import CORNER_ROWS
 from mrsan.kernels.walls import PLACE_COLUMNS, WALL_ROWS
@@ -17,10 +18,15 @@ from mrsan.parameters import kernel_parameters
 from mrsan.passages import Passages, find_passages
 from mrsan.sensors.team import MESSAGE_FEATURES
 from samarl.agents.agent import Agent
+from samarl.agents.learned import DeployedPolicy
 from samarl.macro_level.network import load_macro_level
-from samarl.planning.passage_driving import drive, perceive
+from samarl.observations.features import to_body
+from samarl.planning.passage_driving import direct, drive, perceive
 from samarl.planning.passage_features import MATE, OWN, TRUTH, write_features
 from samarl.planning.right_of_way import BY_RULE, ENTER, QUEUE, Memory, Mouths, Settings
+from samarl.policies.card import find_policy
+from samarl.policies.checkpoint import load_policy
+from samarl.policies.policy import Policy
 from samarl.registry import needed
 
 
@@ -51,6 +57,10 @@ class RightOfWay(Agent):
         help="trained macro level that chooses who enters a passage: a file, the folder of its "
         "training, or the name of an included one; null: the rule"
     )
+    driver: str | None = needed(
+        help="trained policy of one level that drives to the goals and places: a file, the folder "
+        "of its training, or the name of an included one; null: rollouts along the path"
+    )
     sampled: bool = needed(help="draw the choices of the macro level instead of the likeliest")
 
     def __post_init__(self) -> None:
@@ -63,8 +73,15 @@ class RightOfWay(Agent):
         self._network, self._random = None, np.random.default_rng(0)
         if self.macro_level is not None:
             self._network = load_macro_level(self.macro_level, "agent.macro_level")
+        self._driver: DeployedPolicy | None = None
+        if self.driver is not None:
+            self.drive_with(load_policy(find_policy(self.driver, "agent.driver"))[0])
         self._passages: list[Passages | None] = []  # of each world
         self._is_init = np.zeros(0, np.bool_)
+
+    def drive_with(self, policy: Policy) -> None:
+        """Let a policy of one level drive; it does not observe the messages."""
+        self._driver = DeployedPolicy(policy, replace(self.scenario, team_messages=False))
 
     def scope_warning(self) -> str | None:
         """Return whether robots do not hear of each other."""
@@ -79,9 +96,11 @@ class RightOfWay(Agent):
             self._passages = [None] * len(worlds)
             self._memory = _empty_memory(len(worlds), self.scenario.robots)
         self._is_init |= worlds
+        if self._driver is not None:
+            self._driver.reset(worlds)
 
     def act(self, observation: Observation) -> NDArray[np.float32]:
-        """Return the first actions of the cheapest rollouts."""
+        """Return the actions of the driver, after robots have chosen who goes first."""
         self.perceive(observation)
         if self._network is not None and self.due.any():
             due = np.nonzero(self.due)
@@ -93,6 +112,8 @@ class RightOfWay(Agent):
                 enters = torch.softmax(logits, -1)[:, ENTER].numpy()
                 choice = np.where(self._random.random(len(enters)) < enters, ENTER, QUEUE)
             self.choose(due, choice)
+        if self._driver is not None:
+            return self._driver.act(self.direct(observation))
         return self.drive(observation)
 
     def perceive(self, observation: Observation) -> None:
@@ -120,7 +141,7 @@ class RightOfWay(Agent):
             received,
             priority,
             *self._map,
-            self._mouths,
+            *self._mouths,
             self._memory,
             self.central,
             kernel_parameters(self.scenario),
@@ -145,7 +166,7 @@ class RightOfWay(Agent):
         truth = np.zeros((e, n, n - 1, MATE + TRUTH), np.float32)
         ego, humans, humans_visible, _, _ = self._observation.agents
         write_features(
-            e, ego, humans, humans_visible, self._mouths, self._memory, own, mates, truth
+            e, ego, humans, humans_visible, *self._mouths, self._memory, own, mates, truth
         )
         return own, mates, truth
 
@@ -171,13 +192,57 @@ class RightOfWay(Agent):
             humans,
             humans_visible,
             *self._map,
-            self._mouths,
+            *self._mouths,
             self._memory,
             settings,
             kernel_parameters(self.scenario),
             action,
         )
         return action
+
+    def direct(self, observation: Observation) -> Observation:
+        """Return the observation of a driver that is sent to its goal or to a queue place.
+
+        Call it after `perceive` and `choose`. The target takes the place of the goal, and the way
+        there that of the route; messages are left out.
+        """
+        target = np.zeros((*observation.ego.shape[:2], 2))
+        following = target.copy()
+        direct(
+            len(target), *self._map, *self._mouths, self._memory, self.central, target, following
+        )
+        self.target = target
+        ego = observation.ego.copy()
+        ego[..., GOAL] = to_body(target.astype(np.float32), observation.ego)
+        route = to_body(following.astype(np.float32), observation.ego)
+        hidden = ("messages", "priority")
+        return observation._replace(
+            ego=ego,
+            entities={k: v for k, v in observation.entities.items() if k not in hidden},
+            sensors={
+                **{k: v for k, v in observation.sensors.items() if k not in hidden},
+                "route": route,
+            },
+        )
+
+    @property
+    def waits(self) -> NDArray[np.bool_]:
+        """Which robots [E, N] are sent to a queue place."""
+        waits: NDArray[np.bool_] = self._memory.queued >= 0
+        return waits
+
+    @property
+    def memory(self) -> Memory:
+        """What robots believe and do; arrays [E, ...]."""
+        return self._memory
+
+    def restore(self, memory: Memory, observation: Observation) -> None:
+        """Continue with a copy of an earlier `memory`, in the same places."""
+        worlds = len(observation.ego)
+        self.reset(np.ones(worlds, np.bool_))
+        self._begin(observation.map or _open_floor(worlds))
+        for array, saved in zip(self._memory, memory, strict=True):
+            array[:] = saved
 
     def macro_actions(self) -> NDArray[np.int32]:
         """Return what robots tell: what they do, and at which mouth they enter their passage."""
@@ -223,19 +288,21 @@ def _empty_memory(e: int, n: int) -> Memory:
     )
 
 
-def _mouths_of(worlds: list[Passages]) -> Mouths:
-    """Return the mouths of all worlds."""
+def _mouths_of(worlds: list[Passages]) -> tuple[Mouths, NDArray[np.int64]]:
+    """Return the mouths of all worlds, and the first of each world, [E + 1]."""
     places = [points for passages in worlds for points in passages.places]
-    return Mouths(
-        first=np.cumsum([0, *(len(passages.mouth) for passages in worlds)]),
+    first_place = np.cumsum([0, *map(len, places)])
+    mouths = Mouths(
         position=np.concatenate([passages.mouth for passages in worlds]),
         outward=np.concatenate([passages.outward for passages in worlds]),
         width=np.concatenate([passages.width for passages in worlds]),
         passage=np.concatenate([passages.passage for passages in worlds]),
         length=np.concatenate([passages.length[passages.passage] for passages in worlds]),
-        first_place=np.cumsum([0, *map(len, places)]),
+        first_place=first_place[:-1],
+        last_place=first_place[1:],
         places=np.concatenate([np.zeros((0, 2)), *places]),
     )
+    return mouths, np.cumsum([0, *(len(passages.mouth) for passages in worlds)])
 
 
 def _open_floor(e: int) -> KnownMap:
