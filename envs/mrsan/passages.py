@@ -30,6 +30,7 @@ Points = NDArray[np.float64]  # [..., 2]
 
 _ROUNDING = 2e-3  # m
 _ABREAST = 0.4  # m, that two robots abreast need besides their diameters
+_TOUCH = 1e-6  # m; a way that ends at a corner of walls ends there
 _BEND = 1.5  # a way along which a passage turns is at most this much wider
 _SAMPLE = 0.1  # m, between the points at which a way is examined
 _FUNNEL_LENGTH, _FUNNEL = 2.5, 1.3  # m: before a mouth, and how far from it robots queue
@@ -239,7 +240,8 @@ def _free_length(walls: Points, points: Points, along: Points) -> NDArray[np.flo
     start = walls[[START_X, START_Y]].T - points[:, None]
     end = walls[[END_X, END_Y]].T - points[:, None]
     along = along[:, None]
-    crosses = _cross(along, start) * _cross(along, end) < 0.0
+    left, right = _cross(along, start), _cross(along, end)
+    crosses = (np.minimum(left, right) < _TOUCH) & (np.maximum(left, right) > -_TOUCH)
     with np.errstate(divide="ignore", invalid="ignore"):
         distance = _cross(start, end) / _cross(along, end - start)
     return np.where(crosses & (distance > _ROUNDING), distance, np.inf).min(-1)

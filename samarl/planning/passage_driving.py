@@ -187,7 +187,7 @@ def drive(
         mouths = mouths_of_world(all_mouths, first_mouth, e)
         pose, goal = memory.pose[e], memory.goal[e]
         for i in range(n):
-            update_mode(e, i, mouths, memory, settings.central)
+            update_mode(e, i, mouths, memory, known_map, p.robot_radius, settings.central)
         present[:] = False
         if settings.central:
             for i in range(n):
@@ -264,6 +264,7 @@ def direct(
     first_mouth,
     memory,
     central,
+    p,
     target,
     following,
 ):
@@ -280,6 +281,7 @@ def direct(
         first_mouth: [E + 1] the first mouth of each world.
         memory: `Memory`, updated.
         central: whether robots know the truth of each other.
+        p: the scenario's parameters.
         target: [E, N, 2] their goals or their queue places in the world frame, written, m.
         following: [E, N, 2] the next point of the way there, written, m.
     """
@@ -289,7 +291,7 @@ def direct(
         mouths = mouths_of_world(all_mouths, first_mouth, e)
         pose, goal = memory.pose[e], memory.goal[e]
         for i in range(pose.shape[0]):
-            update_mode(e, i, mouths, memory, central)
+            update_mode(e, i, mouths, memory, known_map, p.robot_radius, central)
         for i in range(pose.shape[0]):
             count = 1
             path[0, 0], path[0, 1] = goal[i, 0], goal[i, 1]
@@ -421,10 +423,11 @@ def _write_path(e, i, pose, goal, mouths, memory, known_map, cost, path):
     """Write the path of robot `i`; return the number of its points."""
     walls, place, corners, distance = known_map
     x, y, to_x, to_y = pose[0], pose[1], goal[0], goal[1]
-    if memory.queued[e, i] >= 0:
+    gives_way = memory.yields[e, i] > 0
+    if memory.queued[e, i] >= 0 or gives_way:
         to_x, to_y = memory.place[e, i, 0], memory.place[e, i, 1]
     entry, leave, count = memory.entry[e, i], memory.exit[e, i], 0
-    if entry >= 0 and leave >= 0 and memory.mode[e, i] != WAIT:
+    if entry >= 0 and leave >= 0 and memory.mode[e, i] != WAIT and not gives_way:
         for k in (entry, leave):
             if k == entry and memory.inside[e, i]:
                 continue

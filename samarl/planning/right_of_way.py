@@ -17,6 +17,7 @@ import numpy as np
 
 from mrsan.kernels import function, separate
 from mrsan.kernels.team import MACRO_ACTION, PRIORITY, THROUGH
+from mrsan.kernels.walls import is_clear, wall_count
 from mrsan.passages import BLOCKED_LENGTH, BLOCKED_MARGIN
 from samarl.planning.path_rollouts import write_route
 
@@ -26,6 +27,10 @@ CLAIM = 2.5  # m, from the mouth, besides the length of the passage
 BY_RULE, QUEUE, ENTER = range(-1, 2)  # choices before a passage
 STUCK = 8  # steps, after which a robot inside may turn back if it is told to
 
+_FACE_TO_FACE = 1.6  # m, from a team-mate at which a robot that is stuck gives way
+_YIELD_STEPS = 16  # for which it does
+_YIELD_DISTANCES = (0.7, 1.1, 1.5)  # m, of the places to which it may move
+_YIELD_DIRECTIONS = 16
 _CHOICE_STEPS = 16  # after which a choice ends at the latest
 
 _FOLLOW = 1.5  # m, before the mouth, from where on the next one may follow
@@ -69,6 +74,7 @@ class Memory(NamedTuple):
     queued: np.ndarray  # [E, N] mouth beside which it has a place; -1: none
     place: np.ndarray  # [E, N, 2] m
     stuck: np.ndarray  # [E, N] steps
+    yields: np.ndarray  # [E, N] steps for which it still lets a team-mate pass, at its place
     macro_action: np.ndarray  # [E, N] what they tell, see `number_of_mode`
     known: np.ndarray  # [E, N, N] bool, whether robot i has heard of robot j
     belief: np.ndarray  # [E, N, N, 7] what it believes: MESSAGE_FEATURES in the world frame
@@ -211,8 +217,8 @@ def look_ahead(e, i, mouths, memory, known_map, cost, path):
 
 
 @separate
-def update_mode(e, i, mouths, memory, central):
-    """Decide what robot `i` does: drive, wait, go or hold off its goal."""
+def update_mode(e, i, mouths, memory, known_map, radius, central):
+    """Decide what robot `i` does: drive, wait, go or hold off its goal, or give way."""
     if not memory.arrived[e, i]:
         if memory.entry[e, i] < 0:
             k = _held_off(e, i, mouths, memory, central)
@@ -228,9 +234,51 @@ def update_mode(e, i, mouths, memory, central):
             if k < 0 and memory.ahead[e, i] & (memory.ahead[e, i] - 1) == 0:  # the last passage
                 k = _held_off(e, i, mouths, memory, central)
             _queue(e, i, k, mouths, memory, central)
+        _give_way(e, i, memory, known_map, radius)
     if central:  # the next ones to decide know
         for j in range(memory.known.shape[1]):
             memory.belief[e, j, i, MACRO_ACTION] = number_of_mode(e, i, mouths, memory)
+
+
+@function
+def _give_way(e, i, memory, known_map, radius):
+    """Let robot `i` move out of the way of a team-mate with which it is stuck face to face."""
+    pose = memory.pose[e, i]
+    if memory.queued[e, i] >= 0 or memory.mode[e, i] != DRIVE or memory.entry[e, i] >= 0:
+        memory.yields[e, i] = 0
+        return
+    nearest, facing = _FACE_TO_FACE, -1
+    for j in range(memory.known.shape[1]):
+        if j == i or not memory.known[e, i, j]:
+            continue
+        other = memory.belief[e, i, j]
+        gap = math.hypot(other[0] - pose[0], other[1] - pose[1])
+        if gap < nearest and other[PRIORITY] > memory.belief[e, i, i, PRIORITY]:
+            nearest, facing = gap, j
+    if memory.yields[e, i] > 0:
+        memory.yields[e, i] -= 1
+        return
+    if memory.stuck[e, i] < STUCK or facing < 0:
+        return
+    other = memory.belief[e, i, facing]
+    ux, uy = (pose[0] - other[0]) / nearest, (pose[1] - other[1]) / nearest
+    walls, place, _, _ = known_map
+    best = -np.inf
+    for d in range(_YIELD_DIRECTIONS):
+        angle = 2.0 * math.pi * d / _YIELD_DIRECTIONS
+        for distance in _YIELD_DISTANCES:
+            dx, dy = distance * math.cos(angle), distance * math.sin(angle)
+            along, aside = dx * ux + dy * uy, abs(dy * ux - dx * uy)
+            gap = math.hypot(pose[0] + dx - other[0], pose[1] + dy - other[1])
+            value = min(aside, 1.0) + 0.5 * along - 0.1 * distance
+            if gap < nearest or value <= best:
+                continue
+            if not is_clear(walls, wall_count(place), pose[0], pose[1], dx, dy, radius + 0.05):
+                continue
+            best = value
+            memory.place[e, i, 0], memory.place[e, i, 1] = pose[0] + dx, pose[1] + dy
+    if best > -np.inf:
+        memory.yields[e, i], memory.stuck[e, i] = _YIELD_STEPS, 0
 
 
 @function

@@ -209,7 +209,14 @@ class RightOfWay(Agent):
         target = np.zeros((*observation.ego.shape[:2], 2))
         following = target.copy()
         direct(
-            len(target), *self._map, *self._mouths, self._memory, self.central, target, following
+            len(target),
+            *self._map,
+            *self._mouths,
+            self._memory,
+            self.central,
+            kernel_parameters(self.scenario),
+            target,
+            following,
         )
         self.target = target
         ego = observation.ego.copy()
@@ -228,7 +235,7 @@ class RightOfWay(Agent):
     @property
     def waits(self) -> NDArray[np.bool_]:
         """Which robots [E, N] are sent to a queue place."""
-        waits: NDArray[np.bool_] = self._memory.queued >= 0
+        waits: NDArray[np.bool_] = (self._memory.queued >= 0) | (self._memory.yields > 0)
         return waits
 
     @property
@@ -257,7 +264,7 @@ class RightOfWay(Agent):
             memory = self._memory
             memory.is_new[e], memory.queued[e], memory.stuck[e] = True, -1, 0
             memory.known[e], memory.macro_action[e] = False, 0
-            memory.event[e], memory.age[e] = -1, 0
+            memory.event[e], memory.age[e], memory.yields[e] = -1, 0, 0
         self._is_init[:] = False
         self._mouths = _mouths_of([passages for passages in self._passages if passages is not None])
 
@@ -278,6 +285,7 @@ def _empty_memory(e: int, n: int) -> Memory:
         queued=integers - 1,
         place=np.zeros((e, n, 2)),
         stuck=integers.copy(),
+        yields=integers.copy(),
         macro_action=np.zeros((e, n), np.int32),
         known=np.zeros((e, n, n), np.bool_),
         belief=np.zeros((e, n, n, len(MESSAGE_FEATURES))),
