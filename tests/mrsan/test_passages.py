@@ -38,6 +38,16 @@ def test_a_doorway_and_a_corridor_are_one_passage() -> None:
             np.testing.assert_allclose(passages.length, 2 * x, atol=1e-4)
 
 
+def test_a_corner_is_one_passage() -> None:
+    """Also if the diagonal from the middle of the bend ends exactly in the outer corner."""
+    narrow = Place(corner_width_min=1.5, corner_width_max=1.55)
+    state = worlds_of(Layout.corner, 20, place=narrow, humans=0).state
+    for e in range(20):
+        passages = passages_of(state, e)
+        assert passages.passage.tolist() == [0, 0]
+        np.testing.assert_allclose(passages.length, passages.width[:1] / 2**0.5, atol=1e-4)
+
+
 def test_open_places_have_none() -> None:
     wide = Place(corner_width_min=1.7, door_width_min=1.7, corridor_width_min=1.7)
     for layout in (Layout.doorway, Layout.corridor, Layout.intersection, Layout.corner):

@@ -1,0 +1,203 @@
+"""The macro level of `right_of_way`: features, decisions, advantages, training and files."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from mrsan import ConfigurationError, CrowdReaction, Layout, Place, Scenario, Split, World
+from mrsan.features import GOAL
+from mrsan.passages import find_passages
+from samarl import load_agent
+from samarl.agents.agent import act_and_tell
+from samarl.agents.planners.right_of_way import RightOfWay
+from samarl.macro_level.decisions import Collector, Decisions
+from samarl.macro_level.learner import Learner, advantages
+from samarl.macro_level.network import NetworkConfig, PassageNetwork, save_macro_level
+from samarl.macro_level.settings import MacroRewards, MacroTraining
+from samarl.observations.features import to_world
+from samarl.planning.passage_features import MATE, OWN, TRUTH
+from samarl.planning.right_of_way import ENTER, QUEUE
+
+NARROW = Scenario(
+    layout=Layout.doorway,
+    robots=4,
+    humans=4,
+    crowd_reaction=CrowdReaction.reciprocal,
+    place=Place(door_width_min=1.0, door_width_max=1.3),
+    team_messages=True,
+)
+REWARDS = MacroRewards(success=2.0, arrival=0.1, collision=-1.0, progress=0.02, time=-0.005)
+WORLDS = 8
+
+
+def training(**changes: float) -> MacroTraining:
+    """Return a small configuration."""
+    settings = {
+        "steps": 2 * WORLDS * 16,
+        "worlds": WORLDS,
+        "rollout": 16,
+        "epochs": 1,
+        "minibatch": 64,
+        "learning_rate": 5e-4,
+        "clip": 0.2,
+        "discount": 0.998,
+        "gae_lambda": 0.95,
+        "entropy": 0.01,
+        "entropy_end": 0.002,
+        "value_weight": 0.5,
+        "max_gradient_norm": 1.0,
+        "seed": 0,
+    }
+    return MacroTraining(REWARDS, NetworkConfig(hidden=16), **(settings | changes))  # type: ignore[arg-type]
+
+
+def planner(**changes: object) -> RightOfWay:
+    agent = load_agent("right_of_way", NARROW, **changes)
+    assert isinstance(agent, RightOfWay)
+    return agent
+
+
+def all_enter(own: np.ndarray, mates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    return np.full(len(own), ENTER), np.zeros(len(own), np.float32)
+
+
+def test_advantages_follow_each_robots_own_time_axis() -> None:
+    """One robot: a decision of 3 steps, one of 5 until the episode ends, and one that goes on."""
+    shape = 1, 1, 4
+    d = Decisions(
+        own=np.zeros((*shape, OWN), np.float32),
+        mates=np.zeros((*shape, 0, MATE), np.float32),
+        truth=np.zeros((*shape, 0, MATE + TRUTH), np.float32),
+        choice=np.zeros(shape, np.int64),
+        log_prob=np.zeros(shape, np.float32),
+        reward=np.array([[[1.0, 2.0, 9.0, 9.0]]]),
+        duration=np.array([[[3, 5, 2, 0]]]),
+        ended=np.array([[[False, True, False, False]]]),
+        number=np.array([[3]]),
+    )
+    value = np.array([[[0.5, 0.25, 0.125, 0.0]]])
+    second = 2.0 - 0.25
+    first = 1.0 + 0.9**3 * 0.25 - 0.5 + 0.9**3 * 0.8 * second
+    expected = [first, second, 0.0, 0.0]
+    np.testing.assert_allclose(advantages(d, value, 0.9, 0.8)[0, 0], expected)
+    assert d.is_over[0, 0].tolist() == [True, True, False, False]
+
+
+def test_decisions_earn_the_rewards_of_their_duration(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With a reward of 1 per step, a decision of m steps earns a geometric sum, over rollouts."""
+    collector = Collector(planner(), WORLDS, 16, 0, REWARDS, 0.9)
+    monkeypatch.setattr(collector, "_reward", lambda *_: np.ones(WORLDS))
+    longest = 0
+    for _ in range(4):
+        collector.collect(all_enter)
+        d = collector.decisions
+        filled = d.is_filled
+        lengths = d.duration[filled]
+        assert lengths.min() >= 1
+        longest = max(longest, int(lengths.max()))
+        np.testing.assert_allclose(d.reward[filled], (1.0 - 0.9**lengths) / 0.1)
+        assert (d.own[filled][:, 14] <= 1.0).all()
+    assert longest > 16  # some go on beyond a rollout
+
+
+def test_features_are_those_of_the_door() -> None:
+    """Distances to the mouth are the true ones, and beliefs are the truth where nothing is lost."""
+    agent = planner()
+    world = World(NARROW, WORLDS)
+    observation = world.reset(Split.validation.case(0) + np.arange(WORLDS))
+    agent.reset(np.ones(WORLDS, np.bool_))
+    seen = 0
+    for _ in range(30):
+        agent.perceive(observation)
+        own, mates, truth = agent.features()
+        for e, i in np.argwhere(agent.due):
+            passages = find_passages(world.state.walls[e], world.state.place[e], 1.6)
+            here = world.state.robot_position[e, i]
+            mouth = agent.memory.entry[e, i]
+            ahead, aside = passages.relative(mouth, here.astype(float))
+            assert own[e, i, 3] * 5.0 == pytest.approx(np.hypot(ahead, aside), abs=1e-3)
+            assert own[e, i, 4] * 5.0 == pytest.approx(ahead, abs=1e-3)
+            assert own[e, i, 2] / 5.0 + 1.15 == pytest.approx(passages.width[mouth], abs=1e-3)
+            knows = mates[e, i, :, 0] == 1.0
+            positions = [10, 11, 12, 16, 17]
+            beliefs = mates[e, i][knows][:, positions]
+            np.testing.assert_allclose(beliefs, truth[e, i][knows][:, positions], atol=2e-3)
+            seen += int(knows.sum())
+        agent.choose(np.nonzero(agent.due), np.full(int(agent.due.sum()), QUEUE))
+        action = agent.drive(observation)
+        world.tell(agent.macro_actions())
+        observation = world.step(action).observation
+    assert seen > 50
+    assert not agent.memory.inside.any()  # all queue
+
+
+def test_training_is_resumed_and_belongs_to_one_configuration(tmp_path: Path) -> None:
+    state = tmp_path / "training.safetensors"
+    learner = Learner(training(), {"doorway": planner()}, state)
+    before = [p.clone() for p in learner.actor.parameters()]
+    learner.learn()
+    pairs = zip(before, learner.actor.parameters(), strict=True)
+    assert any((a != b).any() for a, b in pairs)
+    again = Learner(training(), {"doorway": planner()}, state)
+    assert again.steps == learner.steps == training().steps
+    for a, b in zip(learner.actor.parameters(), again.actor.parameters(), strict=True):
+        torch.testing.assert_close(a, b)
+    with pytest.raises(ConfigurationError, match="another training run"):
+        Learner(training(seed=1), {"doorway": planner()}, state)
+
+
+def test_a_network_drives_and_what_it_must_not_know_has_no_effect(tmp_path: Path) -> None:
+    network = PassageNetwork(NetworkConfig(hidden=16, priorities=False, intents=False))
+    own, mates = torch.rand(5, OWN), torch.rand(5, 3, MATE)
+    hidden = mates.clone()
+    hidden[..., 1:7] = 0.5
+    other = own.clone()
+    other[:, 0] = 0.5
+    torch.testing.assert_close(network(own, mates), network(other, hidden))
+    path = tmp_path / "best.safetensors"
+    save_macro_level(path, network, {})
+    agent = planner(macro_level=str(tmp_path))
+    world = World(NARROW, WORLDS)
+    observation = world.reset(Split.validation.case(0) + np.arange(WORLDS))
+    agent.reset(np.ones(WORLDS, np.bool_))
+    for _ in range(12):
+        observation = world.step(agent.act(observation)).observation
+    assert set(np.unique(agent.memory.choice)) <= {-1, QUEUE, ENTER}
+    assert (agent.memory.choice >= 0).any()
+    with pytest.raises(ConfigurationError, match=r"agent\.macro_level"):
+        planner(macro_level="samarl")
+
+
+def test_a_driver_is_sent_to_its_goal_or_its_place() -> None:
+    agent = planner(driver="samarl_places")
+    world = World(NARROW, WORLDS)
+    observation = world.reset(Split.validation.case(0) + np.arange(WORLDS))
+    agent.reset(np.ones(WORLDS, np.bool_))
+    waited = 0
+    for _ in range(30):
+        agent.perceive(observation)
+        directed = agent.direct(observation)
+        assert "messages" not in directed.entities
+        memory, waits = agent.memory, agent.waits
+        target = np.where(waits[..., None], memory.place, memory.goal)
+        shown = to_world(directed.ego[..., GOAL], observation.ego)
+        np.testing.assert_allclose(shown, target, atol=1e-4)
+        waited += int(waits.sum())
+        observation = world.step(act_and_tell(agent, observation, world)).observation
+    assert waited > 0
+
+
+def test_robots_face_to_face_give_way() -> None:
+    """In these corners robots stood face to face until the time limit."""
+    scenario = replace(NARROW, layout=Layout.corner, robots=3)
+    agent = load_agent("right_of_way", scenario)
+    cases = Split.validation.case(0) + np.array([9, 36, 39])
+    world = World(scenario, len(cases))
+    observation = world.reset(cases)
+    agent.reset(np.ones(len(cases), np.bool_))
+    while not world.state.done.all():
+        observation = world.step(act_and_tell(agent, observation, world)).observation
+    assert world.state.arrived.all(1).sum() >= 2
