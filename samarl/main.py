@@ -17,6 +17,7 @@ COMMANDS = {
     "train": "train a policy, or resume a training",
     "report": "build web pages with tables, curves and replays",
     "predictor": "train and evaluate a predictor of people",
+    "macro": "train the macro level of right_of_way and compare it with the rule",
     "export": "export a policy as an ONNX file that runs without torch",
     "recording": "summarise, check, draw and convert a recording of people",
     "map": "show what is understood of a map file",

@@ -26,6 +26,7 @@ assert not outside, outside
 COMMANDS = [
     ["samarl-evaluate", "agent=orca", "evaluation.cases=5"],
     ["samarl-record", "agent=samarl", "case=28", "output=case.csv"],
+    ["samarl-macro", "training.steps=20000", "validation_cases=5"],
     ["samarl-predictor", "predictor=recurrent", "validation_cases=5"],
     ["samarl-examples", "examples"],
     ["samarl-bench", "agents=[straight]", "evaluation.cases=5", "output=bench"],

@@ -14,6 +14,7 @@ from samarl.commands.bench import Bench
 from samarl.commands.cli import compose_cells
 from samarl.commands.export import Export
 from samarl.commands.overrides import CommandLine
+from samarl.commands.macro import Macro
 from samarl.commands.predictor import Predictor
 from samarl.commands.record import Record
 from samarl.commands.render import Render
@@ -27,6 +28,7 @@ PAGES = [ROOT / "README.md", *(p for p in (ROOT / "docs").glob("*.md") if p.stem
 SCHEMAS = {
     "bench": Bench,
     "export": Export,
+    "macro": Macro,
     "predictor": Predictor,
     "record": Record,
     "render": Render,
