@@ -22,6 +22,7 @@ PALETTE = {
     "muted": ("#666666", "#A6A6A6"),
     "grid": ("#E4E4E4", "#3A3A3A"),
     "contact": ("#C00000", "#FF5C5C"),
+    "passage": ("#7A6A2F", "#C9B86A"),
     "attention": ("#7B2CBF", "#C89BFF"),
     "page": ("#FFFFFF", "#161616"),
     "panel": ("#F5F5F5", "#222222"),

@@ -8,16 +8,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrsan import Observation
+from mrsan.features import GOAL, HEADING, ORIGIN
 from mrsan.fields import required
 from mrsan.kernels.routes import CORNER_ROWS
 from mrsan.kernels.walls import PLACE_COLUMNS, WALL_ROWS
 from mrsan.observation import KnownMap
 from mrsan.parameters import kernel_parameters
 from mrsan.passages import Passages, find_passages
+from mrsan.se2 import rotate_vectors
 from mrsan.sensors.team import MESSAGE_FEATURES
 from samarl.agents.agent import Agent
 from samarl.planning.passage_driving import act
 from samarl.planning.right_of_way import Memory, Mouths, Settings
+from samarl.policies.explanation import Explanation
 from samarl.registry import needed
 
 
@@ -83,6 +86,8 @@ class RightOfWay(Agent):
         else:
             messages = np.zeros((e, n, n - 1, len(MESSAGE_FEATURES)), np.float32)
             received, priority = np.zeros((e, n, n - 1), np.bool_), np.zeros((e, n, 1), np.float32)
+        ego = observation.ego
+        self._goal = rotate_vectors(ego[..., GOAL] - ego[..., ORIGIN], ego[..., HEADING])
         action = np.zeros((e, n, self.scenario.action_size), np.float32)
         settings = Settings(
             self.central,
@@ -111,6 +116,12 @@ class RightOfWay(Agent):
         """Return what robots tell: what they do, and at which mouth they enter their passage."""
         numbers: NDArray[np.int32] = self._memory.macro_action
         return numbers
+
+    def explain(self) -> Explanation:
+        """Return what each robot does, and the queue place or goal that it drives to."""
+        memory = self._memory
+        waypoint = np.where(memory.queued[..., None] >= 0, memory.place, self._goal)
+        return Explanation(waypoint=waypoint, activity=memory.mode.astype(np.int8))
 
     def _begin(self, known_map: KnownMap) -> None:
         """Find the passages of the worlds in which an episode begins."""
