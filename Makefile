@@ -2,6 +2,9 @@
 
 PYTHON ?= python3
 PICTURE_CASE := 28
+NARROW_DOOR := scenario.layout=doorway scenario.robots=4 scenario.humans=4 \
+	scenario.crowd_reaction=reciprocal scenario.team_messages=true \
+	scenario.place.door_width_min=1.0 scenario.place.door_width_max=1.3
 BIN := .venv/bin
 PARALLEL := -n auto --maxprocesses 8 --dist worksteal --durations 20
 
@@ -49,6 +52,7 @@ pictures: setup ## Draw the pictures of the documentation: layouts, tables as fi
 	@cp outputs/pictures/figures/table-1.png docs/images/table1.png
 	@cp outputs/pictures/figures/transfer-recorded-people.png docs/images/recorded.png
 	@$(BIN)/samarl-render agent=samarl against=orca case=$(PICTURE_CASE) output=docs/images/case.gif
+	@$(BIN)/samarl-render agent=right_of_way against=samarl_places case=22 $(NARROW_DOOR) output=docs/images/right_of_way.gif
 
 report: setup ## Build web pages with tables, curves and replays in results/report/
 	@$(BIN)/samarl-report

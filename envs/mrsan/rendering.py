@@ -11,6 +11,7 @@ from PIL import Image, ImageDraw
 
 from mrsan.fields import ConfigurationError
 from mrsan.kernels.walls import WALLS
+from mrsan.passages import find_passages, open_width
 from mrsan.scenario import Scenario
 from mrsan.state import State
 from mrsan.world import World
@@ -22,6 +23,7 @@ _MARGIN = 1.5  # m around the place, such as the circle on which robots start
 _VIEW_RANGE = 3.0  # m, largest range at which the field of view of a robot is outlined
 # The palette of Okabe and Ito, which colour-blind readers can tell apart.
 ROBOT_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+PASSAGE_COLOUR = "#7A6A2F"
 _PERSON, _ZONE, _GRID, _INK = "#8C8C8C", "#F0F0F0", "#E4E4E4", "#222222"
 
 
@@ -81,6 +83,7 @@ class _Drawing:
     def picture(self, world: World, index: int) -> NDArray[np.uint8]:
         state, scenario = world.state, self.scenario
         self._grid()
+        self._passages(state, index)
         for x0, y0, x1, y1 in walls_of(state, index):
             self._line(np.array([x0, y0]), np.array([x1, y1]), _INK, 4)
         people = np.flatnonzero(state.human_present[index])
@@ -120,6 +123,18 @@ class _Drawing:
         arc = centre + reach * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
         outline = [self._pixel(point) for point in (centre, *arc, centre)]
         self.draw.line(outline, fill=colour, width=_OVERSAMPLING)
+
+    def _passages(self, state: State, index: int) -> None:
+        """Draw the mouths of narrow doors and corridors, and where robots can queue beside them."""
+        scenario = self.scenario
+        widest = open_width(scenario.robot_radius)
+        passages = find_passages(state.walls[index], state.place[index], widest)
+        for k, mouth in enumerate(passages.mouth):
+            outward = passages.outward[k]
+            across = passages.width[k] / 2 * np.array([-outward[1], outward[0]])
+            self._line(mouth - across, mouth + across, PASSAGE_COLOUR, 1)
+            for place in passages.spread_places(k, scenario.robots):
+                self._disc(place, scenario.robot_radius, outline=PASSAGE_COLOUR, width=1)
 
     def _grid(self) -> None:
         half = self.half

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from mrsan import CrowdReaction, Episodes, Observation, Reaction, Scenario, State, World
 from mrsan.kernels.social_state import GROUP, REACTION
 from mrsan.metrics import episodes_of
+from mrsan.passages import Passages, find_passages, open_width
 from mrsan.rendering import walls_of
 from samarl.agents import Agent, Explanation
 from samarl.agents.agent import act_and_tell
@@ -36,6 +37,7 @@ class Trajectory:
     scenario: Scenario
     case: int
     walls: Floats  # [W, 4] x and y of the starts and ends of wall segments
+    passages: Passages  # doors and corridors between them
     robot_position: Floats  # [T + 1, N, 2]
     robot_velocity: Floats  # [T + 1, N, 2]
     robot_heading: Floats  # [T + 1, N]
@@ -57,6 +59,7 @@ class Trajectory:
     robot_attention: Floats | None  # [T, N, N]
     lidar: Floats | None  # [T + 1, N, L] ranges, m
     shielded: Bools | None  # [T, N] the safety shield replaced the action
+    activity: NDArray[np.int8] | None  # [T, N] index in `ACTIVITIES` of what each robot does
     episodes: Episodes  # the record of this one episode
 
 
@@ -77,7 +80,7 @@ def record_episode(agent: Agent, scenario: Scenario, case: int) -> Trajectory:
     humans, human_velocity, human_goal, present, *masks = people_and_masks
     humans_visible, robots_visible, humans_reported, robots_reported = masks
     ever_present = present.any(0)
-    waypoint, human_attention, robot_attention, shielded = (
+    waypoint, human_attention, robot_attention, shielded, activity = (
         None if values[0] is None else np.concatenate(values)
         for values in zip(*explanations, strict=True)
     )
@@ -86,6 +89,7 @@ def record_episode(agent: Agent, scenario: Scenario, case: int) -> Trajectory:
         scenario=scenario,
         case=case,
         walls=walls_of(state, 0).copy(),
+        passages=find_passages(state.walls[0], state.place[0], open_width(scenario.robot_radius)),
         robot_position=position,
         robot_velocity=velocity,
         robot_heading=heading,
@@ -107,6 +111,7 @@ def record_episode(agent: Agent, scenario: Scenario, case: int) -> Trajectory:
         robot_attention=None if robot_attention is None else _with_diagonal(robot_attention),
         lidar=lidar if lidar.size else None,
         shielded=shielded,
+        activity=activity,
         episodes=episodes_of(state, scenario, np.ones(1, np.bool_)),
     )
 

@@ -15,21 +15,24 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Wedge
+from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 from PIL import Image, ImageColor
 
 from mrsan import ConfigurationError, Outcome
 from samarl.evaluation.trajectory import Trajectory
 from samarl.files import atomic_write
+from samarl.policies.explanation import ACTIVITIES
 from samarl.progress import progress_bar
 from samarl.report.style import COLOURS, CONTACT, INK, MUTED, STYLE
-from samarl.report.trajectories import HITS, draw_walls
+from samarl.report.trajectories import HITS, draw_passages, draw_walls, height_share, view_limits
 
 _GIF_COLOURS = 64
 _DPI = {".gif": 80, ".mp4": 140}
 _FRAMES_PER_SECOND = {".gif": 10.0, ".mp4": 20.0}  # lower bound; the rate is below twice that
 _HOLD_SECONDS = 3.0  # for which the last frame, which tells the outcome, is shown
 _MAX_SECONDS = 20.0  # of the whole animation; longer episodes are sped up
+_AT_GOAL = 1e-3  # m, within which a waypoint is the goal
 _CAUSES = {  # of a failed episode; robots that were interrupted did not cause it
     Outcome.hit_human: "hit a person",
     Outcome.hit_robot: "hit a robot",
@@ -49,7 +52,8 @@ def save_animation(trajectories: Sequence[tuple[Trajectory, str]], path: Path) -
         ConfigurationError: the encoder for .mp4 is not installed.
     """
     kind = path.suffix.lower()
-    figure = Figure(figsize=(6.0 * len(trajectories), 6.4), dpi=_DPI[kind], layout="constrained")
+    size = 6.0 * len(trajectories), 1.1 + 5.3 * height_share(trajectories)
+    figure = Figure(figsize=size, dpi=_DPI[kind], layout="constrained")
     steps = max(len(trajectory.robot_position) for trajectory, _ in trajectories) - 1
     time_step = trajectories[0][0].scenario.time_step
     speed = playback_speed(steps * time_step)
@@ -198,6 +202,7 @@ def _draw_stage(axes: Axes, trajectory: Trajectory, title: str) -> None:
     axes.set_title(title, fontsize=9.5)
     axes.set_aspect("equal")
     marks = "; diamonds: waypoints" if trajectory.waypoint is not None else ""
+    marks += "; dashed rings: queue places" if len(trajectory.passages.mouth) else ""
     axes.set_xlabel(
         f"x (m)\nfilled: people in view of a driving robot{marks}\n"
         "rings: personal space, red when entered",
@@ -205,19 +210,11 @@ def _draw_stage(axes: Axes, trajectory: Trajectory, title: str) -> None:
     )
     axes.set_ylabel("y (m)")
     axes.grid(True, axis="both")
+    draw_passages(axes, trajectory)
     draw_walls(axes, trajectory)
-    points = np.concatenate(
-        [
-            trajectory.walls.reshape(-1, 2),
-            trajectory.robot_position.reshape(-1, 2),
-            trajectory.human_position[trajectory.human_present],
-            trajectory.robot_goal,
-        ]
-    )
-    middle = (points.min(0) + points.max(0)) / 2
-    half = (points.max(0) - points.min(0)).max() / 2 + 0.6
-    axes.set_xlim(middle[0] - half, middle[0] + half)
-    axes.set_ylim(middle[1] - half, middle[1] + half)
+    x_limits, y_limits = view_limits(trajectory)
+    axes.set_xlim(x_limits)
+    axes.set_ylim(y_limits)
     for i, goal in enumerate(trajectory.robot_goal):
         axes.plot(*goal, marker="*", markersize=14, color=_colour(i), markeredgecolor="white")
 
@@ -268,11 +265,16 @@ def ending(outcomes: Sequence[int] | NDArray[np.int8]) -> str:
     if set(robots) == {Outcome.arrived}:
         return "Success: all robots arrived"
     causes = [
-        f"robot{'s' if len(who) > 1 else ''} {' and '.join(who)} {_CAUSES[outcome]}"
+        f"robot{'s' if len(who) > 1 else ''} {_listed(who)} {_CAUSES[outcome]}"
         for outcome, who in robots.items()
         if outcome in _CAUSES
     ]
     return "\n".join(["Failure:", *causes]) if len(causes) > 1 else f"Failure: {causes[0]}"
+
+
+def _listed(names: Sequence[str]) -> str:
+    *others, last = names
+    return f"{', '.join(others)} and {last}" if others else last
 
 
 def _draw_humans(
@@ -312,11 +314,7 @@ def _draw_robot(
     artists: list[Artist] = [*axes.plot(*path.T, color=colour, linewidth=1.4)]
     if trajectory.driving[t, i]:
         artists += _draw_view(axes, trajectory, position, heading, colour)
-        if trajectory.waypoint is not None:
-            waypoint = trajectory.waypoint[min(t, len(trajectory.waypoint) - 1), i]
-            line = np.stack([position, waypoint]).T
-            artists += axes.plot(*line, ":", color=colour, linewidth=1)
-            artists += axes.plot(*waypoint, "D", color=colour, markersize=5)
+        artists += _draw_intent(axes, trajectory, t, i, position)
     artists.append(
         axes.add_patch(_disc(position, radius, facecolor=colour, edgecolor="white", zorder=4))
     )
@@ -340,6 +338,36 @@ def _draw_robot(
     if collided and time >= len(trajectory.robot_position) - 1:
         artists += axes.plot(
             *position, "x", color=CONTACT, markersize=16, markeredgewidth=2.5, zorder=7
+        )
+    return artists
+
+
+def _draw_intent(
+    axes: Axes, trajectory: Trajectory, t: int, i: int, position: NDArray[np.float32]
+) -> list[Artist]:
+    """Draw the waypoint or queue place that robot `i` drives to, and write what it does."""
+    artists: list[Artist] = []
+    t, colour = min(t, len(trajectory.driving) - 2), _colour(i)
+    if trajectory.waypoint is not None:
+        waypoint = trajectory.waypoint[t, i]
+        if np.linalg.norm(waypoint - trajectory.robot_goal[i]) > _AT_GOAL:
+            line = np.stack([position, waypoint]).T
+            artists += axes.plot(*line, ":", color=colour, linewidth=1)
+            artists += axes.plot(*waypoint, "D", color=colour, markersize=5)
+    if trajectory.activity is not None and trajectory.activity[t, i]:
+        artists.append(
+            axes.annotate(
+                ACTIVITIES[trajectory.activity[t, i]],
+                (position[0], position[1] + trajectory.scenario.robot_radius),
+                (0, 3),
+                textcoords="offset points",
+                ha="center",
+                fontsize=8,
+                fontweight="bold",
+                color=colour,
+                path_effects=[withStroke(linewidth=2.5, foreground="white")],
+                zorder=8,
+            )
         )
     return artists
 

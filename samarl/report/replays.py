@@ -110,6 +110,7 @@ def as_replay(trajectory: Trajectory) -> dict[str, Any]:
     return {
         "step": scenario.time_step,
         "walls": trajectory.walls.round(3).tolist(),
+        **_passages(trajectory),
         "lidar": _ranges(trajectory),
         "fov": scenario.fov_degrees,
         "range": scenario.sensing_range,
@@ -131,9 +132,19 @@ def as_replay(trajectory: Trajectory) -> dict[str, Any]:
         "humanAttention": _percent(trajectory.human_attention),
         "robotAttention": _percent(trajectory.robot_attention),
         "shielded": _true_steps(trajectory.shielded),
+        "activities": None if trajectory.activity is None else trajectory.activity.T.tolist(),
         "drivingSteps": trajectory.driving.sum(0).tolist(),
         "outcomes": [Outcome(value).name for value in episodes.outcome[0]],
     }
+
+
+def _passages(trajectory: Trajectory) -> dict[str, Any]:
+    """Return the mouths (x, y, direction outwards, width) and the queue places of passages, m."""
+    passages, robots = trajectory.passages, len(trajectory.robot_goal)
+    mouths = np.column_stack([passages.mouth, passages.outward, passages.width])
+    places = [passages.spread_places(k, robots) for k in range(len(mouths))]
+    queue = np.concatenate([np.zeros((0, 2)), *places])
+    return {"mouths": mouths.round(3).tolist(), "queuePlaces": queue.round(2).tolist()}
 
 
 def _ranges(trajectory: Trajectory) -> dict[str, Any] | None:

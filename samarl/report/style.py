@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from PIL import Image
 
-from mrsan.rendering import ROBOT_COLOURS
+from mrsan.rendering import PASSAGE_COLOUR, ROBOT_COLOURS
 from samarl.files import atomic_write
 
 _DARK_SERIES = ("#4FA8E0", "#FF8B3D", "#2CC79B", "#E79CC6", "#F2B632", "#8CD0F7", "#FFFFFF")
@@ -22,6 +22,7 @@ PALETTE = {
     "muted": ("#666666", "#A6A6A6"),
     "grid": ("#E4E4E4", "#3A3A3A"),
     "contact": ("#C00000", "#FF5C5C"),
+    "passage": (PASSAGE_COLOUR, "#C9B86A"),
     "attention": ("#7B2CBF", "#C89BFF"),
     "page": ("#FFFFFF", "#161616"),
     "panel": ("#F5F5F5", "#222222"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import textwrap
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,10 +16,11 @@ from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle
+from numpy.typing import NDArray
 
 from mrsan import Outcome
 from samarl.evaluation.trajectory import Trajectory
-from samarl.report.style import COLOURS, CONTACT, STYLE, save_figure
+from samarl.report.style import COLOURS, CONTACT, PALETTE, STYLE, save_figure
 
 _HUMAN_SHADES = LinearSegmentedColormap.from_list("humans", ["#e4e4e4", "#777777"])
 _MARK_SECONDS = 3.0  # between discs along a path
@@ -31,7 +33,8 @@ def save_trajectories(trajectories: Sequence[tuple[Trajectory, str]], path: Path
         trajectories: each with its title.
         path: output file; its extension is the format.
     """
-    figure = Figure(figsize=(6.4 * len(trajectories), 6.9), layout="compressed")
+    size = 6.4 * len(trajectories), 1.5 + 5.4 * height_share(trajectories)
+    figure = Figure(figsize=size, layout="compressed")
     with rc_context(STYLE):
         for axes, (trajectory, title) in zip(
             figure.subplots(1, len(trajectories), squeeze=False, sharex=True, sharey=True)[0],
@@ -53,11 +56,12 @@ def save_trajectories(trajectories: Sequence[tuple[Trajectory, str]], path: Path
 
 
 HITS = {Outcome.hit_human, Outcome.hit_robot, Outcome.hit_wall}
-WALL = "#222222"  # colour of walls
+WALL, PASSAGE = "#222222", PALETTE["passage"][0]
 
 
 def draw_trajectories(axes: Axes, trajectory: Trajectory, title: str) -> None:
     """Draw robots with times along their paths, goals, humans and contacts."""
+    draw_passages(axes, trajectory)
     draw_walls(axes, trajectory)
     steps_per_mark = max(1, round(_MARK_SECONDS / trajectory.scenario.time_step))
     for j in range(trajectory.human_position.shape[1]):
@@ -80,6 +84,48 @@ def draw_walls(axes: Axes, trajectory: Trajectory) -> None:
     walls = LineCollection(list(segments), colors=WALL, linewidths=2.5, zorder=3)
     walls.set_capstyle("round")
     axes.add_collection(walls)
+
+
+def draw_passages(axes: Axes, trajectory: Trajectory) -> None:
+    """Draw the mouths of doors and corridors, with arrows into them, and queue places beside."""
+    passages, robots = trajectory.passages, len(trajectory.robot_goal)
+    for k, mouth in enumerate(passages.mouth):
+        inward = -passages.outward[k]
+        across = passages.width[k] / 2 * np.array([-inward[1], inward[0]])
+        ends = np.stack([mouth - across, mouth + across]).T
+        axes.plot(*ends, color=PASSAGE, linewidth=1.2, linestyle=(0, (2, 2)), zorder=1)
+        tail, tip = mouth - 0.55 * inward, mouth - 0.1 * inward
+        style = {"arrowstyle": "-|>", "color": PASSAGE, "linewidth": 1.2, "mutation_scale": 9}
+        axes.annotate("", xy=tip, xytext=tail, arrowprops=style, zorder=1)
+        for place in passages.spread_places(k, robots):
+            radius = trajectory.scenario.robot_radius
+            style = {"edgecolor": PASSAGE, "linewidth": 0.8, "linestyle": (0, (2, 2))}
+            axes.add_patch(Circle(tuple(place), radius, facecolor="none", zorder=1, **style))
+
+
+def view_limits(trajectory: Trajectory) -> NDArray[np.float64]:
+    """Return the limits [2, 2] of both axes around everything, m; a square without walls."""
+    points = np.concatenate(
+        [
+            trajectory.walls.reshape(-1, 2),
+            trajectory.robot_position.reshape(-1, 2),
+            trajectory.human_position[trajectory.human_present],
+            trajectory.robot_goal,
+        ]
+    )
+    middle = (points.min(0) + points.max(0)) / 2
+    half = (points.max(0) - points.min(0)) / 2 + 0.6
+    if len(trajectory.walls):
+        half[1] += 0.7  # the clock and the outcome are above and below the walls
+    else:
+        half[:] = half.max()
+    return np.stack([middle - half, middle + half], -1)
+
+
+def height_share(trajectories: Sequence[tuple[Trajectory, str]]) -> float:
+    """Return how high the highest of some trajectories is, as a share of its width."""
+    extents = [np.diff(view_limits(trajectory)).ravel() for trajectory, _ in trajectories]
+    return math.ceil(10.0 * max(y / x for x, y in extents)) / 10
 
 
 def _draw_human(axes: Axes, trajectory: Trajectory, j: int, steps_per_mark: int) -> None:

@@ -13,8 +13,8 @@ from hydra.core.config_store import ConfigStore
 from samarl.commands.bench import Bench
 from samarl.commands.cli import compose_cells
 from samarl.commands.export import Export
-from samarl.commands.overrides import CommandLine
 from samarl.commands.macro import Macro
+from samarl.commands.overrides import CommandLine
 from samarl.commands.predictor import Predictor
 from samarl.commands.record import Record
 from samarl.commands.render import Render

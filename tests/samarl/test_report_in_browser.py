@@ -7,9 +7,14 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Page
 
+from mrsan import Split
+from samarl import load_agent
+from samarl.evaluation.trajectory import record_episode
+from samarl.policies.explanation import ACTIVITIES
 from samarl.report.build import build_curves, read_runs
 from samarl.report.replays import ReplayFolder
 from tests.reporting import straight_trajectory
+from tests.samarl.test_right_of_way import NARROW
 
 
 def show(page: Page, site: Path, choice: str) -> None:
@@ -218,6 +223,21 @@ def test_a_report_shows_the_replays_so_far(page: Page, site: Path, tmp_path: Pat
     ReplayFolder(tmp_path / "site/replays", ["another"])
     page.reload()
     assert page.inner_text("#progress").startswith("0 of 1 ")
+
+
+def test_the_viewer_says_who_waits_at_a_door(page: Page, site: Path, tmp_path: Path) -> None:
+    shutil.copytree(site, tmp_path / "site")
+    case = Split.test.case(22)
+    trajectory = record_episode(load_agent("right_of_way", NARROW), NARROW, case)
+    folder = ReplayFolder(tmp_path / "site/replays", ["door"])
+    folder.add("door", "right_of_way", "test case 22", trajectory)
+    show(page, tmp_path / "site", "step=20")
+    words = {"drives": "driving"}
+    assert trajectory.activity is not None
+    names = [words.get(ACTIVITIES[k], ACTIVITIES[k]) for k in trajectory.activity[20]]
+    assert "waits" in names
+    expected = ", ".join(f"{i} {name}" for i, name in enumerate(names))
+    assert page.inner_text(".outcome >> nth=0") == f"Robots: {expected}."
 
 
 def test_the_page_works_by_keyboard_alone(page: Page, site: Path) -> None:

@@ -9,6 +9,9 @@ from mrsan import CrowdReaction, Layout, Place, Scenario, Split, World
 from mrsan.passages import find_passages
 from samarl import load_agent
 from samarl.agents.agent import act_and_tell
+from samarl.evaluation.trajectory import record_episode
+from samarl.policies.explanation import ACTIVITIES
+from samarl.report.replays import as_replay
 
 NARROW = Scenario(
     layout=Layout.doorway,
@@ -65,3 +68,25 @@ def test_without_messages_it_says_so() -> None:
     silent = replace(NARROW, team_messages=False)
     assert "team_messages" in str(load_agent("right_of_way", silent).scope_warning())
     assert load_agent("right_of_way", silent, central=True).scope_warning() is None
+
+
+def test_a_recorded_episode_says_who_waits_where_and_which_door_it_is() -> None:
+    """Who waits drives to a queue place of the mouth that it tells, others to their goals."""
+    trajectory = record_episode(load_agent("right_of_way", NARROW), NARROW, Split.test.case(22))
+    passages, activity, waypoint = trajectory.passages, trajectory.activity, trajectory.waypoint
+    assert activity is not None
+    assert waypoint is not None
+    places = np.concatenate(passages.places)
+    names = [set(np.take(ACTIVITIES, activity[:, i])) for i in range(4)]
+    assert set.union(*names) >= {"drives", "waits", "goes"}
+    for t, i in np.argwhere((activity == ACTIVITIES.index("waits")) & trajectory.driving[:-1]):
+        assert np.linalg.norm(places - waypoint[t, i], axis=-1).min() < 1e-5
+    drives = (activity == ACTIVITIES.index("drives")) & trajectory.driving[:-1]
+    assert np.abs(waypoint - trajectory.robot_goal)[drives].max() < 1e-3
+    replay = as_replay(trajectory)
+    assert replay["activities"] == activity.T.tolist()
+    np.testing.assert_allclose(np.array(replay["mouths"])[:, :2], passages.mouth, atol=1e-3)
+    assert len(replay["queuePlaces"]) == 8  # four at each mouth, where four robots have room
+    spread = passages.spread_places(0, 4)
+    gap = np.linalg.norm(spread[:, None] - spread, axis=-1)
+    assert gap[np.triu_indices(4, 1)].min() > 2 * NARROW.robot_radius

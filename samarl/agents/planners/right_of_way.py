@@ -26,6 +26,7 @@ from samarl.planning.passage_features import MATE, OWN, TRUTH, write_features
 from samarl.planning.right_of_way import BY_RULE, ENTER, QUEUE, Memory, Mouths, Settings
 from samarl.policies.card import find_policy
 from samarl.policies.checkpoint import load_policy
+from samarl.policies.explanation import Explanation
 from samarl.policies.policy import Policy
 from samarl.registry import needed
 
@@ -255,6 +256,12 @@ class RightOfWay(Agent):
         """Return what robots tell: what they do, and at which mouth they enter their passage."""
         numbers: NDArray[np.int32] = self._memory.macro_action
         return numbers
+
+    def explain(self) -> Explanation:
+        """Return what each robot does, and the queue place or goal that it drives to."""
+        memory = self._memory
+        waypoint = np.where(self.waits[..., None], memory.place, memory.goal)
+        return Explanation(waypoint=waypoint, activity=memory.mode.astype(np.int8))
 
     def _begin(self, known_map: KnownMap) -> None:
         """Find the passages of the worlds in which an episode begins."""

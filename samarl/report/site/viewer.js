@@ -88,7 +88,7 @@ let colours = {};
 function readColours() {
   const properties = style();
   colours = {};
-  for (const name of ["ink", "muted", "grid", "contact", "attention", "page", "panel"]) {
+  for (const name of ["ink", "muted", "grid", "contact", "passage", "attention", "page", "panel"]) {
     colours[name] = properties.getPropertyValue(`--${name}`).trim();
   }
   colours.robots = [0, 1, 2, 3, 4, 5, 6].map((i) => properties.getPropertyValue(`--series-${i}`).trim());
@@ -163,10 +163,15 @@ function drawSide({ canvas, episode }) {
     pen.lineWidth = 1;
     pen.stroke();
   };
-  const write = (text, [x, y], colour, size = 11) => {
+  const write = (text, [x, y], colour, size = 11, halo = null) => {
     pen.font = `600 ${size}px system-ui, sans-serif`;
     pen.textAlign = "center";
     pen.textBaseline = "middle";
+    if (halo) {
+      pen.strokeStyle = halo;
+      pen.lineWidth = 3;
+      pen.strokeText(text, x, y);
+    }
     pen.fillStyle = colour;
     pen.fillText(text, x, y);
   };
@@ -194,6 +199,15 @@ function drawSide({ canvas, episode }) {
     });
     pen.globalAlpha = 1;
   }
+  episode.queuePlaces.forEach((place) =>
+    disc(place, episode.radius, { stroke: colours.passage, width: 1, dash: [3, 3] }));
+  episode.mouths.forEach(([x, y, outX, outY, width]) => {
+    const half = [(-outY * width) / 2, (outX * width) / 2];
+    line([[x - half[0], y - half[1]], [x + half[0], y + half[1]]], colours.passage, 1.5, [4, 3]);
+    const at = (far, side) => [x + far * outX - side * outY, y + far * outY + side * outX];
+    line([at(0.6, 0), at(0.12, 0)], colours.passage, 1.5);
+    line([at(0.3, 0.13), at(0.12, 0), at(0.3, -0.13)], colours.passage, 1.5);
+  });
   episode.walls.forEach(([x0, y0, x1, y1]) => line([[x0, y0], [x1, y1]], colours.ink, 3));
 
   robots.forEach((robot, i) => { // fields of view
@@ -262,8 +276,8 @@ function drawSide({ canvas, episode }) {
     line(path, colour, 1);
     pen.globalAlpha = 1;
     line([...path.slice(0, k + 1), robot], colour, 2.2);
-    if (episode.waypoints && driving(i)) {
-      const waypoint = episode.waypoints[i][Math.min(k, episode.last - 1)];
+    const waypoint = episode.waypoints?.[i][Math.min(k, episode.last - 1)];
+    if (waypoint && driving(i) && distance(waypoint, episode.goals[i]) > 0.02) {
       line([robot, waypoint], colour, 1.5, [2, 4]);
       polygon(waypoint, diamond, 6, colour);
     }
@@ -279,6 +293,11 @@ function drawSide({ canvas, episode }) {
     if (i === me) disc(robot, episode.radius + 0.12, { stroke: colours.ink, width: 2 });
     if (isShielded(episode, i, k)) disc(robot, episode.radius + 0.25, { stroke: colours.contact, width: 3 });
     write(String(i), place(robot), visible ? colours.page : colour);
+    const activity = activityOf(episode, i, t);
+    if (activity) {
+      const [x, y] = place(robot);
+      write(activity, [x, y + episode.radius * scale + 8], colour, 11, colours.page);
+    }
     if (t === episode.last && episode.outcomes[i].startsWith("hit")) {
       const [x, y] = place(robot), arm = 11;
       for (const [width, ink] of [[6, colours.page], [3.5, colours.contact]]) {
@@ -304,6 +323,11 @@ function drawSide({ canvas, episode }) {
   canvas.dataset.time = state.time.toFixed(3);
   canvas.dataset.step = k;
 }
+
+// What a robot with macro actions does at a passage; empty if it just drives.
+const ACTIVITIES = ["", "waits", "goes", "holds off"];
+const activityOf = (episode, robot, t) => (episode.activities && t < episode.drivingSteps[robot]
+  ? ACTIVITIES[episode.activities[robot][Math.min(Math.floor(t), episode.last - 1)]] : "");
 
 const isShielded = (episode, robot, k) => Boolean(episode.shielded?.[robot].includes(k));
 
@@ -373,7 +397,7 @@ function outcomeOf(episode, i, t) {
     return { timeout: "out of time", interrupted: "still on its way" }[outcome] || outcome;
   }
   return t >= episode.drivingSteps[i] ? `arrived at ${seconds(episode, episode.drivingSteps[i])}`
-    : "driving";
+    : activityOf(episode, i, t) || "driving";
 }
 
 function describe({ episode, outcome, sight, canvas, name }) {
