@@ -29,7 +29,6 @@ from samarl.planning.path_rollouts import (
     STEPS,
     Others,
     Weights,
-    following_point,
     near_walls_of,
     plan,
     write_rest,
@@ -293,15 +292,14 @@ def direct(
         for i in range(pose.shape[0]):
             update_mode(e, i, mouths, memory, known_map, p.robot_radius, central)
         for i in range(pose.shape[0]):
-            count = 1
-            path[0, 0], path[0, 1] = goal[i, 0], goal[i, 1]
-            if not memory.arrived[e, i]:
-                count = _write_path(e, i, pose[i], goal[i], mouths, memory, known_map, cost, path)
-            k = following_point(path, count, 0, pose[i, 0], pose[i, 1])
-            target[e, i, 0], target[e, i, 1] = path[count - 1, 0], path[count - 1, 1]
-            following[e, i, 0], following[e, i, 1] = path[k, 0], path[k, 1]
-            at_goal = _length(path[count - 1], goal[i]) < 1e-6
-            _count_standstill(e, i, pose[i], at_goal, memory)
+            to = goal[i]
+            if memory.queued[e, i] >= 0 or memory.yields[e, i] > 0:
+                to = memory.place[e, i]
+            x, y = pose[i, 0], pose[i, 1]
+            write_route(*known_map, x, y, to[0], to[1], cost, path, 0)
+            target[e, i, 0], target[e, i, 1] = to[0], to[1]
+            following[e, i, 0], following[e, i, 1] = path[0, 0], path[0, 1]
+            _count_standstill(e, i, pose[i], _length(to, goal[i]) < 1e-6, memory)
             memory.macro_action[e, i] = number_of_mode(e, i, mouths, memory)
 
 
