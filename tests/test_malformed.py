@@ -59,7 +59,7 @@ from samarl.training.config import TrainerConfig
 from samarl.training.run import build_trainer
 from samarl.training.sweep import summary
 from tests.driving import driver_without_walls
-from tests.small import small_policy
+from tests.learning import policy
 
 SHARE = settings(max_examples=settings().max_examples // 8)  # of each test and kind
 DATA = Path(__file__).parent / "data"
@@ -250,7 +250,7 @@ def recordings() -> Readers:
 
 
 def checkpoints() -> Readers:
-    save_policy(Path("policy.safetensors"), small_policy(encoder="gru"), "hierarchical", {})
+    save_policy(Path("policy.safetensors"), policy(encoder="gru"), "hierarchical", {})
     for ending in ("safetensors", "json"):
         shutil.copy(SHIPPED / f"recurrent.{ending}", f"predictor.{ending}")
 

@@ -30,7 +30,6 @@ from mrsan.reward_terms import register_reward_term
 from mrsan.scenario import Scenario
 from mrsan.sensors import EntitySensor, ValueSensor, register_sensor
 from mrsan.state import State
-from mrsan.tasks import TASKS, Task
 from mrsan.world import ActionError, Step, World
 
 __version__ = version("samarl")  # one distribution holds both packages
@@ -38,7 +37,6 @@ __version__ = version("samarl")  # one distribution holds both packages
 __all__ = [
     "EGO_FEATURES",
     "OTHER_FEATURES",
-    "TASKS",
     "ActionError",
     "ConfigurationError",
     "Crowd",
@@ -62,7 +60,6 @@ __all__ = [
     "Split",
     "State",
     "Step",
-    "Task",
     "TeamPerception",
     "ValueSensor",
     "World",
@@ -77,13 +74,8 @@ try:
 except ModuleNotFoundError:  # a robot that only drives (samarl.runtime) does without
     pass
 else:
-    from functools import partial
-
-    _register = partial(
-        gymnasium.register,
+    gymnasium.register(
+        "mrsan/SocialNavigation-v0",
         entry_point="mrsan.gymnasium_env:GymnasiumEnv",
         vector_entry_point="mrsan.gymnasium_env:GymnasiumVectorEnv",
     )
-    _register("mrsan/SocialNavigation-v0")
-    for _task in TASKS.values():
-        _register(_task.id, kwargs={"scenario": _task.id})

@@ -12,8 +12,7 @@ from mrsan.gymnasium_env import arrays_in_space, as_spaces
 from mrsan.metrics import Episodes, Outcome, social_score
 from mrsan.observation import Observation
 from mrsan.rendering import Renderer
-from mrsan.scenario import Scenario
-from mrsan.tasks import overridden
+from mrsan.scenario import Scenario, overridden
 from mrsan.world import World
 
 try:
@@ -48,7 +47,7 @@ class SB3VecEnv(VecEnv):
 
     def __init__(
         self,
-        scenario: Scenario | str | None = None,
+        scenario: Scenario | None = None,
         worlds: int = 32,
         render_mode: str | None = None,
         **overrides: Any,
@@ -56,7 +55,7 @@ class SB3VecEnv(VecEnv):
         """Create the worlds.
 
         Args:
-            scenario: the task, or its id, such as `mrsan/Doorway-v0`. None: SAMARL's.
+            scenario: the task. None: SAMARL's.
             worlds: their number E.
             render_mode: None or "rgb_array".
             **overrides: fields of the scenario, such as `humans=5`.

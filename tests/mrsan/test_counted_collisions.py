@@ -80,13 +80,6 @@ def test_it_arrives_whatever_it_hit() -> None:
     assert not record.success[0]
 
 
-def test_it_arrives_even_in_contact_and_is_paid_for_both() -> None:
-    world = counted([(0, 0, 0, 0, 0.5, 0)], [(0.8, 0, 0, 0)])
-    assert drive(world, AHEAD, steps=1) == [[-20 + 10 + 5]]
-    assert world.state.arrived.all()
-    assert world.state.terminated[0]
-
-
 def test_steps_in_the_comfort_zone() -> None:
     """Past a person 0.8 m aside, whose zone reaches to 0.85 m from centre to centre: within it at
     |x| < 0.287, at the ends of the steps to 0.75, 1.0 and 1.25 with the person at x = 1."""

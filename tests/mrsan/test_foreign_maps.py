@@ -132,39 +132,6 @@ def test_shades_of_a_grid(tmp_path: Path) -> None:
     assert floor_area(path) == pytest.approx(94, abs=0.5)
 
 
-def test_odd_files_get_one_line(tmp_path: Path) -> None:
-    """Truncated, gigantic, empty, wrongly encoded and wrongly shaped files."""
-    ring = [[0, 0], [2, 0], [2, 2], [0, 0]]
-    contents: dict[str, bytes] = {
-        "empty.yaml": b"",
-        "deep.geojson": b"[" * 100_000,
-        "alias.yaml": b"bounds: &a [[0, 0], [9, 0], [9, 9]]\nobstacles: [*a]",
-        "stray.yaml": b"obstacles: [[[0, 0], [1, 0], [1, 1]], [[5e6, 0], [5e6, 1], [5000001, 0]]]",
-        "degrees.yaml": b"bounds: [[11.6, 48.1], [11.6002, 48.1], [11.6002, 48.1001]]",
-        "twice.geojson": b'{"type": "Polygon", "type": "Polygon", "coordinates": []}',
-        "wgs84.geojson": json.dumps(
-            {
-                "type": "FeatureCollection",
-                "crs": {"properties": {"name": "urn:ogc:def:crs:OGC:1.3:CRS84"}},
-                "features": [{"type": "Polygon", "coordinates": [ring]}],
-            }
-        ).encode(),
-        "text.yaml": b"image: 1.pgm\nresolution: 0.05\norigin: [0, 0, 0]",
-        "1.pgm": b"not a picture",
-    }
-    for name, content in contents.items():
-        (tmp_path / name).write_bytes(content)
-    for name in contents:
-        if name == "1.pgm":
-            continue
-        with pytest.raises(MapError) as error:
-            load_map(tmp_path / name)
-        assert str(tmp_path / name) in str(error.value)
-        assert "\n" not in str(error.value)
-    with pytest.raises(MapError):
-        load_map(tmp_path)  # a folder
-
-
 def test_the_crs_of_metres_may_be_wrong_but_not_that_of_degrees(tmp_path: Path) -> None:
     """Some programs state CRS84 whatever the coordinates are."""
     for dx, words in ((0.0, "degrees"), (691000.0, "read as metres")):

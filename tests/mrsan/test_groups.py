@@ -67,23 +67,6 @@ def test_a_group_keeps_together_on_a_long_way(crowd: str, size: int) -> None:
         np.testing.assert_array_equal(goals, goals[[0] * size])
 
 
-@pytest.mark.parametrize("size", [2, 3, 4])
-def test_a_group_walks_abreast(size: int) -> None:
-    """A file becomes a line across the way, with 0.2 to 0.5 m between neighbours."""
-    world = group_of(size)
-    state = world.state
-    state.human_position[0] = [[-1.0 * k, 0.1 * k] for k in range(size)]
-    state.human_goal[0] = [60.0, 0.0]
-    along = np.ptp(state.human_position[0, :, 0])
-    assert along == size - 1
-    positions, velocities = walk(world, 60)
-    assert np.ptp(positions[-1, :, 0]) < 0.2
-    across = np.diff(np.sort(positions[-1, :, 1]))
-    assert (across > 0.79).all()
-    assert (across < 1.1).all()
-    np.testing.assert_allclose(velocities[-1, :, 0], 1.0, atol=0.05)
-
-
 def test_shares_and_sizes_are_drawn_by_the_case() -> None:
     scenario = Scenario(
         robots=1, humans=30, circle_radius=15.0, groups=Groups(share=0.6, size_min=2, size_max=3)
@@ -122,21 +105,3 @@ def test_an_intrusion_is_what_shapely_says(size: int) -> None:
             assert state.tally[0, 0, INTRUSION_STEPS] == (distance < 0.3)
             intrusions += distance < 0.3
     assert 15 < intrusions < 140
-
-
-def test_who_is_absent_or_alone_spans_no_hull_and_parked_robots_do_not_intrude() -> None:
-    world = group_of(2)
-    state = world.state
-    for present, group, arrived, counts in (
-        (True, 0, False, True),
-        (False, 0, False, False),
-        (True, -1, False, False),
-        (True, 0, True, False),
-    ):
-        world.reset([0])
-        state.human_position[0] = [[0.0, -0.8], [0.0, 0.8]]
-        state.robot_position[0], state.robot_goal[0] = 0.0, [60.0, 0.0]
-        state.human_present[0, 1], state.human_social[0, 1, GROUP] = present, group
-        state.arrived[0] = arrived
-        world.step(STANDING)
-        assert bool(state.tally[0, 0, INTRUSION_STEPS]) is counts

@@ -46,19 +46,6 @@ def test_the_goals_of_robots_are_turned_about_the_middle(degrees: float) -> None
     np.testing.assert_allclose(world.robot_heading, np.arctan2(way[..., 1], way[..., 0]), atol=1e-5)
 
 
-def test_a_spread_of_turns_is_uniform_and_drawn_per_robot() -> None:
-    fields = {"robots": 2, "goal_turn_degrees": 20.0, "goal_rotation_range_degrees": 40.0}
-    s = begun(3000, spawn_jitter=0.0, **fields).state
-    angle = np.arctan2(s.robot_goal[..., 1], s.robot_goal[..., 0])
-    angle -= np.arctan2(-s.robot_start[..., 1], -s.robot_start[..., 0])
-    turn = np.degrees(np.arctan2(np.sin(angle), np.cos(angle)))
-    assert turn.min() == pytest.approx(-20.0, abs=0.5)
-    assert turn.max() == pytest.approx(60.0, abs=0.5)
-    assert turn.mean() == pytest.approx(20.0, abs=1.5)
-    assert turn.std() == pytest.approx(80.0 / np.sqrt(12), rel=0.05)
-    assert abs(np.corrcoef(turn.T)[0, 1]) < 0.1
-
-
 @pytest.mark.parametrize("layout", LATER)
 def test_robots_start_and_go_anywhere_on_the_floor(layout: Layout) -> None:
     s = begun(
@@ -128,15 +115,6 @@ def test_mixed_is_each_of_the_layouts_as_often() -> None:
     assert (matches == 1).all()
 
 
-def test_a_share_of_people_is_in_a_hurry() -> None:
-    s = begun(1000, humans=5, hurry_probability=0.2).state
-    hurried = s.human_speed != 1.0
-    assert hurried.mean() == pytest.approx(0.2, abs=0.03)
-    assert s.human_speed[hurried].min() >= 1.5
-    assert s.human_speed[hurried].max() <= 2.0
-    assert s.human_speed[hurried].mean() == pytest.approx(1.75, abs=0.03)
-
-
 def test_people_stand_for_whole_intervals() -> None:
     """Every 5 s: 20 steps."""
     world = far_away(begun(1000, humans=1, stand_probability=0.3))
@@ -178,19 +156,6 @@ def test_who_comes_later_is_nowhere_until_then() -> None:
         waiting = ~s.human_present
         np.testing.assert_array_equal(s.human_position[waiting], place[waiting])
     assert s.human_present.mean() > 0.95  # where there was room
-
-
-def test_nobody_appears_before_a_robot() -> None:
-    world = begun(1, robots=1, humans=1, late_probability=1.0, late_time=0.0)
-    s = world.state
-    assert s.human_entry[0, 0] == 1
-    s.robot_position[0, 0] = s.human_position[0, 0] + (1.5, 0.0)
-    for _ in range(5):
-        world.step(rest(world))
-        assert not s.human_present.any()
-    s.robot_position[0, 0] += (0.2, 0.0)
-    world.step(rest(world))
-    assert s.human_present.all()
 
 
 def test_who_leaves_at_its_goal_does_not_come_back() -> None:

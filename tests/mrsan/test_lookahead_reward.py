@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from staging import stage
 
-from mrsan import Reward, Scenario, TeamPerception, World
+from mrsan import Reward, Scenario, World
 from mrsan.prediction import PREDICTORS, ConstantVelocity, register_predictor
 
 COAST = [0.0, 0.0, 0.0]
@@ -36,19 +36,6 @@ def after(k: int, weight: float = 1.0) -> float:
 def test_the_first_intrusion_counts(x: float, k: int | None) -> None:
     expected = 0.0 if k is None else after(k)
     assert paid(stage([DRIVER], [(x, 0, 0, 0)], reward=ON), COAST) == [expected]
-
-
-def test_what_team_mates_tell_is_not_in_view() -> None:
-    """The second robot sees the person behind the first, and says so."""
-    robots = [(0, 0, 0, 0, 9, 0), (-4, 0, 0, 0, 9, 3)]
-    fields: dict[str, Any] = {"fov_degrees": 90.0, "reward": ON}
-    team_world = stage(robots, [(-1.2, 0, 0.6, 0)], team_perception=TeamPerception.tracks, **fields)
-    observation = team_world.step([[COAST, COAST]]).observation
-    assert observation.humans_reported[0].tolist() == [[True], [False]]
-    assert paid(team_world, COAST, COAST) == [0.0, 0.0]
-    seen = stage(robots, [(-1.2, 0, 0.6, 0)], reward=ON)
-    seen.step([[COAST, COAST]])
-    assert paid(seen, COAST, COAST)[0] < 0.0
 
 
 RANDOM = Scenario(
@@ -98,23 +85,6 @@ def test_it_agrees_with_plain_python() -> None:
                 assert step.reward_parts.lookahead[e, i] == pytest.approx(expected, abs=1e-6)
                 agreed += expected < 0
     assert agreed > 100
-
-
-def test_the_rest_of_the_reward_and_of_the_world_stays_as_it_was() -> None:
-    rng = np.random.default_rng(0)
-    off, on = World(replace(RANDOM, reward=Reward()), 30, True), World(RANDOM, 30, True)
-    off.reset(np.arange(30)), on.reset(np.arange(30))
-    for _ in range(40):
-        action = rng.uniform(-1, 1, (30, 3, 3))
-        a, b = off.step(action), on.step(action)
-        for name in ("progress", "arrival", "team", "collision", "discomfort"):
-            np.testing.assert_array_equal(
-                getattr(a.reward_parts, name), getattr(b.reward_parts, name)
-            )
-        assert not a.reward_parts.lookahead.any()
-        for name, array in a.observation.arrays().items():
-            np.testing.assert_array_equal(array, b.observation.arrays()[name])
-    assert off.state.human_past.size == off.state.human_past_valid.size == 0
 
 
 RECURRENT = replace(RANDOM, reward=replace(RANDOM.reward, lookahead_predictor="recurrent"))

@@ -10,7 +10,6 @@ import shapely
 import yaml
 from PIL import Image
 
-from mrsan import Layout, Scenario, World
 from mrsan.maps import MapError, load_map, trace_free_area
 
 SQUARE = [[0, 0], [1, 0], [1, 1], [0, 1]]
@@ -83,21 +82,6 @@ def test_mistakes_are_named(tmp_path: Path, content: Any, named: str) -> None:
     assert "\n" not in str(error.value)
 
 
-@pytest.mark.parametrize(
-    "inside",
-    [
-        {"walls": [[[-2, 5], [-2, -2], [2, -2], [2, 5]]]},  # along the notch
-        {"walls": [[[-5, -4], [5, -4]]]},  # from border to border
-        {"walls": [[[-5, 1], [-2, -2], [0, -5]]]},  # touches a corner
-        {"walls": [[[-3, -2], [3, -3]]]},  # passes below the notch
-        {"obstacles": [[[-2, -2], [2, -2], [0, -4]]]},  # shares a side
-    ],
-)
-def test_polygons_may_touch_the_bounds(tmp_path: Path, inside: dict[str, Any]) -> None:
-    polygons = load_map(written(tmp_path, {"bounds": U_SHAPE, **inside}))
-    assert len(polygons) > 1
-
-
 @pytest.mark.parametrize("negate", [0, 1])
 @pytest.mark.parametrize("yaw", [0.0, 0.5])
 def test_a_map_of_ros(tmp_path: Path, negate: int, yaw: float) -> None:
@@ -122,24 +106,6 @@ def test_a_map_of_ros(tmp_path: Path, negate: int, yaw: float) -> None:
     for polygon, expected in ((bounds, placed(-4, -3, 4, 3)), (pillar, placed(0, 0, 1, 1))):
         ring = shapely.LinearRing(polygon)
         assert shapely.hausdorff_distance(ring, expected.exterior) < 0.08  # less than a cell
-
-
-def test_agents_stay_on_the_floor_of_a_map(tmp_path: Path) -> None:
-    content = {"bounds": BOUNDS, "obstacles": [SQUARE], "walls": [[[-5, -2], [3, -2]]]}
-    path = written(tmp_path, content)
-    scenario = Scenario(layout=Layout.map, map=str(path), humans=5, terminate_on_collision=False)
-    world = World(scenario, 20)
-    world.reset(np.arange(20))
-    lines = shapely.union_all([shapely.LinearRing(BOUNDS), shapely.LinearRing(SQUARE)])
-    lines = lines.union(shapely.LineString([[-5, -2], [3, -2]]))
-    state = world.state
-    assert (shapely.distance(shapely.points(state.robot_goal), lines) > 0.39).all()
-    for _ in range(60):
-        world.step(np.zeros((20, 3, 3), np.float32))
-    assert (shapely.distance(shapely.points(state.human_position), lines) > 0.29).all()
-    assert (
-        state.route_length > np.linalg.norm(state.robot_goal - state.robot_start, axis=-1) + 1
-    ).any()
 
 
 def test_no_obstacle_of_a_grid_is_too_small() -> None:

@@ -63,19 +63,6 @@ def test_a_contact_between_two_moments_counts_and_the_chord_does_not() -> None:
     assert straight.state.tally[0, 0, 1] == pytest.approx(0.2, abs=1e-6)  # closest human
 
 
-def test_two_robots_on_bent_paths_touch_where_they_meet() -> None:
-    """Both come to the middle and return; they start and end 2 m apart."""
-    world = World(Scenario(robots=2, humans=0))
-    world.reset([0])
-    world.state.robot_position[0] = [(-1.0, 0.0), (1.0, 0.0)]
-    world.state.robot_goal[0] = [(9.0, 0.0), (-9.0, 0.0)]
-    path = np.zeros((1, 2, 2, 5), np.float32)
-    path[0, 0, :, 0], path[0, 1, :, 0] = (-0.2, -1.0), (0.2, 1.0)
-    world.step_along(path)
-    record = episodes_of(world.state, world.scenario, np.ones(1, np.bool_))
-    assert record.outcome[0].tolist() == [Outcome.hit_robot, Outcome.hit_robot]
-
-
 def test_paths_that_are_not_finite_are_refused() -> None:
     world = World(Scenario())
     world.reset([0])

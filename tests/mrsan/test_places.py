@@ -80,23 +80,6 @@ def test_parked_robots_leave_the_others_a_way() -> None:
                 assert any(part.contains(start) and part.contains(goal) for part in parts)
 
 
-def test_people_do_not_jam() -> None:
-    """Nobody stands for 10 s in doorways and corridors, where people meet head-on."""
-    for layout in (Layout.doorway, Layout.corridor):
-        world = worlds_of(layout, 100, humans=8, terminate_on_collision=False)
-        actions = np.zeros((100, 3, 3), np.float32)
-        standing = np.zeros((100, 8), int)
-        crossed = np.zeros((100, 8), bool)
-        side = np.sign(world.state.human_position[..., 0])
-        for _ in range(200):
-            world.step(actions)
-            slow = np.linalg.norm(world.state.human_velocity, axis=-1) < 0.05
-            standing = np.where(slow, standing + 1, 0)
-            assert (standing < 40).all()
-            crossed |= np.sign(world.state.human_position[..., 0]) != side
-        assert crossed.mean() > 0.5  # they do pass through
-
-
 @pytest.mark.parametrize("layout", [Layout.doorway, Layout.rooms, Layout.pillars])
 def test_routes_are_the_shortest_in_the_graph(layout: Layout) -> None:
     """Dijkstra's algorithm in plain Python, with shapely to decide where a disc can move."""

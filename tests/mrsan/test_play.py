@@ -66,21 +66,6 @@ def test_holonomic_robots_drive_in_the_direction_on_the_screen() -> None:
     np.testing.assert_allclose(moved, [-0.5, 0.25], atol=1e-5)
 
 
-@pytest.mark.parametrize("kinematics", Kinematics)
-def test_other_robots_stand_or_drive_to_their_goals(kinematics: Kinematics) -> None:
-    arrived = {}
-    for others in ("still", "straight"):
-        scenario = Scenario(robots=2, humans=0, kinematics=kinematics, goal_turn_degrees=40.0)
-        game = Game(scenario, 0, others)
-        start = game.world.state.robot_position[0, 1].copy()
-        for _ in range(100):
-            game.step(())
-        arrived[others] = bool(game.world.state.arrived[0, 1])
-        if others == "still":
-            np.testing.assert_array_equal(game.world.state.robot_position[0, 1], start)
-    assert arrived == {"still": False, "straight": True}
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

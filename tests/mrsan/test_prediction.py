@@ -17,7 +17,6 @@ from mrsan.prediction import (
     ConstantVelocity,
     RecurrentPredictor,
     find_predictor,
-    own_frame,
     shapes,
 )
 
@@ -64,14 +63,6 @@ def test_it_turns_and_moves_with_the_world(angle: float) -> None:
     np.testing.assert_allclose(NETWORK.predict(*moved, K), positions, atol=1e-4)
 
 
-def test_who_stops_is_predicted_in_the_direction_of_before() -> None:
-    """Who walked along y and now stands: ahead is y."""
-    past = np.zeros((1, 1, H, 2), np.float32)
-    past[..., 1] = np.minimum(np.arange(H), H - 2) * DT
-    ahead = own_frame(past, np.ones((1, 1, H), bool), np.zeros((1, 1, 2), "f4"), np.float32(DT))[2]
-    np.testing.assert_array_equal(ahead, [[[0, 1]]])
-
-
 def test_what_is_not_known_does_not_matter_by_one_bit() -> None:
     past, known, velocity = walks()
     known[..., -1] = True
@@ -79,16 +70,6 @@ def test_what_is_not_known_does_not_matter_by_one_bit() -> None:
     assert (other != past).any()
     positions = NETWORK.predict(past, known, velocity, K)
     np.testing.assert_array_equal(NETWORK.predict(other, known, velocity, K), positions)
-
-
-def test_alone_or_among_others_it_is_the_same_to_the_bit() -> None:
-    past, known, velocity = walks(worlds=300)
-    positions = NETWORK.predict(past, known, velocity, K)
-    for rows in (slice(0, 1), slice(17, 40)):
-        some = NETWORK.predict(past[rows], known[rows], velocity[rows], K)
-        np.testing.assert_array_equal(some, positions[rows])
-    one = NETWORK.predict(past[3, 2], known[3, 2], velocity[3, 2], K)
-    np.testing.assert_array_equal(one, positions[3, 2])
 
 
 def read(w: dict[str, np.ndarray], hidden: list[float], x: float, y: float) -> list[float]:

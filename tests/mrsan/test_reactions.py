@@ -85,21 +85,6 @@ def test_who_looks_the_other_way_does_not_notice_a_robot() -> None:
     np.testing.assert_array_equal(people[-1], 0.0)
 
 
-def test_an_impassive_person_does_not_anticipate() -> None:
-    """A robot that drives along beside the person is no obstacle; one that stood there would be."""
-
-    def walk(reaction: Reaction, speed: float, steps: int) -> NDArray[np.float32]:
-        world = one_robot(**everybody(reaction))
-        world.state.human_velocity[0] = [1.0, 0.0]
-        return drive(world, (2.5, 0.0), (speed, 0.0), steps)[0]
-
-    ahead = walk(Reaction.regular, 1.0, 8)
-    np.testing.assert_allclose(ahead[:, 0], 0.25 * np.arange(1, 9), atol=1e-5)
-    impassive = walk(Reaction.impassive, 1.0, 8)
-    assert impassive[-1, 0] < ahead[-1, 0] - 0.1
-    np.testing.assert_array_equal(impassive[0], walk(Reaction.regular, 0.0, 1)[0])
-
-
 def test_robots_and_people_do_the_same_share_of_avoiding() -> None:
     """Two people meet as a person and a robot do who both decide by ORCA."""
     two = one_robot(humans=2, crowd_reaction=CrowdReaction.reciprocal)

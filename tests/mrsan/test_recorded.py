@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from benchmarks.synthetic_recording import recording_text as synthetic
-from mrsan import ConfigurationError, Crowd, Scenario, World
+from mrsan import Crowd, Scenario, World
 from mrsan.recording import (
     SAMPLE,
     load_recording,
@@ -84,21 +84,6 @@ def test_a_long_gap_begins_another_track(tmp_path: Path, pause: float, tracks: i
         )
 
 
-def test_what_is_no_recording_is_refused(tmp_path: Path) -> None:
-    for path in (tmp_path, tmp_path / "none.txt"):
-        with pytest.raises(ConfigurationError, match="recording"):
-            World(recorded(str(path)))
-    (tmp_path / "binary").write_bytes(bytes(range(256)))
-    with pytest.raises(ConfigurationError, match="cannot be read as text"):
-        World(recorded(str(tmp_path / "binary")))
-    with pytest.raises(ConfigurationError, match=r"unless scenario\.crowd is recorded"):
-        Scenario(recording="people.txt")
-    with pytest.raises(ConfigurationError, match=r"scenario\.crowd is recorded.*crowd_reaction"):
-        recorded(crowd_reaction="reciprocal")
-    with pytest.raises(ConfigurationError, match="route_length_min is 13"):
-        World(recorded(written(tmp_path, TWO), route_length_min=13.0))
-
-
 def test_people_in_the_world_walk_as_recorded() -> None:
     world = World(recorded(), len(CASES))
     world.reset(CASES)
@@ -171,28 +156,3 @@ def test_robots_start_where_nobody_is() -> None:
     way = np.linalg.norm(s.robot_goal - s.robot_position, axis=-1)
     assert 4.0 <= way.min() <= way.max() <= 14.0
     assert len(np.unique(s.record_step)) > 100  # moments differ
-
-
-def test_what_robots_do_changes_nothing_for_the_people() -> None:
-    still, driving = World(recorded(), 5), World(recorded(), 5)
-    for world in (still, driving):
-        world.reset(CASES[:5])
-    full = rest(driving)
-    full[..., 0] = 1.0
-    for _ in range(20):
-        still.step(rest(still))
-        driving.step(full)
-        for world in (still, driving):
-            world.state.terminated[:] = False
-        np.testing.assert_array_equal(still.state.human_position, driving.state.human_position)
-
-
-def test_an_episode_does_not_depend_on_the_batch() -> None:
-    many, one = World(recorded(), 9), World(recorded(), 1)
-    many.reset(np.arange(9))
-    one.reset([7])
-    for _ in range(60):
-        many.step(rest(many))
-        one.step(rest(one))
-        for name in many.state._fields:
-            np.testing.assert_array_equal(getattr(many.state, name)[7], getattr(one.state, name)[0])

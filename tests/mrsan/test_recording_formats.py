@@ -202,64 +202,6 @@ def test_a_refusal_says_what_is_wrong_with_this_file(
     )
 
 
-def test_boxes_of_people_in_the_picture_are_used(tmp_path: Path) -> None:
-    """Of SDD: the middle of a box, of pedestrians that are not lost."""
-    rows = [
-        f'{id} {x} 0 {x + 20} 40 {10 * k} {lost} 0 0 "{label}"\n'
-        for k in range(20)
-        for id, x, lost, label in (
-            (1, 12 * k, 0, "Pedestrian"),
-            (2, 12 * k, 0, "Cart"),
-            (3, 12 * k, 1, "Pedestrian"),
-        )
-    ]
-    people = load(written(tmp_path, "".join(rows)), scale=0.04)
-    np.testing.assert_allclose(
-        people.position, [[0.04 * (12 * k + 10), 0.8] for k in range(20)], atol=1e-9
-    )
-    assert [note.split()[0] for note in people.rows.notes] == ["20", "20"]
-
-
-HEADERS = {
-    "frame": ["frame", "frame_id", "Frame Number", "fr"],
-    "id": ["id", "ped_id", "trackId", "PersID"],
-    "x": ["x", "pos_x", "x[m]", "xCenter", "x/m"],
-    "y": ["y", "pos_y", "y[m]", "yCenter", "y/m"],
-    "z": ["z", "heading", "note"],
-}
-
-
-@st.composite
-def tables(draw: st.DrawFn) -> bytes:
-    """`ROWS` with named columns in any order, with any separator, order of lines and encoding."""
-    separator = draw(st.sampled_from([",", ";", "\t", ", ", "; "]))
-    comma = separator not in (",", ", ") and draw(st.booleans())
-    unit = draw(st.integers(0, 4))
-    names = {role: options[min(unit, len(options) - 1)] for role, options in HEADERS.items()}
-    if separator == "\t":
-        names = {role: name.replace(" ", "_") for role, name in names.items()}
-    roles = draw(st.permutations(["frame", "id", "x", "y", "z"]))
-    columns = dict(zip(("frame", "id", "x", "y"), ROWS.T, strict=True)) | {"z": ROWS[:, 0] * 0.0}
-    order = draw(st.permutations(range(len(ROWS))))
-    text = draw(st.sampled_from(["", "# "])) + separator.join(names[role] for role in roles) + "\n"
-    for k in order:
-        cells = [repr(float(columns[role][k])) for role in roles]
-        text += separator.join(cell.replace(".", ",") if comma else cell for cell in cells) + "\n"
-    text = text.replace("\n", draw(st.sampled_from(["\n", "\r\n", "\n\n"])))
-    return text.encode(draw(st.sampled_from(["utf-8", "utf-8-sig", "utf-16"])))
-
-
-@given(tables())
-@settings(max_examples=60, deadline=None)
-def test_names_separators_orders_and_encodings_do_not_matter(
-    tmp_path_factory: pytest.TempPathFactory, content: bytes
-) -> None:
-    people = load(written(tmp_path_factory.mktemp("table"), content))
-    order = np.lexsort((people.rows.person, people.rows.frame))
-    read = np.column_stack([people.rows.frame, people.rows.person, people.position])[order]
-    np.testing.assert_array_equal(read, ROWS)
-
-
 @given(st.lists(st.text(st.sampled_from("0123456789.-,;?# \t\"'{}[]:efx\u00fc"), max_size=30)))
 @settings(max_examples=200, deadline=None)
 def test_any_text_is_read_or_refused(

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mrsan import ConfigurationError, Crowd, Layout, Reward, Scenario
+from mrsan import ConfigurationError, Crowd, Layout, Reactions, Reward, Scenario
 from mrsan.parameters import kernel_parameters
 from samarl.evaluation.runner import Evaluation
 
@@ -69,71 +69,39 @@ def test_the_ends_of_each_range_can_be_used() -> None:
             assert actual == value, f"{PATH[owner]}.{name}"
 
 
-@pytest.mark.parametrize(
-    ("fields", "message"),
-    [
+def test_contradictions_name_both_sides() -> None:
+    for fields, message in (
         ({"humans": 3, "humans_min": 4}, "humans_min is 4; it must not exceed scenario.humans (3)"),
         ({"human_radius_min": 0.4}, "human_radius_min is 0.4; it must not exceed"),
         ({"human_speed_min": 1.1}, "human_speed_min is 1.1; it must not exceed"),
         ({"time_limit": 0.2}, "time_step is 0.25; it must not exceed scenario.time_limit (0.2)"),
         ({"goal_distance": 5.5}, "goal_distance is 5.5; it must not exceed scenario.circle_radius"),
         ({"arena_radius": 6.0}, "arena_radius is 6.0; it must be null or at least 6.01"),
-        (
-            {"goal_change_probability_max": 0.3},
-            "goal_change_probability is 0.5; it must not exceed",
-        ),
         ({"reward": 3}, "reward is 3; it must be a Reward"),
-    ],
-)
-def test_contradictions_name_both_sides(fields: dict[str, Any], message: str) -> None:
-    with pytest.raises(ConfigurationError) as error:
-        Scenario(**fields)
-    assert str(error.value).startswith(f"scenario.{message}")
+        ({"crowd": "nobody"}, "crowd is 'nobody'; it must be one of orca, social_force"),
+        ({"layout": "plaza"}, "layout is 'plaza'; it must be one of circle, crossing"),
+        ({"reactions": Reactions(regular=0.9)}, "reactions has shares whose sum is 1.5"),
+    ):
+        with pytest.raises(ConfigurationError) as error:
+            Scenario(**fields)  # type: ignore[arg-type]
+        assert str(error.value).startswith(f"scenario.{message}")
 
 
-# Fields that contradict each other: where both are used, and where one of them is not.
-CONTRADICTIONS: list[tuple[dict[str, Any], list[dict[str, Any]], list[dict[str, Any]]]] = [
-    (
-        {"route_length_min": 20.0, "route_length_max": 30.0},
-        [{"layout": Layout.square}, {"layout": Layout.mixed}],
-        [{}, {"crowd": Crowd.recorded}],
-    ),
-    (
-        {"route_length_max": 3.0},
-        [{"layout": Layout.square}, {"layout": Layout.mixed}, {"crowd": Crowd.recorded}],
-        [{}],
-    ),
-    (
-        {"circle_radius": 3.0},  # goal_distance is 4
-        [{}, {"layout": Layout.mixed}],
-        [{"layout": Layout.square}, {"crowd": Crowd.still}, {"crowd": Crowd.recorded}],
-    ),
-    (
-        {"arena_radius": 6.0, "circle_radius": 8.0, "floor_size": 8.0},
-        [{}, {"layout": Layout.mixed}],
-        [{"layout": Layout.square}, {"layout": Layout.crossing}],
-    ),
-    (
-        {"hurry_speed_min": 3.0},
-        [{"hurry_probability": 0.1}],
-        [{}, {"hurry_probability": 0.1, "crowd": Crowd.recorded}],
-    ),
-    (
-        {"goal_change_probability_max": 0.1},
-        [{}],
-        [{"crowd": Crowd.still}, {"crowd": Crowd.recorded}],
-    ),
-    ({"human_speed_min": 2.0}, [{}], [{"crowd": Crowd.recorded}]),
-    ({"humans_min": 20}, [{}], [{"crowd": Crowd.recorded}]),
-]
-
-
-@pytest.mark.parametrize(("fields", "used", "unused"), CONTRADICTIONS)
-def test_fields_may_contradict_each_other_where_one_of_them_is_not_used(
-    fields: dict[str, Any], used: list[dict[str, Any]], unused: list[dict[str, Any]]
-) -> None:
-    for place in used:
-        with pytest.raises(ConfigurationError, match=r"scenario\.\w+ is "):
-            Scenario(**fields, **place)
-    for place in unused:
-        assert kernel_parameters(Scenario(**fields, **place))
+def test_fields_may_contradict_each_other_where_one_of_them_is_not_used() -> None:
+    square, mixed = {"layout": Layout.square}, {"layout": Layout.mixed}
+    recorded, still = {"crowd": Crowd.recorded}, {"crowd": Crowd.still}
+    hurry = {"hurry_probability": 0.1}
+    for fields, used, unused in (
+        ({"route_length_min": 20.0, "route_length_max": 30.0}, [square, mixed], [{}, recorded]),
+        ({"route_length_max": 3.0}, [square, mixed, recorded], [{}]),
+        ({"circle_radius": 3.0}, [{}, mixed], [square, still, recorded]),  # goal_distance is 4
+        ({"hurry_speed_min": 3.0}, [hurry], [{}, hurry | recorded]),
+        ({"goal_change_probability_max": 0.1}, [{}], [still, recorded]),
+        ({"human_speed_min": 2.0}, [{}], [recorded]),
+        ({"humans_min": 20}, [{}], [recorded]),
+    ):
+        for place in used:
+            with pytest.raises(ConfigurationError, match=r"scenario\.\w+ is "):
+                Scenario(**fields, **place)
+        for place in unused:
+            assert kernel_parameters(Scenario(**fields, **place))

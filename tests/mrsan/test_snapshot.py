@@ -92,31 +92,12 @@ def test_only_the_chosen_worlds_go_back() -> None:
 
 def test_what_does_not_fit_is_refused_and_nothing_is_written() -> None:
     world = begun()
-    before = bits(world.state)
-    past = World(SCENARIO, E).snapshot()
-    for snapshot, worlds, error, message in (
-        (
-            World(SCENARIO, 2).snapshot(),
-            None,
-            ValueError,
-            r"snapshot.case has shape \(2,\); it must have \(24,\)",
-        ),
-        (
-            past._replace(tally=past.tally[:, :1]),
-            None,
-            ValueError,
-            r"snapshot.tally has shape \(24, 1, 16\); it must have \(24, 2, 16\)",
-        ),
-        (
-            past._replace(clock=past.clock.astype(float)),
-            None,
-            ValueError,
-            "snapshot.clock has type float64; it must have int32",
-        ),
-        (past, [True] * 3, ValueError, "it must be 24 booleans"),
-        (past._asdict(), None, TypeError, "snapshot is a dict; it must be a State"),
+    before, past = bits(world.state), World(SCENARIO, E).snapshot()
+    for snapshot, worlds, message in (
+        (World(SCENARIO, 2).snapshot(), None, r"snapshot.case has shape \(2,\); .* \(24,\)"),
+        (past._replace(clock=past.clock.astype(float)), None, "clock has type float64; .* int32"),
+        (past, [True] * 3, "it must be 24 booleans"),
     ):
-        with pytest.raises(error, match=message) as caught:
-            world.restore(snapshot, worlds)  # type: ignore[arg-type]
-        assert len(str(caught.value).splitlines()) == 1
+        with pytest.raises(ValueError, match=message):
+            world.restore(snapshot, worlds)
         assert bits(world.state) == before

@@ -176,7 +176,7 @@ def well_conditioned(before: dict[str, Any], goal: np.ndarray, scenario: Scenari
 
 
 @given(SCENARIOS, SEEDS, st.sampled_from([1.5, 3.0, 5.5]))
-@settings(max_examples=300)
+@settings(max_examples=200)
 def test_people_choose_what_the_twin_chooses(scenario: Scenario, seed: int, room: float) -> None:
     world = World(scenario)
     actions = scatter(world, seed, room)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numba import njit
 
-from mrsan import Crowd, Scenario, World
+from mrsan import Scenario, World
 from mrsan.kernels import layout
 from mrsan.parameters import kernel_parameters
 
@@ -118,19 +118,6 @@ def test_goals_change_at_the_interval_with_the_stated_probability(probability: f
     spread = FIVE_SIGMA * np.sqrt(probability * (1 - probability) / trials)
     assert trials > 5000
     assert abs(changes / trials - probability) <= spread
-
-
-def test_a_person_at_its_goal_gets_a_new_one() -> None:
-    world = begun(50, robots=1, humans=1, goal_change_probability=0.0, crowd=Crowd.orca)
-    s = world.state
-    s.robot_position[:] = 100.0
-    s.human_position[:] = s.human_goal + np.array([0.2, 0.0])
-    old = s.human_goal.copy()
-    world.step(np.zeros((50, 1, 3)))
-    assert (s.human_goal != old).any(-1).all()
-    assert (np.linalg.norm(s.human_goal - old, axis=-1) >= 4 - 0.21).all()
-    speed = np.linalg.norm(s.human_velocity, axis=-1)
-    np.testing.assert_allclose(speed, 1.0, rtol=1e-5)  # and is on its way at once
 
 
 @njit

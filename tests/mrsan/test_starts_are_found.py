@@ -34,42 +34,15 @@ def test_routes_of_one_fixed_length_are_drawn(length: float) -> None:
     assert np.abs([state.robot_position, state.robot_goal]).max() < 7.0 * 2.0
 
 
-@pytest.mark.parametrize(
-    ("fields", "named"),
-    [
-        ({"crowd": Crowd.recorded, "robots": 16, "spawn_clearance": 10.0}, "scenario.robots is 16"),
-        (
-            {
-                "layout": Layout.square,
-                "floor_size": 6.0,
-                "arena_radius": 25.0,
-                "robots": 16,
-                "robot_radius": 2.0,
-            },
-            "scenario.robots is 16",
-        ),
-        (
-            {
-                "humans": 64,
-                "pair_probability": 1.0,
-                "spawn_clearance": 10.0,
-                "human_radius_min": 0.05,
-                "human_radius_max": 2.0,
-            },
-            None,
-        ),
-    ],
-)
-def test_a_place_without_room_is_refused_at_once(fields: dict, named: str | None) -> None:
-    begin = time.monotonic()
-    if named is None:
-        reset(Scenario(**fields), 5)
-    else:
-        with pytest.raises(ConfigurationError) as error:
-            reset(Scenario(**fields), 5)
-        assert str(error.value).startswith(named)
-        assert "spawn_clearance" in str(error.value)
-    assert time.monotonic() - begin < SECONDS
+def test_a_place_without_room_is_refused_at_once() -> None:
+    begin = time.process_time()
+    wide = {"layout": Layout.square, "floor_size": 6.0, "arena_radius": 25.0, "robot_radius": 2.0}
+    for fields in ({"crowd": Crowd.recorded, "spawn_clearance": 10.0}, wide):
+        with pytest.raises(ConfigurationError, match=r"^scenario\.robots is 16.*spawn_clearance"):
+            reset(Scenario(robots=16, **fields), 5)
+    crowded = {"human_radius_min": 0.05, "human_radius_max": 2.0, "spawn_clearance": 10.0}
+    reset(Scenario(humans=64, pair_probability=1.0, **crowded), 5)
+    assert time.process_time() - begin < SECONDS
 
 
 @cache
@@ -107,11 +80,11 @@ def scenarios() -> st.SearchStrategy[dict[str, Any]]:
     )
 
 
-@settings(max_examples=200, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=100, deadline=None, suppress_health_check=list(HealthCheck))
 @given(fields=scenarios())
 def test_any_legal_scenario_starts_or_is_refused_within_seconds(fields: dict[str, Any]) -> None:
     compile_kernels()
-    begin = time.monotonic()
+    begin = time.process_time()
     try:
         world = reset(Scenario(**fields))
         world.step(np.zeros((1, world.scenario.robots, world.scenario.action_size)))
@@ -119,4 +92,4 @@ def test_any_legal_scenario_starts_or_is_refused_within_seconds(fields: dict[str
         assert np.isfinite(world.state.human_position).all()
     except ConfigurationError:
         pass
-    assert time.monotonic() - begin < SECONDS
+    assert time.process_time() - begin < SECONDS

@@ -119,13 +119,13 @@ def check_goals(before: dict[str, Any], after: dict[str, Any], scenario: Scenari
 
 
 @given(SCENARIOS, SEEDS, ROOMS)
-@settings(max_examples=400)
+@settings(max_examples=300)
 def test_a_step_is_the_twins_step(scenario: Scenario, seed: int, room: float) -> None:
     check_step(scenario, seed, room)
 
 
 @given(AMONG_WALLS, SEEDS, ROOMS)
-@settings(max_examples=200)
+@settings(max_examples=120)
 def test_a_step_among_walls_is_the_twins_step(scenario: Scenario, seed: int, room: float) -> None:
     check_step(scenario, seed, room)
 
@@ -157,36 +157,11 @@ def check_step(scenario: Scenario, seed: int, room: float) -> None:
     )
     # -1/d is steep: a tenth of a millimetre at the kink, 0.2 m, is worth 0.0025.
     np.testing.assert_allclose(step.reward[0], expected.reward, rtol=0, atol=5e-3)
-
-
-@given(SCENARIOS, SEEDS, ROOMS)
-@settings(max_examples=200)
-def test_a_step_counts_what_the_twin_counts(scenario: Scenario, seed: int, room: float) -> None:
-    check_counts(scenario, seed, room)
-
-
-@given(AMONG_WALLS, SEEDS, ROOMS)
-@settings(max_examples=100)
-def test_a_step_among_walls_counts_what_the_twin_counts(
-    scenario: Scenario, seed: int, room: float
-) -> None:
-    check_counts(scenario, seed, room)
-
-
-def check_counts(scenario: Scenario, seed: int, room: float) -> None:
-    world = World(scenario)
-    actions = scatter(world, seed, room)
-    before = oracle.snapshot(world.state)
-    world.step(actions)
-    after = oracle.snapshot(world.state)
-    assume(well_conditioned(before, after["human_goal"], scenario))
-    expected = oracle.step(before, after["human_goal"], actions[0], scenario, after["route_left"])
-    soonest = oracle.soonest_collisions(after, scenario, expected.margin)
-    assume(expected.margin.smallest > THRESHOLD_MARGIN)
-
     tally = dict(zip(TALLY, after["tally"].T, strict=True))
     for name, added in expected.tally.items():
-        np.testing.assert_allclose(tally[name], added, rtol=0, atol=TOLERANCE, err_msg=name)
+        np.testing.assert_allclose(tally[name], added, err_msg=name, **close)
+    soonest = oracle.soonest_collisions(after, scenario, expected.margin)
+    assume(expected.margin.smallest > THRESHOLD_MARGIN)
     soonest[expected.contact == Outcome.hit_human] = 0.0
     soonest[before["arrived"]] = math.inf
     found_soonest = np.minimum(tally["min_time_to_collision"], 10.0)
@@ -194,7 +169,7 @@ def check_counts(scenario: Scenario, seed: int, room: float) -> None:
 
 
 @given(SCENARIOS, SEEDS, st.sampled_from([1.5, 5.5]))
-@settings(max_examples=400)
+@settings(max_examples=300)
 def test_an_observation_is_the_twins_observation(
     scenario: Scenario, seed: int, room: float
 ) -> None:

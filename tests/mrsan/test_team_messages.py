@@ -63,19 +63,3 @@ def test_delay_range_and_loss_are_those_of_reports() -> None:
             expected = np.broadcast_to(told[np.array(OTHERS)], mask.shape)
             np.testing.assert_array_equal(messages[moved][:, 6], expected[moved])
     assert 0.65 < np.mean(received) < 0.75
-
-
-def test_messages_change_nothing_else() -> None:
-    silent = replace(ROOMS, team_messages=False)
-    with_messages, without = World(ROOMS, 4), World(silent, 4)
-    cases = np.arange(4)
-    observation, other = with_messages.reset(cases), without.reset(cases)
-    for _ in range(8):
-        assert "messages" not in other.entities
-        for name, values in other.arrays().items():
-            np.testing.assert_array_equal(observation.arrays()[name], values)
-        action = np.full((4, 4, 3), 0.3, np.float32)
-        observation, other = (
-            with_messages.step(action).observation,
-            without.step(action).observation,
-        )

@@ -23,8 +23,6 @@ print(numba.threading_layer(), os.environ.get("GOMP_SPINCOUNT"))
         ("import mrsan", {}, "omp 1000"),
         ("import samarl, torch", {}, "omp 20000"),
         ("import torch", {}, "workqueue None"),
-        ("import torch, samarl", {}, "workqueue None"),
-        ("import torch", {"NUMBA_THREADING_LAYER": "omp"}, "omp None"),
         ("import torch", {"GOMP_SPINCOUNT": "7"}, "omp 7"),
     ],
 )

@@ -203,26 +203,6 @@ def test_macro_rewards_are_discounted_sums_over_their_durations() -> None:
     assert records.valid.all()
 
 
-def test_a_robot_that_has_arrived_waits_in_one_record_and_is_paid_with_the_team() -> None:
-    # Robot 0 arrives with step 1 and waits for robot 1, which arrives with step 4: 15 for both.
-    data = made(
-        active=[[[1, 1], [1, 1], [0, 1], [0, 1], [0, 1]]],
-        done=[[0, 0, 0, 0, 1]],
-        terminated=[[[0, 0]] * 4 + [[1, 1]]],
-        decided=[[[1, 1]] + [[0, 0]] * 4],
-        reward=[[[0, 0], [2, 0], [0, 0], [0, 0], [15, 17]]],
-        value=[[[0, 0]] * 6],
-    )
-    of = streams(data.steps)
-    records = macro_records(of, data.decided, data.reward, discount=0.5)
-    assert records.duration[0].T.tolist() == [[2, 3], [5, 0]]
-    assert records.reward[0].T.tolist() == [[1.0, 15 / 4], [17 / 16, 0.0]]
-    _, target, _ = macro_advantages(of, data.decided, data.reward, data.value, 0.5, 1.0)
-    assert target[0, 0].tolist() == pytest.approx([0.5 * 2 + 0.5**4 * 15, 0.5**4 * 17])
-    _, target = step_advantages(of, data.reward, data.value, 0.5, 1.0)
-    assert target[0, 0].tolist() == pytest.approx([0.5 * 2 + 0.5**4 * 15, 0.5**4 * 17])
-
-
 def test_the_time_limit_and_a_team_mates_collision_bootstrap_from_the_state_before() -> None:
     # Robot 1 collides in step 2; robot 0's last step is taken off, and its state is worth 7.
     data = made(

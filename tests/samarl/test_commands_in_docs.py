@@ -71,6 +71,7 @@ def my_conf(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_every_command_line_is_valid(my_conf: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(my_conf)
     monkeypatch.setenv("SAMARL_SWEEP", "sweep")

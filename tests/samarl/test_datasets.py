@@ -2,6 +2,7 @@
 
 import itertools
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,6 @@ from mrsan.gymnasium_env import robot_observations
 from mrsan.recording import read_people
 from samarl.agents import Agent
 from samarl.evaluation.minari_dataset import robot_episodes, write_dataset
-from samarl.evaluation.runner import run_cases
 from tests.samarl.test_workflows import run
 
 SCENARIO = Scenario(robots=2, humans=4, time_limit=11.0)
@@ -118,34 +118,6 @@ def test_episodes_do_not_depend_on_the_batch() -> None:
             np.testing.assert_array_equal(values, other.observations[name])
 
 
-def test_the_environment_of_a_single_robot_is_recovered() -> None:
-    scenario = Scenario(robots=1, humans=2, fov_degrees=90.0)
-    dataset = write("one-v3", samarl.load_agent("straight", scenario), TEST_CASES[:1])
-    environment = dataset.recover_environment()
-    episode = dataset[0]
-    environment.reset(seed=int(TEST_CASES[0]))
-    rewards = [environment.step(action)[1] for action in episode.actions]
-    assert rewards == episode.rewards.tolist()
-    assert environment.unwrapped.scenario == scenario
-    assert Scenario(**dataset.storage.metadata["scenario"]) == scenario
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["output=x", "format=minari"], "output is 'x'; it must be the ID of a Minari dataset"),
-        (["output=n/x-v0", "format=minari"], "output is 'n/x-v0'; it must be the ID of a Minari"),
-        (["output=x.csv", "format=trajnet"], "output is 'x.csv'; it must end in .ndjson"),
-        (["output=x.csv", "cases=2"], "cases is 2; it must be 1 for format=table"),
-        (["cases=0"], "cases is 0; it must be a whole number in [1, 1e+06]"),
-    ],
-)
-def test_an_unsuitable_output_is_refused(words: list[str], message: str, tmp_path: Path) -> None:
-    done = run("record", *words, cwd=tmp_path, code=2)
-    assert done.stderr.startswith(f"error: {message}")
-    assert done.stderr.count("\n") == 1
-
-
 def test_trajnet_tracks_are_the_recorded_positions(tmp_path: Path) -> None:
     leaving = ("scenario.late_probability=0.5", "scenario.leave_probability=0.5")
     words = ("agent=straight", "cases=3", "format=trajnet", "output=tracks.ndjson", *WORDS)
@@ -181,68 +153,50 @@ def test_trajnet_tracks_are_the_recorded_positions(tmp_path: Path) -> None:
     assert read_people(path, None, None).frame_seconds == 0.25
 
 
-class Cloned:
+def cloned(dataset: Any) -> Callable[[Observation], np.ndarray]:
     """A policy that imitates the actions of a dataset."""
+    names = list(dataset.observation_space)
 
-    def __init__(self, dataset: Any) -> None:
-        self.names = list(dataset.observation_space)
-        parts = [({k: v[:-1] for k, v in e.observations.items()}, e.actions) for e in dataset]
-        inputs = torch.cat([self._flat(observations) for observations, _ in parts])
-        actions = torch.from_numpy(np.concatenate([actions for _, actions in parts]))
-        self.mean, self.scale = inputs.mean(0), inputs.std(0) + 1e-3
-        torch.manual_seed(0)
-        self.network = nn.Sequential(
-            nn.Linear(inputs.shape[1], 128), nn.ReLU(), nn.Linear(128, 128), nn.ReLU(),
-            nn.Linear(128, actions.shape[1]), nn.Tanh(),
-        )  # fmt: skip
-        optimizer = torch.optim.AdamW(self.network.parameters(), 2e-3)
-        for _ in range(2000):
-            rows = torch.randint(len(inputs), (512,))
-            loss = (self._action(inputs[rows]) - actions[rows]).square().mean()
-            optimizer.zero_grad()
-            loss.backward()
-            optimizer.step()
+    def flat(observations: dict[str, np.ndarray]) -> torch.Tensor:
+        rows = [observations[name].reshape(len(observations[name]), -1) for name in names]
+        return torch.from_numpy(np.concatenate(rows, 1, dtype=np.float32))
 
-    def _flat(self, observations: dict[str, np.ndarray]) -> torch.Tensor:
-        arrays = [observations[name] for name in self.names]
-        return torch.from_numpy(
-            np.concatenate([array.reshape(len(array), -1) for array in arrays], 1, dtype=np.float32)
-        )
-
-    def _action(self, inputs: torch.Tensor) -> torch.Tensor:
-        return self.network((inputs - self.mean) / self.scale)
-
-    def reset(self, worlds: np.ndarray) -> None:
-        """Remember nothing."""
+    inputs = torch.cat([flat({k: v[:-1] for k, v in e.observations.items()}) for e in dataset])
+    actions = torch.from_numpy(np.concatenate([episode.actions for episode in dataset]))
+    mean, scale = inputs.mean(0), inputs.std(0) + 1e-3
+    torch.manual_seed(0)
+    network = nn.Sequential(
+        nn.Linear(inputs.shape[1], 128), nn.ReLU(), nn.Linear(128, 128), nn.ReLU(),
+        nn.Linear(128, actions.shape[1]), nn.Tanh(),
+    )  # fmt: skip
+    optimizer = torch.optim.AdamW(network.parameters(), 2e-3)
+    for _ in range(1500):
+        rows = torch.randint(len(inputs), (512,))
+        loss = (network((inputs[rows] - mean) / scale) - actions[rows]).square().mean()
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
 
     @torch.no_grad()
-    def act(self, observation: Observation) -> np.ndarray:
+    def act(observation: Observation) -> np.ndarray:
         worlds = [robot_observations(observation, e)[0] for e in range(len(observation.ego))]
-        stacked = {name: np.stack([world[name] for world in worlds]) for name in self.names}
-        return self._action(self._flat(stacked)).numpy()[:, None]
+        stacked = {name: np.stack([world[name] for world in worlds]) for name in names}
+        return network((flat(stacked) - mean) / scale).numpy()[:, None]
 
-
-class Random:
-    """Random actions."""
-
-    def __init__(self) -> None:
-        self.generator = np.random.default_rng(0)
-
-    def reset(self, worlds: np.ndarray) -> None:
-        """Remember nothing."""
-
-    def act(self, observation: Observation) -> np.ndarray:
-        return self.generator.uniform(-1, 1, (len(observation.ego), 1, 3)).astype(np.float32)
+    return act
 
 
 def test_behaviour_cloning_on_a_dataset_beats_random_actions() -> None:
     scenario = Scenario(robots=1, humans=1, time_limit=40.0)
-    planner = samarl.load_agent("model_predictive", scenario)
-    dataset = write("planner-v0", planner, np.arange(150))
-    others = Split.validation.case(0) + np.arange(40)
-    clone, random = (
-        run_cases(agent, scenario, others, 40).success.mean()
-        for agent in (Cloned(dataset), Random())
-    )
-    assert clone > 0.5
-    assert random < 0.1
+    planner, rng = samarl.load_agent("model_predictive", scenario), np.random.default_rng(0)
+    clone = cloned(write("planner-v0", planner, np.arange(150)))
+
+    def act_at_random(observation: Observation) -> np.ndarray:
+        return rng.uniform(-1, 1, (len(observation.ego), 1, 3)).astype(np.float32)
+
+    success = [
+        samarl.evaluate(policy, scenario, split="validation", cases=40).success.mean()
+        for policy in (clone, act_at_random)
+    ]
+    assert success[0] > 0.5
+    assert success[1] < 0.1

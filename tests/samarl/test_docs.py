@@ -83,76 +83,39 @@ def test_a_table_of_your_own(tmp_path: Path) -> None:
     ]
 
 
-@pytest.mark.slow
-def test_a_predictor_of_your_own(tmp_path: Path) -> None:
-    text = section("A predictor")
-    (tmp_path / "my_predictor.py").write_text(block(text, "python"))
-    output = run(text, tmp_path)
-    assert re.search(r"\| orca +\| +\d+ \| +predictor \|", output)
-    assert "| samarl " in output
+# Section of the page: the files that it uses (of another section), and what its commands print.
+OWN: dict[str, tuple[dict[str, str], str]] = {
+    "A predictor": ({"my_predictor.py": ""}, r"\| samarl "),
+    "A crowd model": ({"my_crowd.py": ""}, r"crowd stroll crowd settings\.pace 0\.8"),
+    "A term of the reward": ({"my_terms.py": ""}, "written to outputs/calm"),
+    "A sensor": (
+        {
+            "my_conf/encoder/deep_sets.yaml": "An encoder",
+            "my_encoder.py": "An encoder",
+            "my_sensor.py": "",
+        },
+        r"\| samarl_flat ",
+    ),
+    "An encoder": ({"my_conf/encoder/deep_sets.yaml": "", "my_encoder.py": ""}, r"\| samarl "),
+    "In samarl-train": (
+        {"my_conf/algorithm/happo.yaml": "", "my_happo.py": ""},
+        r"\| samarl_flat ",
+    ),
+    "A separate program": ({"my_conf/agent/my_ppo.yaml": "", "my_ppo.py": ""}, r"\| my_ppo "),
+}
 
 
 @pytest.mark.slow
-def test_a_crowd_model_of_your_own(tmp_path: Path) -> None:
-    text = section("A crowd model")
-    (tmp_path / "my_crowd.py").write_text(block(text, "python"))
-    assert "crowd stroll crowd settings.pace 0.8" in run(text, tmp_path)
-
-
-@pytest.mark.slow
-def test_a_reward_term_of_your_own(tmp_path: Path) -> None:
-    text = section("A term of the reward")
-    (tmp_path / "my_terms.py").write_text(block(text, "python"))
-    run(text, tmp_path)
-    card = json.loads((tmp_path / "outputs/calm/last.json").read_text())
-    (stage,) = card["provenance"]["configuration"]["curriculum"]["stages"]
-    assert stage["scenario"]["reward"]["terms"] == {"calm": 0.1}
-
-
-@pytest.mark.slow
-def test_a_sensor_of_your_own(tmp_path: Path) -> None:
-    text = section("A sensor")
-    encoder = section("An encoder")
-    (tmp_path / "my_conf/encoder").mkdir(parents=True)
-    (tmp_path / "my_conf/encoder/deep_sets.yaml").write_text(block(encoder, "yaml"))
-    (tmp_path / "my_encoder.py").write_text(block(encoder, "python"))
-    (tmp_path / "my_sensor.py").write_text(block(text, "python"))
-    assert "| samarl_flat " in run(text, tmp_path)
-    card = json.loads((tmp_path / "outputs/posts/last.json").read_text())
-    assert card["sizes"]["entities"]["posts"] == 2
-
-
-@pytest.mark.slow
-def test_an_encoder_of_your_own(tmp_path: Path) -> None:
-    text = section("An encoder")
-    (tmp_path / "my_conf/encoder").mkdir(parents=True)
-    (tmp_path / "my_conf/encoder/deep_sets.yaml").write_text(block(text, "yaml"))
-    (tmp_path / "my_encoder.py").write_text(block(text, "python"))
-    assert "| samarl " in run(text, tmp_path)
-    checkpoint = "checkpoint=outputs/deep_sets/last.safetensors"
-    done = run_module("samarl.commands.evaluate", "agent=samarl", checkpoint, cwd=tmp_path)
-    assert done.returncode == 2  # plugins are imported only on request
-    assert "encoder.name is 'deep_sets'; it must be one of gru, pairwise, set_pool" in done.stderr
-
-
-@pytest.mark.slow
-def test_an_algorithm_in_samarl_train(tmp_path: Path) -> None:
-    text = section("In samarl-train")
-    (tmp_path / "my_conf/algorithm").mkdir(parents=True)
-    (tmp_path / "my_conf/algorithm/happo.yaml").write_text(block(text, "yaml"))
-    (tmp_path / "my_happo.py").write_text(block(text, "python"))
-    assert "| samarl_flat " in run(text, tmp_path)
-    provenance = json.loads((tmp_path / "outputs/happo/last.json").read_text())["provenance"]
-    assert provenance["configuration"]["algorithm"]["name"] == "happo"
-
-
-@pytest.mark.slow
-def test_an_algorithm_of_your_own(tmp_path: Path) -> None:
-    text = section("A separate program").replace("300000", "4096")
-    (tmp_path / "my_conf/agent").mkdir(parents=True)
-    (tmp_path / "my_conf/agent/my_ppo.yaml").write_text(block(text, "yaml"))
-    (tmp_path / "my_ppo.py").write_text(block(text, "python"))
-    assert "| my_ppo " in run(text, tmp_path)
+@pytest.mark.parametrize("title", OWN)
+def test_a_part_of_your_own(title: str, tmp_path: Path) -> None:
+    files, printed = OWN[title]
+    for name, other in files.items():
+        path = tmp_path / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        language = "yaml" if path.suffix == ".yaml" else "python"
+        text = block(section(other or title), language)
+        path.write_text(text.replace("300000", "4096"))  # steps of the separate program
+    assert re.search(printed, run(section(title).replace("300000", "4096"), tmp_path))
 
 
 def test_an_exported_policy_drives(exported: Path) -> None:

@@ -237,34 +237,6 @@ def test_a_recurrent_unit_is_torchs_on_the_frames_that_are_known() -> None:
                     torch.testing.assert_close(states[t, b, m], hidden, atol=1e-5, rtol=0)
 
 
-def test_an_edge_keeps_its_state_while_its_agent_is_not_known_and_until_an_episode_begins() -> None:
-    model, data = encoder("structural_rnn"), frames()
-    state, never = start(model, data), torch.zeros(6, dtype=torch.bool)
-    for t in range(11):
-        before = {key: value.clone() for key, value in state.items()}
-        model.step(data.at(slice(t, t + 1)), never, state)
-        for name, known in (("humans", data.humans_known), ("robots", data.robots_known)):
-            assert torch.equal((state[name] == before[name]).all(-1), ~known[:, t])
-    assert state["humans"].any(-1).all()  # everybody has been known
-    model.step(data.at(slice(0, 1)), ~never, state)
-    assert torch.equal((state["humans"] == 0).all(-1), ~data.humans_known[:, 0])
-
-
-def test_the_attention_of_the_temporal_edge_is_shared_out_among_those_who_are_known() -> None:
-    model, data, begins = encoder("structural_rnn"), frames(), some_begin()
-    data.humans_known[0, 3] = False
-    data.robots_known[0, 3] = False  # nobody
-    scene = model.observe(data, begins, start(model, data))
-    robots, humans = model.attention(scene, data.ego.flatten(0, 1))
-    shares = torch.cat([robots, humans], -1)
-    known = torch.cat([data.robots_known, data.humans_known], -1).flatten(0, 1)
-    assert not shares[~known].any()
-    assert (shares[known] > 0).all()
-    torch.testing.assert_close(shares.sum(-1), known.any(-1).float())
-    assert not known[3].any()
-    assert shares[known].std() > 0.01  # not the same for all
-
-
 def test_social_attention_by_hand() -> None:
     """Encounters one by one, in plain sums; and who is alone hears of nobody."""
     model, data = encoder("social_attention"), frames(t=1)

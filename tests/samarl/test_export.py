@@ -5,7 +5,6 @@ import dataclasses
 from pathlib import Path
 
 import numpy as np
-import onnx
 import pytest
 
 from mrsan import ConfigurationError, Observation, Scenario, World
@@ -16,7 +15,7 @@ from samarl.agents.learned import Learned
 from samarl.agents.shielded import Shielded
 from samarl.configuration import load_agent_config
 from samarl.encoders import ENCODERS
-from samarl.export import OPSET, export_agent
+from samarl.export import export_agent
 from samarl.planning.shield import Shield
 from samarl.planning.velocity_control import action_to_motion
 from samarl.policies.checkpoint import save_policy
@@ -79,7 +78,7 @@ def remembered(agent: Agent) -> list[np.ndarray]:
     return done
 
 
-@pytest.mark.parametrize("name", ["samarl", "samarl_transformer", "samarl_flat", "cadrl"])
+@pytest.mark.parametrize("name", ["samarl", "cadrl"])
 def test_a_thousand_decisions_are_those_of_the_policy(name: str, tmp_path: Path) -> None:
     """With the shield and without, in the same scenes, from what a robot itself could say."""
     scenario = Scenario()
@@ -209,49 +208,6 @@ def test_walls_are_observed_on_a_robot_as_in_the_simulator(
 def policy_config(name: str, encoder: str) -> dict[str, object]:
     numbers = learning.policy_numbers(name, encoder)
     return {key: value for key, value in numbers.items() if key != "name"}
-
-
-def test_the_file_says_what_it_is(tmp_path: Path) -> None:
-    scenario = Scenario(humans=6, robots=4, fov_degrees=90.0, robot_speed=0.7)
-    agent = agent_of(learning.policy("flat"), "flat", tmp_path, scenario)
-    path = tmp_path / "policy.onnx"
-    export_agent(path, agent, "mine")
-    assert sorted(p.name for p in tmp_path.iterdir()) == [
-        "policy.json",
-        "policy.onnx",
-        "policy.safetensors",
-    ]
-    assert onnx.load(path).opset_import[0].version == OPSET
-    description = Network(path).description
-    assert (description.agent, description.opset, description.shield) == ("mine", OPSET, None)
-    assert description.card["policy"] == "flat"
-    robot = description.make_scenario()
-    for field in ("humans", "robots", "fov_degrees", "robot_speed", "time_step", "kinematics"):
-        assert getattr(robot, field) == getattr(scenario, field)
-    assert description.slots["humans"] == ["humans", 2]
-    assert description.slots["robots_known"] == ["robots", 2]
-    shapes = {put.name: put.shape for put in Network(path)._session.get_inputs()}
-    assert (shapes["humans"], shapes["robots"]) == ([1, 1, 6, 6], [1, 1, 3, 6])
-
-
-@pytest.mark.parametrize(
-    ("agent", "message"),
-    [
-        (load_agent_config("orca"), r"agent .*mine"),
-        (
-            load_agent_config("samarl") | {"waypoints": "first"},
-            r"agent\.waypoints .*first.*learned",
-        ),
-        (
-            {**load_agent_config("samarl_flat"), "shield": {"predictor": "recurrent"}},
-            r"agent\.shield\.predictor .*recurrent.*constant_velocity",
-        ),
-    ],
-)
-def test_what_cannot_be_exported_is_said(agent: dict, message: str, tmp_path: Path) -> None:
-    with pytest.raises(ConfigurationError, match=message):
-        export_agent(tmp_path / "p.onnx", build_agent(agent, Scenario()), "mine")
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_wrong_translation_is_not_written(

@@ -31,6 +31,7 @@ TINY = [
     "trainer.validation_cases=1",
     "curriculum.stages=[{worlds: 1, scenario: {humans: 2}}]",
 ]
+BENCH = ["agents=[straight]", "evaluation.cases=1", "columns=[{robots: 1, humans: 0}]", "jobs=1"]
 PREDICTOR = ["predictor=recurrent", "validation_cases=1", "shown_steps=1"]
 
 
@@ -89,17 +90,7 @@ def said(
         ("train", [*TINY, "run_dir=run"], "run/"),
         ("evaluate", [*ONE, "agent=straight", "hydra.run.dir=played"], "played/episodes.jsonl"),
         ("evaluate", ["-m", *ONE, "agent=straight,orca", "hydra.sweep.dir=swept"], "swept"),
-        (
-            "bench",
-            [
-                "agents=[straight]",
-                "evaluation.cases=1",
-                "columns=[{robots: 1, humans: 0}]",
-                "jobs=1",
-                "output=mine",
-            ],
-            "mine/table1.json",
-        ),
+        ("bench", [*BENCH, "output=mine"], "mine/table1.json"),
         ("render", ["agent=straight", "scenario.time_limit=1", "output=a.png"], "a.png"),
         ("report", ["results=results", "cases=[]", "agents=[straight]", "output=site"], "site"),
         ("predictor", [*PREDICTOR, "output=there"], "there/prediction.json"),
@@ -123,25 +114,3 @@ def test_a_full_disk(
     prefixes = ("multirun.yaml", "events.out")  # Hydra's own, and TensorBoard's log
     assert [file for file in left - before if not file.name.startswith(prefixes)] == []
     assert not list(place.rglob("*.part"))
-
-
-@pytest.mark.parametrize(
-    ("command", "words"),
-    [
-        ("train", [*TINY, "run_dir=taken/run"]),
-        ("evaluate", [*ONE, "agent=straight", "hydra.run.dir=taken/run"]),
-        ("export", ["agent=samarl_flat", "output=taken/policy.onnx"]),
-        ("predictor", [*PREDICTOR, "output=taken/there"]),
-    ],
-)
-def test_an_unwritable_folder(
-    command: str,
-    words: list[str],
-    place: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    line = said(command, words, monkeypatch, capsys)
-    assert line.startswith("error: ")
-    assert "taken" in line
-    assert (place / "taken").read_text() == "a file"

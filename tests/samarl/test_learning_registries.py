@@ -15,7 +15,7 @@ from hydra.core.config_store import ConfigStore
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import OmegaConf
 
-from mrsan import ConfigurationError, Scenario, World
+from mrsan import Scenario, World
 from mrsan.recording import SAMPLE
 from samarl.agents.learned import DeployedPolicy
 from samarl.algorithms import ALGORITHMS
@@ -135,20 +135,3 @@ def test_every_name_trains_and_its_checkpoint_drives_as_before(choice: str, tmp_
         actions = one.act(observation)
         np.testing.assert_array_equal(actions, two.act(observation))
         observation = worlds.step(actions).observation
-
-
-@pytest.mark.parametrize(
-    ("kind", "values", "message"),
-    [
-        ("encoder", {"name": "os.system"}, r"encoder\.name .*os\.system.*gru, pairwise, set_pool"),
-        ("policy", {"name": None}, r"policy\.name .*None.*flat"),
-        ("encoder", {"name": "gru", "width": 8, "wdith": 8}, r"encoder\.wdith"),
-        ("encoder", {"name": "gru", "width": 0, "features": 8}, r"encoder\.width .*0.* \[?\d+"),
-        ("encoder", {"name": "gru", "width": "wide", "features": 8}, r"encoder\.width.*wide"),
-        ("encoder", {"name": "gru", "width": 8}, r"encoder\.features"),
-    ],
-)
-def test_a_mistake_is_named(kind: str, values: dict[str, Any], message: str) -> None:
-    with pytest.raises(ConfigurationError, match=f"^{message}") as error:
-        KINDS[kind].config(values)
-    assert "\n" not in str(error.value)

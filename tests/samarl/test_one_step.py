@@ -103,28 +103,6 @@ def test_outcomes_match_the_simulator_if_others_keep_their_velocity(
     assert min(hit.sum(), arrived.sum(), (step.reward_parts.discomfort[:, 0] < 0).sum()) > 10
 
 
-def test_a_person_in_constant_motion_is_where_paper_and_pencil_say() -> None:
-    scenario = Scenario(robots=1, humans=1)
-    # The person is at (2, 1) and walks at (-1, 0); the robot drives on at 0.5 m/s, turning left.
-    tracks = scene_of([[2.0, 1.0, -1.5, 0.0, 0.3, 0.25]], (4.0, 0.0), 0.5, scenario)
-    command = np.array([[0.0, 0.0, 1.0]], np.float32)
-    active = np.ones((1, 1), np.bool_)
-    outcomes = predict_outcomes(tracks, active, tracks.ego[..., GOAL], command, scenario)
-    turn = 0.25 * 0.5 / 1.0  # Eq. 3: speed over the turning radius of 1 m, less than 15 degrees
-    vx, vy = 0.5 * math.cos(turn), 0.5 * math.sin(turn)
-    x, y = 0.25 * (0.5 + vx) / 2, 0.25 * vy / 2
-
-    def turned(dx: float, dy: float) -> tuple[float, float]:
-        cos, sin = math.cos(turn), math.sin(turn)
-        return cos * dx + sin * dy, cos * dy - sin * dx
-
-    expected = (*turned(2.0 - 0.25 - x, 1.0 - y), *turned(-1.0 - vx, 0.0 - vy), 0.3, 0.25)
-    assert outcomes.tracks.humans[0, 0, 0].tolist() == pytest.approx(expected, abs=1e-6)
-    progress = 4.0 - math.hypot(4.0 - x, y)
-    assert outcomes.reward[0, 0] == pytest.approx(2.0 * progress, abs=1e-5)
-    assert not outcomes.ended[0, 0]
-
-
 def test_a_collision_between_two_moments_is_foreseen() -> None:
     """A runner is on one side before the step and on the other after it."""
     scenario = Scenario(robots=1, humans=1)

@@ -144,23 +144,6 @@ def test_a_case_starts_as_in_mrsan_and_its_people_walk_as_there() -> None:
         np.testing.assert_allclose(capsules, expected.state.human_position[0], atol=1e-5)
 
 
-def test_people_push_robots_that_stand_in_their_way() -> None:
-    """People are moved from outside: nothing stops them, and nobody overlaps in the end."""
-    scenario = Scenario(robots=1, humans=1, terminate_on_collision=False, human_safety_space=0.0)
-    world = PhysicsWorld(scenario, MujocoEngine(friction=0.1))
-    world.reset(2)
-    state = world.world.state
-    x, y = world.bodies.position[0]
-    state.human_position[:], state.human_goal[:] = (x + 1.5, y), (x - 8.0, y)
-    before = world.bodies.position[0].copy()
-    for _ in range(12):
-        world.step(Motion(np.zeros(1), np.zeros(1)))
-    assert np.linalg.norm(world.bodies.position[0] - before) > 0.2
-    gap = np.linalg.norm(world.bodies.position[0] - state.human_position[0, 0])
-    assert gap > scenario.robot_radius + float(state.human_radius[0, 0]) - 0.03
-    assert state.collision[0, 0] == Outcome.hit_human
-
-
 def test_odometry_drifts_with_the_distance_and_moves_only_what_follows_from_the_pose() -> None:
     odometry = Odometry(0.05, 7, np.zeros((2, 2)))
     for k in range(1, 101):

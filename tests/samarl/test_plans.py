@@ -32,14 +32,7 @@ TWO_PI = np.float32(2.0 * math.pi)
 
 @pytest.mark.parametrize("kinematics", list(Kinematics))
 @pytest.mark.parametrize(
-    "numbers",
-    [
-        {},
-        {"collision_discount": 0.0},
-        {"collision_discount": 1.0},
-        {"collision_weight": 2.0, "comfort_weight": 120.0},
-        {"collision_weight": 0.0},
-    ],
+    "numbers", [{}, {"collision_discount": 0.0}, {"collision_weight": 2.0, "comfort_weight": 120.0}]
 )
 def test_pruning_keeps_the_cheapest_plan(kinematics: Kinematics, numbers: dict[str, float]) -> None:
     """In a dense crowd, against an exhaustive search that simulates every plan to its end."""

@@ -17,7 +17,6 @@ from mrsan import (
     PluginError,
     Scenario,
     ValueSensor,
-    World,
     register_sensor,
 )
 from mrsan.reward_terms import REWARD_TERMS
@@ -87,25 +86,6 @@ def test_actions_are_refused_with_the_agent_that_chose_them() -> None:
             assert "\n" not in str(error.value)
     with pytest.raises(ActionError, match=r"^agent Faulty: "):
         record_episode(Faulty(SCENARIO, nan_of_robot_1), SCENARIO, 0)
-
-
-def test_the_shape_of_a_sensor_is_checked() -> None:
-    @register_sensor("shapeless")
-    class Shapeless(ValueSensor):
-        def observe(self, state: Any, worlds: Any, values: Any) -> None:
-            raise AssertionError
-
-    @register_sensor("wide")
-    class Wide(ValueSensor):
-        shape = (2,)
-
-        def observe(self, state: Any, worlds: Any, values: Any) -> None:
-            values[worlds] = np.zeros((2, 2, 5))
-
-    with pytest.raises(PluginError, match=r"sensor shapeless has shape None; .*whole numbers"):
-        World(replace(SCENARIO, sensors={"shapeless": {}}), 2)
-    with pytest.raises(PluginError, match=r"sensor wide, .* shape \(2, 2, 2\), .*\(2,2,5\)"):
-        World(replace(SCENARIO, sensors={"wide": {}}), 2).reset(CASES)
 
 
 def test_metrics_are_finite_numbers_or_undefined() -> None:

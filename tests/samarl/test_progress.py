@@ -24,15 +24,6 @@ def test_a_log_file_gets_a_plain_line_now_and_then(capsys: pytest.CaptureFixture
     assert "\r" not in text
 
 
-def test_the_remaining_time_is_estimated_when_enough_is_done() -> None:
-    bar = progress_bar(total=100, desc="cases", unit="case")
-    bar.start_t -= 60.0
-    for n, is_estimated in ((4, False), (5, True)):
-        bar.n = n
-        assert ("left" in str(bar)) is is_estimated
-        assert f"{n} of 100 cases, 01:00 elapsed" in str(bar)
-
-
 def test_work_that_is_done_soon_leaves_no_line(capsys: pytest.CaptureFixture[str]) -> None:
     list(progress_bar(range(50), desc="cases", unit="case"))
     assert capsys.readouterr().err == ""

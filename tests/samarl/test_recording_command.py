@@ -57,46 +57,37 @@ def test_a_summary(run) -> None:
     assert summary["verdict"] == "plausible"
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_any_path_is_a_path(run, name: str) -> None:
-    path = Path(name)
-    path.parent.mkdir(exist_ok=True)
-    path.write_bytes((CASES / "plain.txt").read_bytes())
-    picture = path.with_name(f"{path.name}.png")
-    code, _, error = run(path, "--figure", picture, "--output", path.with_name(f"{path.name} new"))
-    assert (code, error) == (0, "")
-    with Image.open(picture) as image:
-        assert min(image.size) > 400
-        assert len(image.getcolors(1000) or []) > 40  # tracks have the colours of their times
+def test_any_path_is_a_path(run) -> None:
+    for name in NAMES:
+        path = Path(name)
+        path.parent.mkdir(exist_ok=True)
+        path.write_bytes((CASES / "plain.txt").read_bytes())
+        picture, new = (path.with_name(f"{path.name}{end}") for end in (".png", " new"))
+        code, _, error = run(path, "--figure", picture, "--output", new)
+        assert (code, error) == (0, "")
+        with Image.open(picture) as image:
+            assert len(image.getcolors(1000) or []) > 40  # tracks have the colours of their times
 
 
-@pytest.mark.parametrize(
-    ("name", "frame_seconds", "scale"),
-    [
-        ("plain.txt", None, None),
+def test_converted_files_need_no_settings(run) -> None:
+    for name, frame_seconds, scale in (
+        ("pedpy_id_first.txt", None, None),
         ("trajnet_predictions.ndjson", None, None),
         ("epoch_seconds.txt", None, None),
-        ("milliseconds_epoch.txt", None, None),
         ("obsmat8.txt", None, None),
-        ("true_pos_.csv", None, None),
         ("centimetres.txt", None, 0.01),
-        ("seconds.txt", 1.0, None),
         ("renumbered_2_5_fps.txt", 0.4, None),
-    ],
-)
-@pytest.mark.parametrize("ending", ["txt", "csv"])
-def test_converted_files_need_no_settings(
-    run, name: str, frame_seconds: float | None, scale: float | None, ending: str
-) -> None:
-    options = [f"--frame-seconds={frame_seconds}"] * (frame_seconds is not None)
-    options += [f"--scale={scale}"] * (scale is not None)
-    code, _, error = run(CASES / name, *options, "--output", f"new.{ending}")
-    assert (code, error) == (0, "")
-    truth = load_recording(CASES / name, frame_seconds, 0.25, scale)
-    again = load_recording(f"new.{ending}", None, 0.25)
-    np.testing.assert_array_equal(again.first, truth.first)
-    np.testing.assert_array_equal(again.last, truth.last)
-    np.testing.assert_allclose(again.position, truth.position, atol=2e-5)
+    ):
+        options = [f"--frame-seconds={frame_seconds}"] * (frame_seconds is not None)
+        options += [f"--scale={scale}"] * (scale is not None)
+        for ending in ("txt", "csv"):
+            code, _, error = run(CASES / name, *options, "--output", f"new.{ending}")
+            assert (code, error) == (0, "")
+            truth = load_recording(CASES / name, frame_seconds, 0.25, scale)
+            again = load_recording(f"new.{ending}", None, 0.25)
+            np.testing.assert_array_equal(again.first, truth.first)
+            np.testing.assert_array_equal(again.last, truth.last)
+            np.testing.assert_allclose(again.position, truth.position, atol=2e-5)
 
 
 def test_implausible_recordings_are_drawn_but_not_converted(run) -> None:
@@ -112,28 +103,18 @@ def test_implausible_recordings_are_drawn_but_not_converted(run) -> None:
     assert Path("new.txt").exists()
 
 
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
+def test_user_errors_end_in_one_line(run) -> None:
+    plain = CASES / "plain.txt"
+    for words, message in (
         ([], "FILE"),
         (["nowhere.txt"], "'nowhere.txt'"),
-        (["."], "'.'"),
-        (
-            [CASES / "plain.txt", "--scale", "0"],
-            r"--scale is 0\.0; it must lie in \[1e-06, ",
-        ),
-        ([CASES / "plain.txt", "--frame-seconds", "x"], "--frame-seconds.*'x'"),
-        ([CASES / "plain.txt", "--figure", "a.bmp"], r"--figure is 'a\.bmp'; it must end in \.png"),
-        ([CASES / "plain.txt", "--output", "/dev/null/a"], "--output is '/dev/null/a'"),
-        (
-            [CASES / "plain.txt", "--output", CASES / "plain.txt"],
-            "it must be another",
-        ),
+        ([plain, "--scale", "0"], r"--scale is 0\.0; it must lie in \[1e-06, "),
+        ([plain, "--figure", "a.bmp"], r"--figure is 'a\.bmp'; it must end in \.png"),
+        ([plain, "--output", "/dev/null/a"], "--output is '/dev/null/a'"),
+        ([plain, "--output", plain], "it must be another"),
         ([CASES / "sdd_annotations.txt"], "--scale to the metres per pixel"),
-        ([CASES / "plain.txt", "--nothing"], "--nothing"),
-    ],
-)
-def test_user_errors_end_in_one_line(run, words: list, message: str) -> None:
-    code, _, error = run(*words)
-    assert code == 2
-    assert re.fullmatch(f"error: .*{message}.*\n", error)
+        ([plain, "--nothing"], "--nothing"),
+    ):
+        code, _, error = run(*words)
+        assert code == 2
+        assert re.fullmatch(f"error: .*{message}.*\n", error)

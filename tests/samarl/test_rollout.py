@@ -100,19 +100,6 @@ def test_a_collision_ends_the_stream_of_the_robot_and_cuts_short_those_of_its_te
     assert done.squeeze(-1)[alone].all()
 
 
-def test_a_collision_that_does_not_end_the_episode_ends_no_stream() -> None:
-    """The time limit does, as one of a state that has a value."""
-    scenario = crowded(terminate_on_collision=False, time_limit=4.0)
-    steps = collector(policy(), 32, 40, scenario).collect().steps
-    hit = steps["next", "agents", "macro", "reward"] <= -15.0
-    terminated, done = steps["next", "agents", "terminated"], steps["next", "done"]
-    assert (hit & ~done).any()
-    assert done.any()
-    assert (terminated == terminated.all(-1, keepdim=True)).all()  # all have arrived, or nobody
-    # Where the team arrived at the same time, its bonus of 5 makes the reward -15.
-    assert not terminated[steps["next", "agents", "macro", "reward"] < -15.0].any()
-
-
 def test_a_robot_that_stands_for_too_long_ends_the_episode_and_pays() -> None:
     """Robot 0 brakes for ever; robot 1 drives on, and its stream is only cut short."""
     model = policy("flat", num_parameter_sets=2)

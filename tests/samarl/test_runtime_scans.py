@@ -97,23 +97,20 @@ def partial_array(values: np.ndarray) -> array:
     return array("f", values.tolist())
 
 
-@pytest.mark.parametrize(
-    ("ranges", "angles", "words"),
-    [
-        (np.ones(360), 0.0, ("360", "angles")),
-        (np.ones(4), None, ("None", "4")),
-        (["1.0"], [0.0], ("length 1", "angles")),
-        (np.ma.masked_invalid([1.0, NAN]), np.zeros(2), ("MaskedArray of length 2", "masks")),
-        (np.ones(2), [0.0, 90.0], ("angles[1] is 90", "radians")),
-    ],
-)
-def test_a_scan_that_cannot_be_used_is_named(
-    ranges: Any, angles: Any, words: tuple[str, str]
-) -> None:
-    with pytest.raises(InputError) as error:
-        walls_of_scan(ranges, angles, OWN, 8.0)
-    assert "\n" not in str(error.value)
-    assert all(word in str(error.value) for word in words)
+def test_a_scan_that_cannot_be_used_is_named() -> None:
+    cases: list[tuple[Any, Any, str]] = [
+        (np.ones(360), 0.0, "360.*angles"),
+        (np.ones(4), None, "None.*4|4.*None"),
+        (["1.0"], [0.0], "length 1.*angles"),
+        (np.ma.masked_invalid([1.0, NAN]), np.zeros(2), "MaskedArray of length 2.*masks"),
+        (np.ones(2), [0.0, 90.0], r"angles\[1\] is 90.*radians"),
+    ]
+    for ranges, angles, words in cases:
+        with pytest.raises(InputError, match=f"^.*({words})") as error:
+            walls_of_scan(ranges, angles, OWN, 8.0)
+        assert "\n" not in str(error.value)
+    with pytest.raises(InputError, match=r"^largest_range "):
+        walls_of_scan([1.0], [0.0], OWN, 1.0, 1.0)
 
 
 @pytest.fixture(scope="module")

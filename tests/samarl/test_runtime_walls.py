@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import shapely
 
 from mrsan import Scenario, World
 from mrsan.place_shapes import polygons_of
@@ -25,27 +24,6 @@ def test_a_route_leads_round_the_end_of_a_wall() -> None:
     assert own.next_y == pytest.approx(2.4, abs=1e-3)
     above = KnownMap([BOUNDS, PARTITION]).with_route(OWN._replace(x=-1.0, y=3.0, goal_y=3.0))
     assert (above.next_x, above.next_y) == (3.0, 3.0)
-
-
-def test_the_walls_of_a_scan_are_those_of_the_room() -> None:
-    known = KnownMap([BOUNDS, PARTITION])
-    lines = shapely.multilinestrings(shapely.linestrings(known.walls.reshape(-1, 2, 2)))
-    own = OWN._replace(heading=0.7)
-    angles = np.linspace(-math.pi, math.pi, 360, endpoint=False)
-    ranges = []
-    for angle in angles + own.heading:
-        ray = shapely.LineString(
-            [(own.x, own.y), (own.x + 8 * math.cos(angle), own.y + 8 * math.sin(angle))]
-        )
-        hit = ray.intersection(lines)
-        ranges.append(np.inf if hit.is_empty else hit.distance(shapely.Point(own.x, own.y)))
-    walls = walls_of_scan(ranges, angles, own, 8.0)
-    assert 3 <= len(walls) <= 12
-    pieces = shapely.linestrings(walls.reshape(-1, 2, 2))
-    for piece in pieces:  # on a wall, but for corners that are cut off
-        assert piece.hausdorff_distance(piece.intersection(lines.buffer(0.15))) < 0.15
-    assert sum(piece.length for piece in pieces) > 20.0
-    assert walls_of_scan([np.inf, np.nan, 8.0], [0.0, 0.1, 0.2], own, 8.0).shape == (0, 4)
 
 
 @pytest.mark.parametrize("layout", ["doorway", "rooms"])
@@ -95,18 +73,6 @@ def test_the_shield_stops_the_robot_before_a_wall(driver: Driver) -> None:
         hits.append(hit)
     assert hits[0] == 0
     assert hits[1] > 0
-
-
-def test_nothing_nearer_is_left_out_for_want_of_room(driver: Driver) -> None:
-    """Many pebbles beside and behind the robot are nearer than the wall ahead."""
-    around = np.radians(np.arange(90, 270))
-    pebbles = 0.35 * np.stack([np.cos(around), np.sin(around)] * 2, -1)
-    own = OwnState(0.0, 0.0, 0.0, 1.0, 0.0, 4.0, 0.0)
-    driver.reset()
-    assert not driver.step(own, [], 0.0, walls=pebbles).shielded
-    driver.reset()
-    command = driver.step(own, [], 0.0, walls=[*pebbles, [0.5, -2.0, 0.5, 2.0]])
-    assert (command.speed, command.reason) == (0.0, "wall")
 
 
 def test_of_too_many_people_the_shield_knows_all(driver: Driver) -> None:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mrsan import Crowd, Scenario, World
+from mrsan import Scenario, World
 from samarl.agents import build_agent
 from samarl.configuration import load_agent_config
 from samarl.observations.tracker import Tracker
@@ -54,43 +54,14 @@ def test_the_shield_looks_two_seconds_ahead(time_step: float, gap: float, replac
     assert bool((checked != action).any()) == replaced
 
 
-@pytest.mark.parametrize("time_step", [0.1, 0.25])
-def test_a_slot_rests_for_so_long_before_another_person_has_it(time_step: float) -> None:
-    scenario = Scenario(
-        robots=1, humans=2, crowd=Crowd.recorded, time_step=time_step, slot_reuse_delay=3.0
-    )
-    world = World(scenario, 20)
-    world.reset(np.arange(20))
-    since = np.full((20, 2), np.inf)  # how long ago somebody was last in the slot, s
-    before, shortest = world.state.human_track.copy(), np.inf
-    for _ in range(round(20.0 / time_step)):
-        world.step(np.zeros((20, 1, 3)))
-        now = world.state.human_track
-        came = (now >= 0) & (before < 0)
-        shortest = min(shortest, since[came].min(initial=np.inf))
-        since = np.where(now >= 0, 0.0, since + time_step)
-        before = now.copy()
-    assert 3.0 - 1e-6 <= shortest < np.inf
-
-
-@pytest.mark.parametrize(
-    ("fields", "trained", "here"),
-    [
-        ({"time_step": 0.1}, "a time step of 0.25 s", "0.1 s"),
-        ({"robot_speed": 1.5}, "a robot speed of 1 m/s", "1.5 m/s"),
-        ({"robot_radius": 0.5}, "a robot radius of 0.3 m", "0.5 m"),
-        ({"fov_degrees": 90.0}, "a view of 360 degrees", "90 degrees"),
-        (
-            {"fov_degrees": 90.0, "time_step": 0.5},
-            "a view of 360 degrees and a time step of 0.25 s",
-            "90 degrees and 0.5 s",
-        ),
-    ],
-)
-def test_a_policy_names_what_it_was_not_trained_for(
-    fields: dict[str, float], trained: str, here: str
-) -> None:
+def test_a_policy_names_what_it_was_not_trained_for() -> None:
     config = load_agent_config("samarl_flat")
     assert build_agent(config, Scenario()).scope_warning() is None
-    warning = build_agent(config, Scenario(**fields)).scope_warning()
-    assert warning == f"samarl_flat was trained for {trained}; here it is {here}"
+    two = "a view of 360 degrees and a time step of 0.25 s"
+    for fields, trained, here in (
+        ({"robot_speed": 1.5}, "a robot speed of 1 m/s", "1.5 m/s"),
+        ({"robot_radius": 0.5}, "a robot radius of 0.3 m", "0.5 m"),
+        ({"fov_degrees": 90.0, "time_step": 0.5}, two, "90 degrees and 0.5 s"),
+    ):
+        warning = build_agent(config, Scenario(**fields)).scope_warning()
+        assert warning == f"samarl_flat was trained for {trained}; here it is {here}"

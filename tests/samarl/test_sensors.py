@@ -166,18 +166,6 @@ def test_every_environment_passes_them_on(scenario: Scenario) -> None:
     }
 
 
-def test_other_observations_and_the_episode_stay_the_same(scenario: Scenario) -> None:
-    worlds = [World(s, 2) for s in (scenario, OTHERS)]
-    actions = np.random.default_rng(0).uniform(-1, 1, (20, 2, 2, 3))
-    for world in worlds:
-        world.reset([0, 1])
-    for action in actions:
-        with_sensors, without = (world.step(action) for world in worlds)
-        for name, array in without.observation.arrays().items():
-            np.testing.assert_array_equal(with_sensors.observation.arrays()[name], array)
-        np.testing.assert_array_equal(with_sensors.reward, without.reward)
-
-
 def test_a_policy_is_trained_on_them_and_drives_a_robot_with_them(
     tmp_path: Path, scenario: Scenario
 ) -> None:

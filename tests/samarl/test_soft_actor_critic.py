@@ -14,7 +14,7 @@ from torch import Tensor
 from mrsan import ConfigurationError, Kinematics, Scenario, World
 from samarl.agents.learned import DeployedPolicy
 from samarl.algorithms import ALGORITHMS
-from samarl.algorithms.action_values import AttentionCritic, ConcatenationCritic
+from samarl.algorithms.action_values import AttentionCritic
 from samarl.algorithms.soft_actor_critic import SoftActorCritic, features, sequences_of
 from samarl.policies.checkpoint import make_policy
 from samarl.policies.squashed import SquashedPolicy, log_slope
@@ -131,19 +131,6 @@ def test_attention_among_many_by_hand() -> None:
     order = torch.tensor([3, 2, 0, 1])
     mixed = critic(y[order], own[order], others[order], active[order])
     torch.testing.assert_close(mixed, q[order])
-
-
-def test_concatenation_is_told_the_others_in_order() -> None:
-    torch.manual_seed(0)
-    critic = ConcatenationCritic(5, 2, 8, 3)
-    y, own, others = torch.randn(3, 5), torch.randn(3, 2), torch.randn(3, 2)
-    active = torch.tensor([True, False, True])
-    q = critic(y, own, others, active)
-    nobody = torch.zeros(7)
-    robot_inputs = [torch.cat([y[j], others[j]]) if active[j] else nobody for j in range(3)]
-    for i, (j, k) in enumerate(((1, 2), (0, 2), (0, 1))):
-        expected = critic.out(torch.cat([y[i], own[i], robot_inputs[j], robot_inputs[k]]))
-        torch.testing.assert_close(q[i], expected[0])
 
 
 # What is learned from
@@ -295,18 +282,6 @@ def test_padding_changes_no_bit_of_a_gradient(encoder: str) -> None:
     assert not torch.equal(before[0], losses(algorithm, changed)[0])
 
 
-def test_the_actor_does_not_move_the_encoder_nor_the_critics() -> None:
-    policy = squashed()
-    algorithm = learner(policy)
-    batch = sequences_of(collected(policy), team=True)
-    y = features(policy, batch)[:, :-1].detach()
-    loss, _ = algorithm.actor_loss(batch, y)
-    loss.backward()
-    assert all(p.grad is None for p in algorithm.critic_parameters)
-    assert all(p.grad is not None for p in algorithm.actor_parameters)
-    assert all(p.requires_grad for p in algorithm.critics.parameters())
-
-
 def test_entropy_is_worth_more_when_there_is_too_little_of_it() -> None:
     for entropy, sign in ((-3.0, 1.0), (-1.0, -1.0)):  # it should come to -2
         algorithm = learner(squashed())
@@ -326,24 +301,6 @@ def test_the_target_networks_follow_slowly() -> None:
     for expected in (0.25, 0.25 + 0.75 * 0.25):
         algorithm._update_targets()
         assert (algorithm.target_policy.networks[0].encoder.values == expected).all()
-
-
-def test_what_does_not_fit_is_refused() -> None:
-    policy = squashed()
-    for changes, message in (
-        ({"learning_starts": 2001}, r"learning_starts .*2001.*2000\b"),
-        ({"critic_heads": 3}, r"critic_width .*16.*critic_heads.*3\b"),
-    ):
-        with pytest.raises(ConfigurationError, match=message):
-            learner(policy, **changes)
-    with pytest.raises(ConfigurationError, match=r"robots .*2.* 3\b"):
-        learner(policy, critic="concatenation", robots=2).update([collected(policy)])
-    with pytest.raises(ConfigurationError, match="soft_actor_critic"):
-        policy.bound_std("local", 0.1, 0.2)
-    numbers = policy_numbers("flat", "gru")
-    flat = make_policy(numbers.pop("name"), numbers, 2)
-    with pytest.raises(ConfigurationError, match=r"policy\.name .*squashed"):
-        learner(flat)  # type: ignore[arg-type]
 
 
 def test_it_learns_to_drive_to_the_goal() -> None:

@@ -1,7 +1,6 @@
 """What the policy is taught besides its own experience, and how much each level's own counts."""
 
 from collections import defaultdict
-from dataclasses import replace
 
 import numpy as np
 import torch
@@ -99,24 +98,6 @@ def test_every_decision_counts_the_same_whatever_its_level() -> None:
     )
     assert abs(float(loss.detach()) + total / int(selected.sum())) < 1e-4
     assert abs(total) > 1.0
-
-
-def test_a_metre_costs_what_it_should() -> None:
-    policy, scenario = learning.policy("flat"), replace(learning.SCENARIO, humans=0, robots=1)
-    rollouts = []
-    for penalty in (0.0, 0.5):
-        torch.manual_seed(0)
-        learner = learning.algorithm(policy, path_penalty=penalty)
-        learner.set_progress(0.0)
-        shaping = learner.reward_shaping
-        rollouts.append(learning.collector(policy, 4, 12, scenario).collect(shaping))
-    free, rollout = rollouts
-    key = ("next", "agents", "reward")
-    cost = (free.steps[key] - rollout.steps[key])[:, :-1].sum(1)
-    speed = rollout.steps["agents", "speed"][:, 1:]  # nobody arrives, collides or runs out of time
-    assert not rollout.steps["next", "done"].any()
-    torch.testing.assert_close(cost, 0.5 * 0.25 * speed.sum(1))
-    assert (cost > 0.0).all()
 
 
 def test_the_teacher_acts_on_what_the_policy_observes() -> None:

@@ -103,16 +103,6 @@ def test_no_two_worlds_of_a_run_play_the_same_cases(tmp_path: Path) -> None:
     assert len(set(cases)) == len(cases)
 
 
-def test_the_teacher_acts_until_it_is_not_imitated_any_more(tmp_path: Path) -> None:
-    imitating = {"teacher": "orca", "teacher_coefficient": 1.0, "teacher_end": 0.5}
-    taught_trainer = trainer(tmp_path, algorithm=imitating)
-    key = ("agents", "teacher_action")
-    assert key in taught_trainer.collect()[0].steps.keys(include_nested=True)
-    taught_trainer.algorithm.set_progress(0.5)
-    assert key not in taught_trainer.collect()[0].steps.keys(include_nested=True)
-    assert "losses/teacher_error" not in taught_trainer.round()
-
-
 def test_two_trainings_cannot_share_a_folder(tmp_path: Path) -> None:
     first = RunDir(tmp_path / "run")
     with pytest.raises(ConfigurationError, match=r"^run_dir .*run'") as error:

@@ -1,31 +1,25 @@
 """Trajectories of episodes, and the figures and animations drawn from them."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import imageio_ffmpeg
 import numpy as np
 import pytest
 import torch
-from matplotlib.figure import Figure
-from matplotlib.patches import Circle
 from PIL import Image, ImageColor
 
-from mrsan import Observation, Outcome, Scenario, World
-from samarl.agents import Agent, build_agent
-from samarl.agents.learned import DeployedPolicy
+from mrsan import Outcome, Scenario
+from samarl.agents import build_agent
 from samarl.encoders.transformer_layers import Pool
 from samarl.evaluation.trajectory import record_episode
 from samarl.policies.checkpoint import save_policy
 from samarl.report.animation import (
-    _draw_state,
     ending,
     save_animation,
 )
-from samarl.report.replays import as_replay
 from samarl.report.style import COLOURS
-from samarl.report.trajectories import save_trajectories
-from tests.small import small_policy
+from tests.learning import policy
 
 SCENARIO = Scenario(humans=4, robots=3, fov_degrees=120.0, time_limit=4.0)
 STRAIGHT = {"_target_": "samarl.agents.planners.straight.Straight"}
@@ -51,55 +45,10 @@ def test_visible_agents_are_in_the_field_of_view() -> None:
     assert trajectory.waypoint is trajectory.human_attention is trajectory.robot_attention is None
 
 
-@dataclass
-class Doorman(Agent):
-    """Stands still; person 1 leaves and person 0 arrives after three steps."""
-
-    world: World | None = None
-
-    def act(self, observation: Observation) -> np.ndarray:
-        assert self.world is not None
-        state = self.world.state
-        state.human_present[0, 1] = state.clock[0] < 3
-        state.human_present[0, 0] = state.clock[0] >= 3
-        return np.zeros((1, SCENARIO.robots, 3), np.float32)
-
-
-def test_people_come_and_go(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """Person 2 is never present and thus left out; absent people are not drawn."""
-    world, agent = World(SCENARIO), Doorman(SCENARIO)
-    agent.world = world
-    original_reset = world.reset
-
-    def reset(cases: list[int]) -> Observation:
-        original_reset(cases)
-        world.state.human_present[0] = [False, True, False, True]
-        return world.observe()
-
-    monkeypatch.setattr(world, "reset", reset)
-    monkeypatch.setattr("samarl.evaluation.trajectory.World", lambda scenario: world)
-    trajectory = record_episode(agent, SCENARIO, 3)
-    steps = np.arange(len(trajectory.human_position))
-    assert trajectory.human_present.T.tolist() == [
-        (steps >= 4).tolist(),
-        (steps < 4).tolist(),
-        [True] * len(steps),
-    ]
-    assert trajectory.human_position.shape[1:] == (3, 2)
-    assert not trajectory.humans_visible[~trajectory.human_present[:, None].repeat(3, 1)].any()
-    assert as_replay(trajectory)["humansPresent"] == [[4], [0, 4], [0]]
-    save_trajectories([(trajectory, "paths")], tmp_path / "paths.png")
-    figure = Figure()
-    axes = figure.add_subplot()
-    drawn = _draw_state(axes, trajectory, 0)
-    radii = [artist.radius for artist in drawn if isinstance(artist, Circle)]
-    assert len(radii) == 2 * 2 + SCENARIO.robots  # two people with their personal space
-
-
 @pytest.mark.parametrize("actors", [1, 3])
 def test_a_policy_explains_its_waypoints_and_attention(tmp_path: Path, actors: int) -> None:
     path = tmp_path / "policy.safetensors"
-    save_policy(path, small_policy(num_parameter_sets=actors), "hierarchical", {})
+    save_policy(path, policy(num_parameter_sets=actors), "hierarchical", {})
     config = {"_target_": "samarl.agents.learned.Learned", "checkpoint": str(path)}
     trajectory = record_episode(build_agent(config, SCENARIO), SCENARIO, 3)
     steps = len(trajectory.robot_position) - 1
@@ -116,21 +65,6 @@ def test_a_policy_explains_its_waypoints_and_attention(tmp_path: Path, actors: i
     first = trajectory.human_attention[0]
     assert ((first > 0) == trajectory.humans_visible[0]).all()  # no tracks yet
     assert (np.diagonal(trajectory.robot_attention, axis1=1, axis2=2) == 0).all()
-
-
-def test_explaining_changes_nothing_and_a_flat_agent_has_no_waypoint() -> None:
-    model = small_policy("flat")
-    agents = [DeployedPolicy(model, SCENARIO) for _ in range(2)]
-    world = World(SCENARIO, 2)
-    observation = world.reset([1, 2])
-    assert agents[0].explain() is None
-    for _ in range(4):
-        action, same = (agent.act(observation) for agent in agents)
-        explanation = agents[1].explain()
-        assert explanation is not None
-        assert explanation.waypoint is None
-        assert (action == same).all()
-        observation = world.step(action).observation
 
 
 def test_attention_weights_reproduce_the_pooled_features() -> None:

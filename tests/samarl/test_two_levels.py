@@ -14,7 +14,7 @@ from samarl.agents.learned import DeployedPolicy
 from samarl.algorithms.action_limits import action_limits, excess
 from samarl.encoders import ENCODERS
 from samarl.observations.features import to_body
-from samarl.policies.macro_actions import Waypoints, decode_waypoint
+from samarl.policies.macro_actions import decode_waypoint
 from samarl.policies.policy import LOCAL, MACRO, WAYPOINT_FEATURES, PolicyState
 from tests.learning import SCENARIO, algorithm, collector, policy
 
@@ -103,27 +103,6 @@ def test_a_waypoint_stays_where_it_is_while_the_robot_moves() -> None:
         forward[..., 0] = 0.8  # to 1 m/s at once: 0.125 m
         observation, begins = world.step(forward).observation, np.zeros(1, np.bool_)
     assert due == [True, *[False] * 3, True, *[False] * 3, True]
-
-
-@pytest.mark.parametrize("local_goal", [False, True])
-def test_near_the_goal_waypoints_are_moved_less_unless_the_local_level_knows_the_goal(
-    local_goal: bool,
-) -> None:
-    scenario = replace(SCENARIO, fov_degrees=360.0)
-    model, world = policy(local_goal=local_goal), World(scenario)
-    with torch.no_grad():  # always as far aside as can be
-        last = model.networks[0].heads[MACRO].body[-1]
-        last.weight.zero_()
-        last.bias.copy_(torch.tensor([0.0, 1.0]))
-    world.reset([0])
-    for left, aside in ((5.0, 2.0), (0.5, 2.0 if local_goal else 0.5)):  # 2 m ahead, 2 m of reach
-        heading = world.state.robot_heading[0]
-        ahead = left * np.stack([np.cos(heading), np.sin(heading)], -1)
-        world.state.robot_goal[0] = world.state.robot_position[0] + ahead
-        state, observation = model.initial_state(1, scenario), world.observe()
-        model.act(observation, state, np.ones(1, np.bool_), scenario)
-        seen = waypoints_of(state, observation.ego)
-        np.testing.assert_allclose(seen, [[[min(left, 2.0), aside]] * 2], atol=1e-3)
 
 
 @pytest.mark.parametrize("local_goal", [False, True])
@@ -230,28 +209,3 @@ def test_kept_samples_are_those_of_the_largest_advantages() -> None:
     assert size[selected].min() >= size[decides & ~selected].max()
     assert advantage[decides].mean().item() == pytest.approx(0.0, abs=1e-5)
     assert advantage[decides].std().item() == pytest.approx(1.0, abs=1e-4)
-
-
-@pytest.mark.parametrize(
-    ("share", "macro"), [(0.0, 0.1), (0.15, 0.2), (0.3, 0.4), (0.8, 0.2), (1.0, 0.1)]
-)
-def test_waypoints_are_tried_further_apart_once_they_are_followed(
-    share: float, macro: float
-) -> None:
-    model = policy()
-    learned = model.networks[0].heads[LOCAL].log_std.exp().detach()
-    algorithm(model, std_start=0.6, std_end=0.1, macro_std=0.4).set_progress(share)
-    std = {level: head.log_std.exp() for level, head in model.networks[0].heads.items()}
-    assert std[MACRO].tolist() == pytest.approx([macro] * 2)
-    assert (std[LOCAL] <= 0.6 - 0.5 * share + 1e-6).all()
-    assert (std[LOCAL] <= learned + 1e-6).all()  # nothing raises the local level's
-
-
-def test_agents_of_one_policy_keep_their_own_waypoints() -> None:
-    model, world = policy(), World(SCENARIO, 3)
-    observation = world.reset([1, 2, 3])
-    learned = DeployedPolicy(model, SCENARIO)
-    before = learned.act(observation)
-    DeployedPolicy(model, replace(SCENARIO, robots=5), Waypoints.random)
-    learned.reset(np.ones(3, np.bool_))
-    np.testing.assert_array_equal(learned.act(observation), before)
