@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import json
+import time
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from omegaconf import MISSING, DictConfig, OmegaConf
+from omegaconf import MISSING, DictConfig
 
-from mrsan import ConfigurationError, Split
+from mrsan import ConfigurationError, Scenario, Split
 from mrsan.fields import check_numbers, number
 from samarl.commands.cli import command_line, run_command
 from samarl.configuration import open_mapping, scenario_of
@@ -63,20 +65,27 @@ def macro(config: DictConfig) -> None:
     learner = Learner(training, agents, output / "training.safetensors")
     if learner.steps:
         print(f"resuming at step {learner.steps} of {training.steps}")
+    start = time.monotonic()
     learner.learn()
     provenance: dict[str, Any] = {
         "command": command_line("samarl-macro"),
         "commit": code_version(),
         "steps": learner.steps,
+        "seconds": round(time.monotonic() - start, 1),  # of this command, if it was resumed
         "configuration": {
             "training": asdict(training),
-            "scenarios": OmegaConf.to_container(config.scenarios, enum_to_str=True),
+            "curriculum": {"stages": [_stage(s) for s in scenarios.values()]},
         },
     }
     save_macro_level(output / BEST, learner.actor, provenance)
     rows = _compare(agents, output, config.validation_cases)
     write_json(output / "macro.json", provenance | {"validation": rows, "curve": learner.curve})
     print(f"written to {output}")
+
+
+def _stage(scenario: Scenario) -> dict[str, Any]:
+    """Return a stage of a curriculum for a card."""
+    return {"scenario": json.loads(json.dumps(asdict(scenario), default=str))}
 
 
 def _compare(agents: dict[str, RightOfWay], output: Path, cases: int) -> dict[str, Any]:
