@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from mrsan import ConfigurationError, Observation, Scenario, Split, World
 from mrsan.compile_ahead import compile_ahead
-from mrsan.scenario import overridden
+from mrsan.tasks import overridden
 from samarl import configuration
 from samarl.agents import Agent, ScopeWarning, build_agent
 from samarl.agents.custom import Custom
@@ -41,8 +41,9 @@ def load_scenario(scenario: Name | Scenario = Scenario.name, **overrides: Any) -
     """Return a scenario by its name, with some of its fields changed.
 
     Args:
-        scenario: the name of a file in `conf/scenario/`; a YAML file in the same form; a policy or
-            the folder of a training run, for the scenario of its training; or a scenario.
+        scenario: the name or id of a task in `mrsan.TASKS`; the name of a file in `conf/scenario/`;
+            a YAML file in the same form; a policy or the folder of a training run, for the scenario
+            of its training; or a scenario.
         **overrides: fields of `mrsan.Scenario`, such as `humans=5`.
 
     Raises:

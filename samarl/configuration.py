@@ -21,7 +21,7 @@ from hydra.core.plugins import Plugins
 from omegaconf import MISSING, DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from mrsan import ConfigurationError, Scenario
+from mrsan import TASKS, ConfigurationError, Scenario
 from mrsan.suggestions import choice_hint
 from samarl.evaluation.methods import split_method
 from samarl.evaluation.runner import Evaluation
@@ -78,6 +78,11 @@ def register_schemas(**schemas: Any) -> None:
     for node in (scenario.crowd_settings, scenario.sensors, scenario.reward.terms):
         OmegaConf.set_struct(node, False)  # their keys depend on what is registered
     store.store(group="scenario", name="schema", node=scenario)
+    for name, task in TASKS.items():  # `scenario=doorway` and `scenario=mrsan/Doorway-v0`
+        node = {"defaults": ["/scenario/schema@_here_", "_self_"], **task.fields}
+        store.store(group="scenario", name=name, node=node)
+        folder, _, version = task.id.partition("/")
+        store.store(group=f"scenario/{folder}", name=version, node=node)
     store.store(group="evaluation", name="schema", node=Evaluation)
     for engine, cls in ENGINES.items():
         store.store(group="engine", name=f"{engine}_schema", node=cls)
@@ -146,9 +151,10 @@ def available_agents() -> list[str]:
 
 
 def available_scenarios() -> list[str]:
-    """Return the names of all scenarios in `conf/scenario/` and in those of `--config-dir`."""
+    """Return the names of tasks and of scenarios in `conf/scenario/` and in `--config-dir`."""
     with hydra_tree() as loader:
-        return sorted(set(loader.get_group_options("scenario")) - {"schema"})
+        names = set(loader.get_group_options("scenario")) - {"schema"}
+    return sorted(names) + [task.id for task in TASKS.values()]
 
 
 def load_agent_config(name: str, field: str = "agent") -> dict[str, Any]:
@@ -184,7 +190,7 @@ def load_scenario(name: str, field: str = "scenario") -> Scenario:
     """Return a scenario.
 
     Args:
-        name: of its file in `conf/scenario/` or in `scenario/` of `--config-dir`, or the path of a
+        name: of a task, its file in `conf/scenario/` or in `--config-dir`, or the path of a
             YAML file in the same form.
         field: name of the setting that holds `name`, for error messages.
 

@@ -8,10 +8,12 @@ from pathlib import Path
 from statistics import fmean
 from typing import Any
 
+from mrsan import TASKS
 from samarl.evaluation.methods import label_of
 from samarl.evaluation.papers import PAPER_SUCCESS
 from samarl.evaluation.summary import Column, Row, column_of
 from samarl.evaluation.table import markdown_table, setting_name
+from samarl.report.leaderboard import ranked, task_of, task_rows
 from tools.figures import RESULTS, find_row, find_value, print_row, result_rows
 
 NONE = "-"  # in cells without a value
@@ -197,6 +199,25 @@ def robustness() -> str:
         [setting, *(cells.get(m, NONE) for m in methods)] for setting, cells in settings.items()
     ]
     return markdown_table(["success %", *map(label_of, methods)], lines)
+
+
+@table
+def tasks() -> str:
+    """Return the named tasks with the best learned and the best planned method."""
+    rows: dict[str | None, list[Row]] = {}
+    for row in task_rows():
+        rows.setdefault(task_of(row), []).append(row)
+    lines = []
+    for name, task in TASKS.items():
+        most = max(row["episodes"] for row in rows[name])
+        full = [row for row in rows[name] if row["episodes"] == most]
+        best: dict[str, str] = {}
+        for line in ranked(full):
+            if not line.is_privileged:
+                best.setdefault(line.group, f"{line.label} {line.success:.1f}")
+        cells = [best.get(group, NONE) for group in ("learned", "planner")]
+        lines.append([f"`{task.id}`", f"`{name}`", task.about, *cells])
+    return markdown_table(["id", "`scenario=`", "what", "learned", "planned"], lines)
 
 
 @table

@@ -1,4 +1,4 @@
-"""Draw one case of each layout: `python -m tools.draw_layouts docs/images`."""
+"""Draw one case of each layout and task: `python -m tools.draw_layouts docs/images`."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Patch
 
-from mrsan import Layout, Scenario, World
+from mrsan import TASKS, Layout, Scenario, World
 from mrsan.place import FAMILIES
 from mrsan.place_shapes import polygons_of, route_of
 from mrsan.rendering import ROBOT_COLOURS
@@ -25,18 +25,29 @@ _OPEN = [Layout.circle, Layout.crossing, Layout.opposite, Layout.square]
 
 
 def main(folder: Path) -> None:
-    """Write the pictures of the layouts without walls and of those with walls."""
+    """Write the pictures of the layouts without walls, of those with walls, and of the tasks."""
     open_floor = [Scenario(layout=layout, humans=10, robots=_ROBOTS) for layout in _OPEN]
     _draw_all(open_floor, (1, 4), folder / "layouts.png")
     walled = [Scenario(layout=layout, humans=5, robots=_ROBOTS) for layout in FAMILIES]
     _draw_all(walled, (2, 3), folder / "places.png")
+    tasks = [task.scenario for task in TASKS.values()]
+    _draw_all(tasks, (5, 4), folder / "tasks.png", [task.id for task in TASKS.values()])
 
 
-def _draw_all(scenarios: Sequence[Scenario], grid: tuple[int, int], path: Path) -> None:
-    """Write one picture of several scenarios, with a legend."""
+def _draw_all(
+    scenarios: Sequence[Scenario],
+    grid: tuple[int, int],
+    path: Path,
+    titles: Sequence[str] = (),
+) -> None:
+    """Write one picture of several scenarios, with a legend; titles are by default the layouts."""
     size = (10.5, 3.4 * grid[0])
     figure, axes = plt.subplots(*grid, figsize=size, layout="constrained", squeeze=False)
-    for place, scenario in zip(axes.flat, scenarios, strict=True):
+    titles = titles or [scenario.layout.name for scenario in scenarios]
+    for place in axes.flat:
+        place.set_axis_off()
+    for place, scenario, title in zip(axes.flat, scenarios, titles, strict=False):
+        place.set_title(title, fontsize=11)
         _draw(place, scenario)
     colour = ROBOT_COLOURS[0]
     marks: dict[str, Artist] = {
@@ -45,10 +56,10 @@ def _draw_all(scenarios: Sequence[Scenario], grid: tuple[int, int], path: Path) 
         "its goal": Line2D([], [], color=colour, marker="x", markersize=8, linestyle=""),
         "person": Line2D([], [], color=_PERSON, marker="o", markersize=9, linestyle=""),
     }
-    if scenarios[0].has_walls:
+    if any(scenario.has_walls for scenario in scenarios):
         marks["wall"] = Line2D([], [], color=_WALL, linewidth=2.0)
         marks["obstacle"] = Patch(facecolor=_SOLID, edgecolor=_WALL)
-    else:
+    if not scenarios[0].has_walls:
         marks["where the person goes"] = Line2D([], [], color=_WAY, marker=">", linewidth=1.2)
     figure.legend(
         list(marks.values()),
@@ -66,7 +77,6 @@ def _draw(axes: Axes, scenario: Scenario) -> None:
     world = World(scenario)
     world.reset([_CASE])
     state = world.state
-    axes.set_title(scenario.layout.name, fontsize=11)
     if scenario.has_walls:
         _fill(axes, world)
     else:
@@ -81,7 +91,7 @@ def _draw(axes: Axes, scenario: Scenario) -> None:
             color=_WAY,
         )
         axes.update_datalim(goal)
-    for i in range(_ROBOTS):
+    for i in range(scenario.robots):
         agent = scenario.humans + i
         start, goal = state.robot_position[0, i], state.robot_goal[0, i]
         route = np.stack([start, goal])
@@ -95,7 +105,6 @@ def _draw(axes: Axes, scenario: Scenario) -> None:
         centre = tuple(state.human_position[0, j])
         axes.add_patch(Circle(centre, float(state.human_radius[0, j]), color=_PERSON, zorder=3))
     axes.set_aspect("equal")
-    axes.set_axis_off()
 
 
 def _fill(axes: Axes, world: World) -> None:

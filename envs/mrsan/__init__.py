@@ -30,6 +30,7 @@ from mrsan.reward_terms import register_reward_term
 from mrsan.scenario import Scenario
 from mrsan.sensors import EntitySensor, ValueSensor, register_sensor
 from mrsan.state import State
+from mrsan.tasks import TASKS, Task
 from mrsan.world import ActionError, Step, World
 
 __version__ = version("samarl")  # one distribution holds both packages
@@ -37,6 +38,7 @@ __version__ = version("samarl")  # one distribution holds both packages
 __all__ = [
     "EGO_FEATURES",
     "OTHER_FEATURES",
+    "TASKS",
     "ActionError",
     "ConfigurationError",
     "Crowd",
@@ -60,6 +62,7 @@ __all__ = [
     "Split",
     "State",
     "Step",
+    "Task",
     "TeamPerception",
     "ValueSensor",
     "World",
@@ -74,8 +77,13 @@ try:
 except ModuleNotFoundError:  # a robot that only drives (samarl.runtime) does without
     pass
 else:
-    gymnasium.register(
-        "mrsan/SocialNavigation-v0",
+    from functools import partial
+
+    _register = partial(
+        gymnasium.register,
         entry_point="mrsan.gymnasium_env:GymnasiumEnv",
         vector_entry_point="mrsan.gymnasium_env:GymnasiumVectorEnv",
     )
+    _register("mrsan/SocialNavigation-v0")
+    for _task in TASKS.values():
+        _register(_task.id, kwargs={"scenario": _task.id})

@@ -1,4 +1,8 @@
-"""Single-robot worlds as a Gymnasium environment and as a vector environment."""
+"""Worlds with one controller as a Gymnasium environment and as a vector environment.
+
+Observations and actions of several robots have one more axis, [N, ...]: one controller drives the
+team. The reward is their mean.
+"""
 
 from __future__ import annotations
 
@@ -23,8 +27,9 @@ from mrsan.fields import ConfigurationError
 from mrsan.metrics import Outcome, episodes_of, social_score
 from mrsan.observation import Observation
 from mrsan.rendering import RENDER_MODES, Renderer
-from mrsan.scenario import Scenario, overridden
+from mrsan.scenario import Scenario
 from mrsan.sensors.suite import SensorSuite
+from mrsan.tasks import overridden
 from mrsan.world import ActionError, Step, World
 
 Array = NDArray[Any]
@@ -32,6 +37,7 @@ Array = NDArray[Any]
 
 FARTHEST = np.float32(1e6)  # m and m/s, beyond everything that robots observe
 _LARGEST = np.finfo(np.float32).max
+_ALL = slice(None)
 
 
 def as_spaces(scenario: Scenario) -> tuple[spaces.Dict, spaces.Box]:
@@ -66,20 +72,25 @@ def robot_observations(observation: Observation, world: int) -> list[dict[str, A
     return [{key: value[world, robot] for key, value in arrays} for robot in robots]
 
 
-def robot_reward_parts(step: Step, world: int, robot: int) -> dict[str, float]:
-    """Return the terms of the reward of one robot by the names of `mrsan.RewardParts`."""
-    return {name: float(part[world, robot]) for name, part in step.reward_parts._asdict().items()}
+def robot_reward_parts(step: Step, world: int, robots: int | slice) -> dict[str, float]:
+    """Return the terms of the reward by the names of `mrsan.RewardParts`, means over robots."""
+    parts = step.reward_parts._asdict().items()
+    return {name: float(part[world, robots].mean(dtype=np.float64)) for name, part in parts}
 
 
-def end_info(world: World, index: int, robot: int) -> dict[str, Any]:
-    """Return how the episode of world `index` ended for the team and for `robot`."""
+def end_info(world: World, index: int, robots: int | slice) -> dict[str, Any]:
+    """Return how the episode of world `index` ended for the team and for some of its robots."""
     mask = np.arange(world.worlds) == index
     episodes = episodes_of(world.state, world.scenario, mask)
     return {
         "is_success": bool(episodes.success[0]),
-        "outcome": Outcome(episodes.outcome[0, robot]).name,
-        "social_score": float(social_score(episodes)[0, robot]),
+        "outcome": _names(episodes.outcome[0, robots]),
+        "social_score": float(social_score(episodes)[0, robots].mean()),
     }
+
+
+def _names(outcomes: Array) -> str:
+    return " ".join(Outcome(value).name for value in np.ravel(outcomes))
 
 
 def arrays_in_space(observation: Observation) -> dict[str, Array]:
@@ -94,36 +105,45 @@ def arrays_in_space(observation: Observation) -> dict[str, Array]:
     }
 
 
+def _team_observation(observation: Observation, world: int) -> dict[str, Array]:
+    """Return the observation of the controller of one world."""
+    robots = _ALL if observation.ego.shape[1] > 1 else 0
+    return {key: value[world, robots] for key, value in arrays_in_space(observation).items()}
+
+
+def _team_spaces(scenario: Scenario) -> tuple[spaces.Space[Any], spaces.Space[Any]]:
+    """Return the observation and the action space of the controller."""
+    observation, action = as_spaces(scenario)
+    if scenario.robots == 1:
+        return observation, action
+    return batch_space(observation, scenario.robots), batch_space(action, scenario.robots)
+
+
 def _batched_parts(step: Step, worlds: Array) -> dict[str, Any]:
     """Return the terms of the reward of some worlds [E] in Gymnasium's vector form."""
     if not worlds.any():
         return {}
     parts: dict[str, Array] = {}
     for name, part in step.reward_parts._asdict().items():
-        parts[name] = np.where(worlds, part[:, 0], 0.0).astype(np.float64)
+        parts[name] = np.where(worlds, part.mean(1, dtype=np.float64), 0.0)
         parts[f"_{name}"] = worlds
     return {"reward_parts": parts, "_reward_parts": worlds}
 
 
-def _single_robot(scenario: Scenario | None, overrides: dict[str, Any]) -> Scenario:
-    if scenario is None:
-        overrides = {"robots": 1, **overrides}
-    scenario = overridden(scenario, overrides)
-    if scenario.robots != 1:
-        raise ConfigurationError(
-            f"scenario.robots is {scenario.robots}; it must be 1 in a Gymnasium environment (use "
-            "the PettingZoo or TorchRL environment for several robots)"
-        )
-    return scenario
+def _scenario(scenario: Scenario | str | None, overrides: dict[str, Any]) -> Scenario:
+    return overridden(scenario, {"robots": 1, **overrides} if scenario is None else overrides)
 
 
 class GymnasiumEnv(gymnasium.Env[dict[str, Array], Array]):
-    """One robot in one world; `gymnasium.make("mrsan/SocialNavigation-v0", humans=5)`.
+    """One world; `gymnasium.make("mrsan/SocialNavigation-v0", humans=5)` has one robot.
 
-    `gymnasium.make("mrsan:mrsan/SocialNavigation-v0")` also works where `mrsan` is not imported.
+    `gymnasium.make("mrsan/Doorway-v0")` is one of `mrsan.TASKS`, whose robots have one controller:
+    observations and actions are [N, ...], the reward and its parts are means over the robots.
+    `gymnasium.make("mrsan:mrsan/Doorway-v0")` also works where `mrsan` is not imported.
     `reset(seed=s)` begins case `s`; without a seed, the next episode of the same case. The `info`
-    of a step contains `arrived` and `reward_parts`, numbers by the names of `mrsan.RewardParts`,
-    and that of the last step also `is_success`, `outcome` and `social_score`. `render_mode`
+    of a step contains `arrived` (all have) and `reward_parts`, numbers by the names of
+    `mrsan.RewardParts`, and that of the last step also `is_success`, `outcome` (of each robot, with
+    spaces between them) and `social_score`. `render_mode`
     "rgb_array" returns pictures [512, 512, 3]; "human" opens a window.
     """
 
@@ -133,20 +153,25 @@ class GymnasiumEnv(gymnasium.Env[dict[str, Array], Array]):
     action_space: spaces.Space[Any]
 
     def __init__(
-        self, scenario: Scenario | None = None, render_mode: str | None = None, **overrides: Any
+        self,
+        scenario: Scenario | str | None = None,
+        render_mode: str | None = None,
+        **overrides: Any,
     ) -> None:
         """Create a world.
 
         Args:
-            scenario: the task. None: SAMARL's, with one robot.
+            scenario: the task, or its id, such as `mrsan/Doorway-v0`. None: SAMARL's,
+                with one robot.
             render_mode: None, "rgb_array" or "human".
             **overrides: fields of the scenario, such as `humans=5`.
         """
-        self.scenario = _single_robot(scenario, overrides)
+        self.scenario = _scenario(scenario, overrides)
         self.world = World(self.scenario)
+        self._action_shape = (1, self.scenario.robots, self.scenario.action_size)
         self._renderer = Renderer(render_mode, self.scenario)
         self.render_mode, self.metadata = render_mode, self._renderer.metadata
-        self.observation_space, self.action_space = as_spaces(self.scenario)
+        self.observation_space, self.action_space = _team_spaces(self.scenario)
         self._is_first_reset = True
 
     def reset(
@@ -159,7 +184,7 @@ class GymnasiumEnv(gymnasium.Env[dict[str, Array], Array]):
         self._is_first_reset = False
         observation = self.world.reset(None if seed is None else [seed])
         self._renderer.update_window(self.world)
-        return robot_observations(observation, 0)[0], {"arrived": False}
+        return _team_observation(observation, 0), {"arrived": False}
 
     def step(self, action: Array) -> tuple[dict[str, Array], float, bool, bool, dict[str, Any]]:
         """Move the robot by one time step.
@@ -172,17 +197,17 @@ class GymnasiumEnv(gymnasium.Env[dict[str, Array], Array]):
             raise ActionError(
                 f"action has shape {action.shape}; it must have {self.action_space.shape}"
             )
-        step = self.world.step(action[None, None])
+        step = self.world.step(action.reshape(self._action_shape))
         self._renderer.update_window(self.world)
         terminated, truncated = bool(step.terminated[0]), bool(step.truncated[0])
         info: dict[str, Any] = {
-            "arrived": bool(self.world.state.arrived[0, 0]),
-            "reward_parts": robot_reward_parts(step, 0, 0),
+            "arrived": bool(self.world.state.arrived[0].all()),
+            "reward_parts": robot_reward_parts(step, 0, _ALL),
         }
         if terminated or truncated:
-            info |= end_info(self.world, 0, 0)
-        observation = robot_observations(step.observation, 0)[0]
-        return observation, float(step.reward[0, 0]), terminated, truncated, info
+            info |= end_info(self.world, 0, _ALL)
+        observation, reward = _team_observation(step.observation, 0), step.reward[0]
+        return observation, float(reward.mean(dtype=np.float64)), terminated, truncated, info
 
     def render(self) -> Array | None:
         """Return the picture in mode "rgb_array", [512, 512, 3] uint8; otherwise None."""
@@ -194,17 +219,17 @@ class GymnasiumEnv(gymnasium.Env[dict[str, Array], Array]):
 
 
 class GymnasiumVectorEnv(VectorEnv[dict[str, Array], Array, Array]):
-    """E single-robot worlds stepped together, with Gymnasium's three autoreset modes.
+    """E worlds stepped together, with Gymnasium's three autoreset modes; see `GymnasiumEnv`.
 
     `gymnasium.make_vec("mrsan/SocialNavigation-v0", num_envs=64, autoreset_mode="SameStep")`.
-    World `e` plays case `seed + e`, so the results equal those of a `SyncVectorEnv` of E single
+    World `e` plays case `seed + e`, so the results equal those of a `SyncVectorEnv` of E
     environments.
     """
 
     def __init__(
         self,
         num_envs: int = 1,
-        scenario: Scenario | None = None,
+        scenario: Scenario | str | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         render_mode: str | None = None,
         **overrides: Any,
@@ -213,20 +238,22 @@ class GymnasiumVectorEnv(VectorEnv[dict[str, Array], Array, Array]):
 
         Args:
             num_envs: their number E.
-            scenario: the task. None: SAMARL's, with one robot.
+            scenario: the task, or its id, such as `mrsan/Doorway-v0`. None: SAMARL's,
+                with one robot.
             autoreset_mode: when a world that has ended begins its next episode.
             render_mode: None or "rgb_array".
             **overrides: fields of the scenario, such as `humans=5`.
         """
         if render_mode == "human":
             raise ConfigurationError("render_mode is 'human'; it must be None or rgb_array")
-        self.scenario = _single_robot(scenario, overrides)
+        self.scenario = _scenario(scenario, overrides)
+        self._action_shape = (num_envs, self.scenario.robots, self.scenario.action_size)
         self.num_envs = num_envs
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self._renderer = Renderer(render_mode, self.scenario)
         self.render_mode = render_mode
         self.metadata = {"autoreset_mode": self.autoreset_mode, **self._renderer.metadata}
-        self.single_observation_space, self.single_action_space = as_spaces(self.scenario)
+        self.single_observation_space, self.single_action_space = _team_spaces(self.scenario)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.world = World(self.scenario, num_envs)
@@ -285,11 +312,11 @@ class GymnasiumVectorEnv(VectorEnv[dict[str, Array], Array, Array]):
             raise ActionError(
                 f"actions have shape {action.shape}; they must have {self.action_space.shape}"
             )
-        step = self.world.step(action[:, None])
+        step = self.world.step(action.reshape(self._action_shape))
         observation, done = step.observation, step.terminated | step.truncated
         everywhere = np.ones(self.num_envs, np.bool_)
         infos: dict[str, Any] = {
-            "arrived": self.world.state.arrived[:, 0].copy(),
+            "arrived": self.world.state.arrived.all(1),
             "_arrived": everywhere,
         }
         stepped = everywhere
@@ -304,7 +331,7 @@ class GymnasiumVectorEnv(VectorEnv[dict[str, Array], Array, Array]):
             if self.autoreset_mode is AutoresetMode.SAME_STEP:
                 infos["final_obs"] = np.full(self.num_envs, None, dtype=object)
                 for e in np.flatnonzero(done).tolist():
-                    infos["final_obs"][e] = robot_observations(observation, e)[0]
+                    infos["final_obs"][e] = _team_observation(observation, e)
                 final = {
                     "arrived": infos["arrived"] & done,
                     "_arrived": done,
@@ -317,7 +344,7 @@ class GymnasiumVectorEnv(VectorEnv[dict[str, Array], Array, Array]):
             else:
                 infos |= ending
         infos |= _batched_parts(step, stepped)
-        reward = step.reward[:, 0].astype(np.float64)
+        reward = step.reward.mean(1, dtype=np.float64)
         return self._batch(observation), reward, step.terminated, step.truncated, infos
 
     def render(self) -> tuple[Array, ...] | None:
@@ -330,11 +357,11 @@ class GymnasiumVectorEnv(VectorEnv[dict[str, Array], Array, Array]):
         """Return success, outcome and social score of ended worlds, in Gymnasium's vector form."""
         episodes = episodes_of(self.world.state, self.scenario, done)
         outcome = np.full(self.num_envs, None, dtype=object)
-        outcome[done] = [Outcome(value).name for value in episodes.outcome[:, 0]]
+        outcome[done] = [_names(outcomes) for outcomes in episodes.outcome]
         success = np.zeros(self.num_envs, np.bool_)
         success[done] = episodes.success
         score = np.zeros(self.num_envs)
-        score[done] = social_score(episodes)[:, 0]
+        score[done] = social_score(episodes).mean(1)
         return {
             "is_success": success,
             "_is_success": done,
@@ -345,4 +372,5 @@ class GymnasiumVectorEnv(VectorEnv[dict[str, Array], Array, Array]):
         }
 
     def _batch(self, observation: Observation) -> dict[str, Array]:
-        return {key: value[:, 0] for key, value in arrays_in_space(observation).items()}
+        robots = _ALL if self.scenario.robots > 1 else 0
+        return {key: value[:, robots] for key, value in arrays_in_space(observation).items()}

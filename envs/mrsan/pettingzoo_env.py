@@ -18,7 +18,8 @@ from mrsan.gymnasium_env import (
 )
 from mrsan.observation import Observation
 from mrsan.rendering import RENDER_MODES, Renderer
-from mrsan.scenario import Scenario, overridden
+from mrsan.scenario import Scenario
+from mrsan.tasks import overridden
 from mrsan.world import ActionError, World
 
 Array = NDArray[Any]
@@ -48,12 +49,15 @@ class PettingZooEnv(ParallelEnv[str, dict[str, Array], Array]):
     }
 
     def __init__(
-        self, scenario: Scenario | None = None, render_mode: str | None = None, **overrides: Any
+        self,
+        scenario: Scenario | str | None = None,
+        render_mode: str | None = None,
+        **overrides: Any,
     ) -> None:
         """Create one world.
 
         Args:
-            scenario: the task. None: SAMARL's.
+            scenario: the task, or its id, such as `mrsan/Doorway-v0`. None: SAMARL's.
             render_mode: None, "rgb_array" or "human".
             **overrides: fields of the scenario, such as `humans=5`.
         """

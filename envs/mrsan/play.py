@@ -18,8 +18,9 @@ from mrsan.features import GOAL
 from mrsan.fields import ConfigurationError
 from mrsan.metrics import Outcome, episodes_of, social_score
 from mrsan.rendering import Renderer
-from mrsan.scenario import Scenario, overridden
+from mrsan.scenario import Scenario
 from mrsan.se2 import unrotate
+from mrsan.tasks import overridden
 from mrsan.world import World
 
 KEYS = "arrow keys or WASD: drive, r: again, n: next case, q: quit"

@@ -12,7 +12,8 @@ from mrsan.gymnasium_env import arrays_in_space, as_spaces
 from mrsan.metrics import Episodes, Outcome, social_score
 from mrsan.observation import Observation
 from mrsan.rendering import Renderer
-from mrsan.scenario import Scenario, overridden
+from mrsan.scenario import Scenario
+from mrsan.tasks import overridden
 from mrsan.world import World
 
 try:
@@ -47,7 +48,7 @@ class SB3VecEnv(VecEnv):
 
     def __init__(
         self,
-        scenario: Scenario | None = None,
+        scenario: Scenario | str | None = None,
         worlds: int = 32,
         render_mode: str | None = None,
         **overrides: Any,
@@ -55,7 +56,7 @@ class SB3VecEnv(VecEnv):
         """Create the worlds.
 
         Args:
-            scenario: the task. None: SAMARL's.
+            scenario: the task, or its id, such as `mrsan/Doorway-v0`. None: SAMARL's.
             worlds: their number E.
             render_mode: None or "rgb_array".
             **overrides: fields of the scenario, such as `humans=5`.

@@ -72,7 +72,7 @@ class Scenario:
 
     __repr__ = short_repr
 
-    name: str = setting("samarl", help="file in conf/scenario/ that it is, or is a variant of")
+    name: str = setting("samarl", help="scenario=name that it is, or is a variant of")
 
     # The agents.
     robots: int = number(3, 1, 16, help="number of robots")
@@ -480,21 +480,3 @@ class Scenario:
         if self.has_walls:
             return half_size(self.layout, self.place)
         return max(self.floor_size / 2, circle if self.layout is Layout.mixed else 0.0)
-
-
-def overridden(scenario: Scenario | None, overrides: dict[str, Any]) -> Scenario:
-    """Return a scenario with some of its fields changed.
-
-    Args:
-        scenario: the scenario; None: SAMARL's.
-        overrides: values by the names of the fields.
-
-    Raises:
-        ConfigurationError: it is not a scenario or a value is invalid.
-        UnknownFieldError: there is no such field.
-    """
-    if not isinstance(scenario, Scenario | None):
-        raise ConfigurationError(
-            f"scenario is {scenario!r}; it must be a Scenario (pass other settings by name)"
-        )
-    return dataclasses.replace(scenario or Scenario(), **overrides)

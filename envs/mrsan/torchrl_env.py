@@ -12,8 +12,9 @@ from torchrl.envs import EnvBase
 
 from mrsan.observation import Observation
 from mrsan.reward import RewardParts
-from mrsan.scenario import Scenario, overridden
+from mrsan.scenario import Scenario
 from mrsan.sensors.suite import SensorSuite
+from mrsan.tasks import overridden
 from mrsan.world import World
 
 
@@ -44,7 +45,7 @@ class TorchRLEnv(EnvBase):
 
     def __init__(
         self,
-        scenario: Scenario | None = None,
+        scenario: Scenario | str | None = None,
         worlds: int = 1,
         device: torch.device | str = "cpu",
         seed: int | None = None,
@@ -53,7 +54,7 @@ class TorchRLEnv(EnvBase):
         """Create the worlds.
 
         Args:
-            scenario: the task. None: SAMARL's.
+            scenario: the task, or its id, such as `mrsan/Doorway-v0`. None: SAMARL's.
             worlds: their number E.
             device: device of the tensors; the simulation runs on the CPU.
             seed: world `e` plays case `seed + e`. None: drawn at random.

@@ -31,7 +31,7 @@ class Column(NamedTuple):
     team_perception: str = "none"
     recording: str | None = None  # name of its file
     changes: str = ""  # other fields that differ from the named scenario: `a=1 b=2`
-    scenario: str = "samarl"  # name of its file in conf/scenario/
+    scenario: str = "samarl"  # `Scenario.name`
     terminate_on_collision: bool = True
 
     @property

@@ -1,18 +1,18 @@
-"""The methods of a table in groups, best first, with description and checkpoint."""
+"""The methods of a table or of the named tasks in groups, best first."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
 import yaml
 
+from mrsan import TASKS
 from samarl.configuration import available_agents, load_agent_config
 from samarl.evaluation.methods import is_ablation, label_of, split_method
-from samarl.evaluation.summary import Row, column_of
-from samarl.evaluation.table import grid_of
+from samarl.evaluation.summary import Column, Row, column_of, read_rows, scenario_column
 from samarl.files import find_folder
 
 GROUPS = {"learned": "Learned", "ablation": "Ablations", "planner": "Planners"}
@@ -26,6 +26,9 @@ class Line:
     group: str  # a key of GROUPS
     description: str  # one line; empty if the method has no configuration file
     checkpoint: str | None  # of its policy
+    has_shield: bool
+    is_privileged: bool  # its robots know more than they observe or are told
+    communicates: bool  # its robots report what they see, or tell each other what they do
     rows: list[Row | None]  # one per column
 
     @property
@@ -40,16 +43,60 @@ class Line:
         return sum(rates) / len(rates)
 
 
-def ranked(rows: Sequence[Row]) -> list[Line]:
+def ranked(
+    rows: Sequence[Row], column: Callable[[Row], Hashable] = column_of, columns: Sequence[Any] = ()
+) -> list[Line]:
     """Return the methods by group, those in most columns first, then by mean success, best first.
 
     Means over different columns are not comparable, since columns differ in difficulty.
+
+    Args:
+        rows: the rows; of several of a method in a column, the one with the most cases counts.
+        column: the column of a row.
+        columns: all columns, in order; empty: those of the rows, in order of appearance.
     """
-    lines = [_line(name, method_rows) for name, method_rows in grid_of(rows).ours.items()]
+    columns = columns or list(dict.fromkeys(map(column, rows)))
+    methods: dict[tuple[str, bool], dict[Hashable, Row]] = {}
+    for row in sorted(rows, key=lambda row: int(row["episodes"])):
+        methods.setdefault((row["method"], _communicates(row)), {})[column(row)] = row
+    lines = [
+        _line(*method, [cells.get(name) for name in columns]) for method, cells in methods.items()
+    ]
     order = list(GROUPS)
     return sorted(
         lines, key=lambda line: (order.index(line.group), line.rows.count(None), -line.success)
     )
+
+
+@cache
+def _task_columns() -> dict[Column, str]:
+    """Return the names in `mrsan.TASKS` by the columns of their rows."""
+    scenarios = {name: task.scenario for name, task in TASKS.items()}
+    return {scenario_column(s, scenarios.get(s.name)): name for name, s in scenarios.items()}
+
+
+def task_of(row: Row) -> str | None:
+    """Return the task of a row by its name in `mrsan.TASKS`, or None.
+
+    Robots may communicate in every task.
+    """
+    column = column_of(row)
+    changes = [word for word in column.changes.split() if not word.startswith("team_")]
+    alone = column._replace(team_perception="none", changes=" ".join(changes))
+    return _task_columns().get(alone)
+
+
+def task_rows() -> list[Row]:
+    """Return the rows in `results/` that are of a task, without those of ablations."""
+    rows: list[Row] = []
+    for path in sorted(find_folder("results").glob("*.json")):
+        rows += read_rows(path) or []
+    return [row for row in rows if task_of(row) and not is_ablation(row["method"])]
+
+
+def _communicates(row: Row) -> bool:
+    column = column_of(row)
+    return column.team_perception != "none" or "team_messages=True" in column.changes
 
 
 def is_best(row: Row, rows: Sequence[Row]) -> bool:
@@ -58,14 +105,22 @@ def is_best(row: Row, rows: Sequence[Row]) -> bool:
     return row["success_rate"] == max(r["success_rate"] for r in rows if column_of(r) == column)
 
 
-def _line(name: str, rows: list[Row | None]) -> Line:
+def _line(name: str, communicates: bool, rows: list[Row | None]) -> Line:
     """Return the line of a method; methods without a configuration file count as planners."""
     agent, settings = split_method(name)
-    checkpoint = (_configuration(agent) | settings).get("checkpoint")
+    settings = _configuration(agent) | settings
+    checkpoint = settings.get("checkpoint")
     group = "planner" if checkpoint is None else "learned"
-    if is_ablation(name):
-        group = "ablation"
-    return Line(name, group, _description(agent), checkpoint, rows)
+    return Line(
+        name=name,
+        group="ablation" if is_ablation(name) else group,
+        description=_description(agent),
+        checkpoint=checkpoint,
+        has_shield=bool(settings.get("shield")),
+        is_privileged=bool(settings.get("central")),
+        communicates=communicates,
+        rows=rows,
+    )
 
 
 @cache

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 import yaml
 
+from mrsan import TASKS
 from samarl.commands.bench import main
 from samarl.configuration import load_scenario, scenario_of
 from samarl.evaluation.papers import PAPER_CO_PLANNING
@@ -22,6 +23,14 @@ def table2() -> list[dict]:
     columns = yaml.safe_load((CONF / "table/table2.yaml").read_text())["columns"]
     assert isinstance(columns, list)
     return columns
+
+
+def test_a_column_that_is_a_task_says_so() -> None:
+    """The numbers of a task stand in `mrsan.TASKS` only."""
+    tasks = [task.scenario for task in TASKS.values()]
+    for path in (CONF / "table").glob("*.yaml"):
+        for column in yaml.safe_load(path.read_text())["columns"]:
+            assert scenario_of(column) not in tasks or set(column) == {"scenario"}, (path, column)
 
 
 def test_every_column_has_results_of_the_paper() -> None:
