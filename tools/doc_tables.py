@@ -162,7 +162,16 @@ def places() -> str:
 @table
 def right_of_way() -> str:
     """Return success and social score of robots that tell each other who goes first."""
-    methods = ("right_of_way", "right_of_way central=true")
+    methods = (
+        "samarl_places",
+        "right_of_way driver=samarl_places shield=true",
+        "right_of_way driver=samarl_places macro_level=right_of_way shield=true",
+        "right_of_way",
+        "right_of_way macro_level=right_of_way",
+        "right_of_way macro_level=right_of_way_seed1",
+        "right_of_way macro_level=right_of_way_seed2",
+        "right_of_way central=true",
+    )
 
     def heading(row: Row) -> str:
         return f"{'narrow ' if row['robots'] == 4 else ''}{row['layout']}"
