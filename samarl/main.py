@@ -13,6 +13,7 @@ COMMANDS = {
     "evaluate": "evaluate an agent on fixed cases, or run a sweep of evaluations",
     "bench": "evaluate the agents of a table and compare it with the committed results",
     "render": "draw one case as a picture or a video",
+    "play": "open a playground in the browser",
     "record": "write the trajectories of one case as a table",
     "train": "train a policy, or resume a training",
     "report": "build web pages with tables, curves and replays",

@@ -216,7 +216,8 @@ def _write_pages(folder: Path, results: Path, command: str, has_replays: bool) -
         site.write("sweeps.html", "sweeps.html", sweeps=sweeps, figures=figures)
     if has_replays:
         site.write("replays.html", "replays.html")
-        site.copy_script("viewer.js")
+        for script in ("drawing.js", "viewer.js"):
+            site.copy_script(script)
     site.copy_script("sort.js")
     return site
 

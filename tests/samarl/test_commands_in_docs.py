@@ -15,6 +15,7 @@ from samarl.commands.cli import compose_cells
 from samarl.commands.export import Export
 from samarl.commands.macro import Macro
 from samarl.commands.overrides import CommandLine
+from samarl.commands.play import Play
 from samarl.commands.predictor import Predictor
 from samarl.commands.record import Record
 from samarl.commands.render import Render
@@ -29,6 +30,7 @@ SCHEMAS = {
     "bench": Bench,
     "export": Export,
     "macro": Macro,
+    "play": Play,
     "predictor": Predictor,
     "record": Record,
     "render": Render,
