@@ -20,6 +20,7 @@ from samarl.commands.predictor import Predictor
 from samarl.commands.record import Record
 from samarl.commands.render import Render
 from samarl.commands.report import Report
+from samarl.commands.submit import Submit
 from samarl.configuration import register_schemas
 from samarl.training.settings import train_schema
 
@@ -35,10 +36,11 @@ SCHEMAS = {
     "record": Record,
     "render": Render,
     "report": Report,
+    "submit": Submit,
     "train": train_schema(),
 }
 # Placeholders; options instead of settings.
-OTHER_SYNTAX = r"\.\.\.|NAME|RECORDINGS=|--help|samarl-(?:recording|map|curves|examples)"
+OTHER_SYNTAX = r"\.\.\.|NAME|RECORDINGS=|--help|samarl-(?:verify|recording|map|curves|examples)"
 
 
 def command_lines() -> Iterator[tuple[str, str]]:
