@@ -5,7 +5,6 @@ from __future__ import annotations
 import http.client
 import socket
 import threading
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -188,8 +187,7 @@ def test_every_tool_works_while_it_runs(page: Any, sessions: list[Session]) -> N
     if page.inner_text("#play") == "Play":
         page.click("#play")
     frames = page.evaluate("Number(document.body.dataset.frames)")
-    time.sleep(1.0)
-    assert page.evaluate("Number(document.body.dataset.frames)") > frames + 10
+    page.wait_for_function(f"Number(document.body.dataset.frames) > {frames} + 10")
 
 
 def test_foreign_pages_and_hosts_are_refused(address: str, browser: Any) -> None:
