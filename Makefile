@@ -59,6 +59,7 @@ report: setup ## Build web pages with tables, curves and replays in results/repo
 
 docs: setup ## Build the documentation, with the Python API, in outputs/docs/
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
+	@$(BIN)/python -m tools.record_session outputs/docs/play
 	@echo "written to outputs/docs/index.html"
 
 latency: setup ## Measure how long one decision takes

@@ -7,9 +7,13 @@ from typing import Any
 from mkdocs.plugins import event_priority
 from mkdocs.structure.files import File, Files
 
+from samarl.report.build import task_leaderboard
+from samarl.report.leaderboard import task_rows
+from samarl.report.marl_eval import marl_eval_json
 from tools.update_docs import fill, without_marks
 
 ROOT = Path(__file__).parents[1]
+SUBMISSIONS = ROOT / "leaderboard"
 RESULTS = (
     "table1",
     "table2",
@@ -39,6 +43,11 @@ def on_files(files: Files, config: Any) -> Files:
         else:
             content = path.read_text(encoding="utf-8")
             files.append(File.generated(config, page, content=content))
+    for name in ("leaderboard.css", "leaderboard.js"):
+        script = ROOT / "samarl/report/site" / name
+        files.append(File.generated(config, f"site/{name}", abs_src_path=str(script)))
+    content = marl_eval_json(task_rows(SUBMISSIONS))
+    files.append(File.generated(config, "leaderboard_marl_eval.json", content=content))
     for figure in (ROOT / "results").glob("*.png"):
         files.append(File.generated(config, f"tables/{figure.name}", abs_src_path=str(figure)))
     return files
@@ -86,7 +95,10 @@ def on_post_template(output: str, template_name: str, **_: Any) -> str:
 
 
 def on_page_content(html: str, page: Any, **_: Any) -> str:
-    """Wrap the wide rows that commands print in a notebook, so that no cell is cut off."""
+    """Fill in leaderboards, and wrap the wide rows that commands print in a notebook."""
+    html = re.sub(
+        r"<!-- leaderboard (.+) -->", lambda mark: task_leaderboard(mark[1], SUBMISSIONS), html
+    )
     if not page.file.src_path.endswith(".ipynb"):
         return html
     return re.sub(

@@ -14,7 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrsan import ConfigurationError, Observation, Scenario, Split, World
+from mrsan.case_file import read_case_file
 from mrsan.compile_ahead import compile_ahead
+from mrsan.scenario import scenario_of_case
 from mrsan.tasks import overridden
 from samarl import configuration
 from samarl.agents import Agent, ScopeWarning, build_agent
@@ -44,7 +46,8 @@ def load_scenario(scenario: Name | Scenario = Scenario.name, **overrides: Any) -
         scenario: the name or id of a task in `mrsan.TASKS`; the name of a file in `conf/scenario/`;
             a YAML file in the same form; a policy or the folder of a training run, for the scenario
             of its training; or a scenario.
-        **overrides: fields of `mrsan.Scenario`, such as `humans=5`.
+        **overrides: fields of `mrsan.Scenario`, such as `humans=5`. With `case_file` they change
+            the scenario of that file.
 
     Raises:
         ConfigurationError: there is no such scenario, or a value is invalid.
@@ -53,6 +56,8 @@ def load_scenario(scenario: Name | Scenario = Scenario.name, **overrides: Any) -
         >>> load_scenario("10p3r", humans=5).humans
         5
     """
+    if overrides.get("case_file") is not None:
+        return scenario_of_case(str(overrides.pop("case_file")), overrides)
     if not isinstance(scenario, Scenario):
         name = str(scenario)
         is_known = name in configuration.available_scenarios() or not is_policy(name)
@@ -126,6 +131,7 @@ def evaluate(
         scenario: the task (`load_scenario` lists the forms). None: that of the agent object, that
             of the training of a policy, or SAMARL's.
         cases: how many cases from the first one, or which: indices in the split, or case numbers.
+            A scenario with a case file has only the case of the file.
         split: "test", "validation" or "training".
         batch: number of worlds simulated in parallel.
         name: the method in the row. None: the name of the agent, of the function or of the class.
@@ -144,7 +150,7 @@ def evaluate(
     """
     driver = _agent_for(agent, scenario)
     title = name or _name_of(driver)
-    numbers = _case_numbers(cases, split)
+    numbers = _case_numbers(cases, split, driver.scenario)
     Evaluation(batch=batch)  # checks it
     engine = engine or MrsanEngine()
     engine.check(driver.scenario)
@@ -197,7 +203,7 @@ def record(
         {'human': 5, 'robot': 3}
     """
     driver = _agent_for(agent, scenario)
-    (number,) = _case_numbers([case], split)
+    (number,) = _case_numbers([case], split, driver.scenario)
     return as_table(record_episode(driver, driver.scenario, int(number)))
 
 
@@ -232,7 +238,7 @@ def render(
     save = picture_writer(path)
     check_writable(path, "output")
     drivers = [_agent_for(agent, scenario)]
-    (number,) = _case_numbers([case], split)
+    (number,) = _case_numbers([case], split, drivers[0].scenario)
     if engine is not None and not isinstance(engine, MrsanEngine):
         if against is not None:
             raise ConfigurationError(f"against is {against}; it must be null with engine=mujoco")
@@ -279,8 +285,12 @@ def _compile_for(agent: Agent) -> None:
             warm_up(agent.for_scenario(agent.scenario), agent.scenario)
 
 
-def _case_numbers(cases: int | Iterable[int], split: str | Split) -> NDArray[np.int64]:
+def _case_numbers(
+    cases: int | Iterable[int], split: str | Split, scenario: Scenario
+) -> NDArray[np.int64]:
     """Return the numbers of cases, of which `cases` is the number or their indices or numbers."""
+    if scenario.case_file is not None:
+        return np.array([read_case_file(scenario.case_file).case], np.int64)
     if isinstance(split, str):
         if split not in Split.__members__:
             names = ", ".join(Split.__members__)

@@ -22,6 +22,7 @@ from omegaconf import MISSING, DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from mrsan import TASKS, ConfigurationError, Scenario
+from mrsan.scenario import scenario_of_case
 from mrsan.suggestions import choice_hint
 from samarl.evaluation.methods import split_method
 from samarl.evaluation.runner import Evaluation
@@ -91,10 +92,21 @@ def register_schemas(**schemas: Any) -> None:
 def scenario_in(config: DictConfig) -> Scenario:
     """Return the checked scenario of a composed configuration.
 
+    With a case file it is that of the file, with the fields that the configuration changes.
+
     Raises:
         ConfigurationError: the scenario is not valid.
     """
-    return _object_in(config, "scenario", Scenario, "samarl")
+    scenario = _object_in(config, "scenario", Scenario, "samarl")
+    if scenario.case_file is None:
+        return scenario
+    named = Scenario()
+    with contextlib.suppress(ConfigurationError):  # the name of a scenario may be the user's own
+        named = load_scenario(scenario.name)
+    changes = {
+        name: value for name, value in vars(scenario).items() if value != getattr(named, name)
+    }
+    return scenario_of_case(changes.pop("case_file"), changes)
 
 
 def evaluation_in(config: DictConfig) -> Evaluation:

@@ -1,8 +1,8 @@
 """Fill figures and tables of `results/` into the documentation: `python -m tools.update_docs`.
 
-In `README.md` and `docs/*.md` a figure stands between `<!--fig WORDS-->` and `<!--/-->`
+In `README.md`, `paper.md` and `docs/*.md` a figure stands between `<!--fig WORDS-->` and `<!--/-->`
 (`tools/figures.py` explains the words), and a table between the lines `<!-- table NAME -->` and
-`<!-- /table -->` (`tools/doc_tables.py` has the names).
+`<!-- /table -->` (`tools/doc_tables.py` has the names). `tools/model_cards.py` adds model cards.
 """
 
 from __future__ import annotations
@@ -12,8 +12,10 @@ import sys
 from pathlib import Path
 
 from samarl.files import write_text
+from samarl.report.leaderboard import task_rows
 from tools.doc_tables import TABLES
 from tools.figures import figure
+from tools.model_cards import model_cards
 
 _FIGURE = re.compile(r"<!--fig ([^>]+)-->(.*?)<!--/-->", re.DOTALL)
 _TABLE = re.compile(r"<!-- table (\w+) -->\n(.*?)<!-- /table -->\n", re.DOTALL)
@@ -57,11 +59,11 @@ def _table(name: str) -> str:
 
 def pages(root: Path) -> list[Path]:
     """Return the pages that may have marks."""
-    return [root / "README.md", *sorted((root / "docs").glob("*.md"))]
+    return [root / "README.md", *root.glob("paper.md"), *sorted((root / "docs").glob("*.md"))]
 
 
 def update_docs(root: Path) -> None:
-    """Rewrite all pages, or none of them.
+    """Rewrite all pages and model cards, or none of them.
 
     Raises:
         ValueError: a mark is wrong; the message names the page.
@@ -72,7 +74,7 @@ def update_docs(root: Path) -> None:
             filled[page] = fill(page.read_text(encoding="utf-8"))
         except (ValueError, KeyError, IndexError) as error:
             raise ValueError(f"{page}: {error}") from error
-    for page, text in filled.items():
+    for page, text in (filled | model_cards(root, task_rows())).items():
         write_text(page, text)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
+from mrsan.case_file import read_case_file
 from mrsan.choices import Crowd, Layout
 from mrsan.fields import ConfigurationError
 
@@ -62,10 +63,12 @@ def _check_social(s: Scenario) -> None:
 
 def _check_walls(s: Scenario) -> None:
     """Check the settings of places with walls."""
-    if (s.map is not None) != (s.layout is Layout.map):
+    drawn = s.case_file is not None and bool(read_case_file(s.case_file).walls)
+    if (s.map is not None or drawn) != (s.layout is Layout.map):
+        files = f"scenario.map is {s.map!r}, scenario.case_file is {s.case_file!r}"
         raise ConfigurationError(
-            f"scenario.map is {s.map!r} and scenario.layout is {s.layout.name}; layout must be map "
-            "with a map file, and only then"
+            f"{files} and scenario.layout is {s.layout.name}; layout must be map with a map file "
+            "or a case file with walls, and only then"
         )
     if s.next_passages and not s.map_known:
         raise ConfigurationError(

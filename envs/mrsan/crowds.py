@@ -30,6 +30,7 @@ from mrsan.kernels.people import (
     walk_as_recorded,
     walk_to_goals,
 )
+from mrsan.kernels.scripted import follow_paths
 from mrsan.kernels.society import (
     place_in_group,
     place_reacting_in_zone,
@@ -285,7 +286,11 @@ def social_settings(scenario: Any, crowd_settings: tuple[Any, ...]) -> tuple[Any
 
 @cache
 def step_kernel(
-    model: CrowdModel, walled: bool = False, social: bool = False, along_paths: bool = False
+    model: CrowdModel,
+    walled: bool = False,
+    social: bool = False,
+    scripted: bool = False,
+    along_paths: bool = False,
 ) -> kernel:
     """Return the kernel that moves worlds whose people follow a crowd model.
 
@@ -293,9 +298,11 @@ def step_kernel(
         model: the crowd model.
         walled: in places with walls.
         social: people react to robots or walk in groups.
+        scripted: some people walk along the paths of a case file.
         along_paths: robots move along paths (`mrsan.kernels.along`) instead of by actions.
     """
-    name = f"{model.variant}{'_walled' * walled}{'_social' * social}{'_along' * along_paths}"
+    parts = {"walled": walled, "social": social, "scripted": scripted, "along": along_paths}
+    name = "_".join([model.variant, *(part for part, applies in parts.items() if applies)])
     functions = {
         "choose_velocities": model.choose_velocities,
         "update_presence": model.update_presence,
@@ -315,6 +322,8 @@ def step_kernel(
             (False, True): walk_socially,
             (True, True): walk_socially_past_walls,
         }[walled, social]
+    if scripted:
+        functions["choose_velocities"] = follow_paths(functions["choose_velocities"])
     return advance.variant(name, **functions)
 
 

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from mrsan.case_file import map_of_case, read_case_file
 from mrsan.choices import (
     ACTION_SIZE,
     Crowd,
@@ -84,6 +85,9 @@ class Scenario:
     # The place and the clock.
     layout: Layout = setting(Layout.circle, help="where agents start and go")
     map: str | None = setting(None, help="file of walls, for layout map")
+    case_file: str | None = setting(
+        None, help="file of one case, saved by samarl-play: its start, walls, people and changes"
+    )
     map_known: bool = setting(True, help="robots know the map: they observe the next corner")
     place: Place = field(default_factory=Place)
     circle_radius: float = number(
@@ -356,6 +360,8 @@ class Scenario:
     @property
     def fixed_map(self) -> FixedMap:
         """Return the walls of the map file about its middle; empty arrays without one."""
+        if self.case_file is not None and read_case_file(self.case_file).walls:
+            return map_of_case(self.case_file, self.route_clearance)
         return fixed_map(self.map, self.route_clearance)
 
     @property
@@ -480,3 +486,17 @@ class Scenario:
         if self.has_walls:
             return half_size(self.layout, self.place)
         return max(self.floor_size / 2, circle if self.layout is Layout.mixed else 0.0)
+
+
+def scenario_of_case(path: str, overrides: dict[str, Any]) -> Scenario:
+    """Return the scenario of a case file, with some of its fields changed.
+
+    Args:
+        path: the file, which becomes `Scenario.case_file`.
+        overrides: values by the names of the fields.
+
+    Raises:
+        ConfigurationError: the file or a value is invalid.
+    """
+    fields = read_case_file(path).scenario
+    return Scenario(**{**fields, "case_file": path, **overrides})

@@ -38,6 +38,7 @@ from mrsan.plugin_values import PluginError, check_finite
 from mrsan.reward import RewardParts
 from mrsan.reward_terms import sum_of_terms
 from mrsan.scenario import Scenario
+from mrsan.script import Script
 from mrsan.sensors.suite import SensorSuite
 from mrsan.sensors.team import MESSAGE_FEATURES
 from mrsan.state import Bools, Floats, State
@@ -95,8 +96,8 @@ class World:
                 does not move until it is reset.
 
         Raises:
-            ConfigurationError: the scenario names a recording, a predictor or a crowd model that
-                cannot be used.
+            ConfigurationError: the scenario names a recording, a case file, a predictor or a crowd
+                model that cannot be used.
         """
         if not isinstance(scenario, Scenario):
             raise TypeError(f"scenario is {scenario!r}; it must be a Scenario")
@@ -113,13 +114,16 @@ class World:
         self.state = _empty_state(worlds, scenario, history)
         crowd = crowd_model(scenario.crowd)
         walled, social = scenario.has_walls, scenario.is_social
-        self._step_kernel = partial(step_kernel, crowd, walled, social)
+        self.script = Script(scenario, worlds) if scenario.case_file else None
+        scripted = self.script is not None and scenario.crowd != Crowd.recorded
+        self._step_kernel = partial(step_kernel, crowd, walled, social, scripted)
         self._advance = self._step_kernel()
         self._begin_episodes = begin_kernel(walled, social, scenario.crowd == Crowd.recorded)
         crowd_settings = crowd.kernel_settings(scenario)
         self._social = by_reference(social_settings(scenario, crowd_settings))
         self._crowd_settings = self._social or by_reference(crowd_settings)
         self._recording = by_reference(scenario.load_recording())
+        self._tracks = self.script.argument if self.script and scripted else self._recording
         self._sensors = SensorSuite(scenario)
         self._privileged = SensorSuite(scenario, privileged=True)
         self._is_compiled = False
@@ -187,6 +191,8 @@ class World:
             raise ConfigurationError(
                 self.scenario.describe_shortage(robots, int(self.state.case[world]))
             )
+        if self.script:
+            self.script.begin(self.state, worlds)
 
     def call_kernels(self) -> None:
         """Call the kernels of an episode; `mrsan.compile_ahead` lets none of them run."""
@@ -296,7 +302,10 @@ class World:
         Raises:
             ActionError: an action is not a number, is out of range or has the wrong shape.
         """
-        return self._step(self._advance, self._checked_actions(actions))
+        motion = self._checked_actions(actions)
+        if self.script:
+            motion = self.script.act(self.state, motion)
+        return self._step(self._advance, motion)
 
     def step_along(self, paths: ArrayLike) -> Step:
         """Move every world by one time step, its robots along paths from elsewhere.
@@ -334,6 +343,8 @@ class World:
         if self.scenario.crowd not in Crowd.__members__:
             velocity = self.state.human_velocity
             check_finite(f"crowd {self.scenario.crowd}", velocity, state, state.human_present)
+        if self.script:
+            self.script.change(state, running)
         observation = self.observe()
         if self._lookahead:
             self._add_lookahead(self._lookahead, observation, running, reward, parts)
@@ -362,7 +373,7 @@ class World:
                 motion,
                 self._parameters,
                 self._crowd_settings,
-                self._recording,
+                self._tracks,
                 reward,
                 terms,
             )

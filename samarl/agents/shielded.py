@@ -66,6 +66,7 @@ class Shielded(Agent):
         tracks, predicted_offset = self._track_predictor.update(observation)
         checked = apply_shield(tracks, action, self.scenario, self.shield, predicted_offset)
         self._replaced = (checked != action).any(-1)
+        self._proposed, self._known = action, tracks.humans
         return checked
 
     def macro_actions(self) -> NDArray[np.int32] | None:
@@ -73,5 +74,7 @@ class Shielded(Agent):
         return self.agent.macro_actions()
 
     def explain(self) -> Explanation | None:
-        """Return the agent's explanation, with a mask of the replaced actions."""
-        return (self.agent.explain() or Explanation())._replace(shielded=self._replaced)
+        """Return the agent's explanation, with what the shield checked and replaced."""
+        return (self.agent.explain() or Explanation())._replace(
+            shielded=self._replaced, proposed=self._proposed, tracks=self._known
+        )

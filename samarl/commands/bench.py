@@ -69,26 +69,32 @@ STATUS = """\
 
 
 @dataclass
-class Bench:
-    """Schema of `conf/bench.yaml` and of the tables in `conf/table/`."""
+class Table:
+    """Schema of the tables in `conf/table/` and of what plays them."""
 
     name: str = MISSING
     about: str = MISSING
     agents: list[Any] | None = None  # names, `NAME SETTING=VALUE`, or mappings, see `method_name`
     headline: list[str] = field(default_factory=list)
-    only_headline: bool = False
     improvement_of: list[str] = field(default_factory=list)
     columns: list[dict[str, Any]] = field(default_factory=list)
-    recordings: str | None = None
     recorded: dict[str, Any] = open_mapping()
     frame_seconds: dict[str, float] = open_mapping(float)
     plugins: list[str] = field(default_factory=list)
+    output: str = MISSING
+    evaluation: Any = MISSING
+
+
+@dataclass
+class Bench(Table):
+    """Schema of `conf/bench.yaml`."""
+
+    only_headline: bool = False
+    recordings: str | None = None
     seeds: bool = False
     learned_cases: int | None = None
     merge: bool = False
     jobs: int = -1
-    output: str = MISSING
-    evaluation: Any = MISSING
 
 
 def main() -> None:

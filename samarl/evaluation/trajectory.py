@@ -63,57 +63,99 @@ class Trajectory:
     episodes: Episodes  # the record of this one episode
 
 
-def record_episode(agent: Agent, scenario: Scenario, case: int) -> Trajectory:
-    """Run one case and return its trajectory."""
-    world = World(scenario)
-    observation = world.reset([case])
-    agent.reset(np.ones(1, np.bool_))
-    state = world.state
-    snapshots, explanations = [_snapshot(state, observation)], []
-    while not state.done[0]:
-        action = act_and_tell(agent, observation, world)
-        explanations.append(agent.explain() or Explanation())
-        observation = world.step(action).observation
-        snapshots.append(_snapshot(state, observation))
-    series = [np.stack(values) for values in zip(*snapshots, strict=True)]
-    position, velocity, heading, driving, lidar, *people_and_masks = series
-    humans, human_velocity, human_goal, present, *masks = people_and_masks
-    humans_visible, robots_visible, humans_reported, robots_reported = masks
-    ever_present = present.any(0)
-    waypoint, human_attention, robot_attention, shielded, activity = (
-        None if values[0] is None else np.concatenate(values)
-        for values in zip(*explanations, strict=True)
-    )
-    groups, reactions = _social(scenario, state.human_social[0, ever_present])
-    return Trajectory(
-        scenario=scenario,
-        case=case,
-        walls=walls_of(state, 0).copy(),
-        passages=find_passages(state.walls[0], state.place[0], open_width(scenario.robot_radius)),
-        robot_position=position,
-        robot_velocity=velocity,
-        robot_heading=heading,
-        robot_goal=state.robot_goal[0].copy(),
-        human_position=humans[:, ever_present],
-        human_velocity=human_velocity[:, ever_present],
-        human_goal=human_goal[:, ever_present],
-        human_radius=state.human_radius[0, ever_present],
-        human_present=present[:, ever_present],
-        human_group=groups,
-        human_reaction=reactions,
-        driving=driving,
-        humans_visible=humans_visible[..., ever_present],
-        robots_visible=_with_diagonal(robots_visible),
-        humans_reported=humans_reported[..., ever_present],
-        robots_reported=_with_diagonal(robots_reported),
-        waypoint=waypoint,
-        human_attention=None if human_attention is None else human_attention[..., ever_present],
-        robot_attention=None if robot_attention is None else _with_diagonal(robot_attention),
-        lidar=lidar if lidar.size else None,
-        shielded=shielded,
-        activity=activity,
-        episodes=episodes_of(state, scenario, np.ones(1, np.bool_)),
-    )
+class Playback:
+    """One case that an agent plays step by step."""
+
+    def __init__(self, agent: Agent, scenario: Scenario, case: int) -> None:
+        """Begin the case.
+
+        Raises:
+            ConfigurationError: the case has no room for all robots or people.
+        """
+        self.agent, self.scenario, self.case = agent, scenario, case
+        self.world = World(scenario)
+        self.observation = self.world.reset([case])
+        agent.reset(np.ones(1, np.bool_))
+        state, width = self.world.state, open_width(scenario.robot_radius)
+        self._passages = find_passages(state.walls[0], state.place[0], width)
+        self.snapshots = [_snapshot(state, self.observation)]
+        self.explanations: list[Explanation] = []
+        self.decided_on = self.observation  # what the agent last acted on
+
+    @property
+    def is_over(self) -> bool:
+        """Return whether the episode has ended."""
+        return bool(self.world.state.done[0])
+
+    def step(self) -> None:
+        """Let the agent act once."""
+        action = act_and_tell(self.agent, self.observation, self.world)
+        self.explanations.append(self.agent.explain() or Explanation())
+        self.decided_on = self.observation
+        self.observation = self.world.step(action).observation
+        self.snapshots.append(_snapshot(self.world.state, self.observation))
+
+    def observe_again(self) -> None:
+        """Observe the moment once more after somebody was moved."""
+        self.observation = self.world.observe()
+        self.snapshots[-1] = _snapshot(self.world.state, self.observation)
+
+    def trajectory(self, everybody: bool = False) -> Trajectory:
+        """Return the trajectory so far.
+
+        Args:
+            everybody: also those people who were never present.
+        """
+        scenario, state = self.scenario, self.world.state
+        series = [np.stack(values) for values in zip(*self.snapshots, strict=True)]
+        position, velocity, heading, driving, lidar, *people_and_masks = series
+        humans, human_velocity, human_goal, present, *masks = people_and_masks
+        humans_visible, robots_visible, humans_reported, robots_reported = masks
+        ever_present = present.any(0) | everybody
+        waypoint, human_attention, robot_attention, shielded, activity = (
+            None if values[0] is None else np.concatenate(values)
+            for values in list(zip(*self.explanations or [Explanation()], strict=True))[:5]
+        )
+        groups, reactions = _social(scenario, state.human_social[0, ever_present])
+        return Trajectory(
+            scenario=scenario,
+            case=self.case,
+            walls=walls_of(state, 0).copy(),
+            passages=self._passages,
+            robot_position=position,
+            robot_velocity=velocity,
+            robot_heading=heading,
+            robot_goal=state.robot_goal[0].copy(),
+            human_position=humans[:, ever_present],
+            human_velocity=human_velocity[:, ever_present],
+            human_goal=human_goal[:, ever_present],
+            human_radius=state.human_radius[0, ever_present],
+            human_present=present[:, ever_present],
+            human_group=groups,
+            human_reaction=reactions,
+            driving=driving,
+            humans_visible=humans_visible[..., ever_present],
+            robots_visible=_with_diagonal(robots_visible),
+            humans_reported=humans_reported[..., ever_present],
+            robots_reported=_with_diagonal(robots_reported),
+            waypoint=waypoint,
+            human_attention=None if human_attention is None else human_attention[..., ever_present],
+            robot_attention=None if robot_attention is None else _with_diagonal(robot_attention),
+            lidar=lidar if lidar.size else None,
+            shielded=shielded,
+            activity=activity,
+            episodes=episodes_of(state, scenario, np.ones(1, np.bool_)),
+        )
+
+
+def record_episode(
+    agent: Agent, scenario: Scenario, case: int, everybody: bool = False
+) -> Trajectory:
+    """Run one case and return its trajectory; `everybody` as in `Playback.trajectory`."""
+    playback = Playback(agent, scenario, case)
+    while not playback.is_over:
+        playback.step()
+    return playback.trajectory(everybody)
 
 
 def _social(scenario: Scenario, social: Ints) -> tuple[Ints | None, list[str] | None]:

@@ -12,7 +12,7 @@ from typing import Any
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from matplotlib.figure import Figure
 
-from mrsan import ConfigurationError
+from mrsan import TASKS, ConfigurationError
 from samarl.evaluation.methods import labelled
 from samarl.evaluation.metrics import Tables
 from samarl.evaluation.seeds import without_seed
@@ -34,7 +34,7 @@ from samarl.report.figures import (
     is_performance,
     sweep_figures,
 )
-from samarl.report.leaderboard import GROUPS, Line, is_best, ranked
+from samarl.report.leaderboard import GROUPS, Line, is_best, ranked, task_of, task_rows
 from samarl.report.style import PALETTE, save_figure
 from samarl.training.learning_curve import read_curve
 
@@ -42,7 +42,7 @@ _TEMPLATES = Path(__file__).parent / "site"
 _MARKER = "site.css"  # identifies the folder of an earlier report
 _FUNCTIONS = {  # that templates use
     "co_planning_as_cells": co_planning_as_cells,
-    "column_title": column_title,
+    "column_titles": lambda columns: list(map(column_title, columns)),
     "counts_collisions": counts_collisions,
     "grid_of": grid_of,
     "groups": GROUPS,
@@ -53,6 +53,32 @@ _FUNCTIONS = {  # that templates use
     "rows_as_cells": rows_as_cells,
     "Tables": Tables,
 }
+
+
+def _environment() -> Environment:
+    environment = Environment(
+        loader=FileSystemLoader(_TEMPLATES),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=StrictUndefined,
+    )
+    environment.globals |= _FUNCTIONS
+    return environment
+
+
+def task_leaderboard(family: str, submissions: Path | None = None) -> str:
+    """Return the leaderboard of the tasks of a family (`mrsan.Task.family`) as HTML.
+
+    Args:
+        family: the family.
+        submissions: folder of files of `samarl-submit`.
+    """
+    tasks = {name: task for name, task in TASKS.items() if task.family == family}
+    rows = [row for row in task_rows(submissions) if task_of(row) in tasks]
+    lines = ranked(rows, task_of, list(tasks))
+    template: Any = _environment().get_template("leaderboard.html").module
+    return str(template.leaderboard([task.id for task in tasks.values()], lines, rows, set()))
 
 
 @dataclass
@@ -103,14 +129,8 @@ class Site:
 
     def __post_init__(self) -> None:
         """Write what all pages need."""
-        self._environment = Environment(
-            loader=FileSystemLoader(_TEMPLATES),
-            autoescape=True,
-            trim_blocks=True,
-            lstrip_blocks=True,
-            undefined=StrictUndefined,
-        )
-        self._environment.globals |= _FUNCTIONS | {
+        self._environment = _environment()
+        self._environment.globals |= {
             "pages": self.pages,
             "command": self.command,
             "commit": code_version(),
@@ -216,8 +236,9 @@ def _write_pages(folder: Path, results: Path, command: str, has_replays: bool) -
         site.write("sweeps.html", "sweeps.html", sweeps=sweeps, figures=figures)
     if has_replays:
         site.write("replays.html", "replays.html")
-        site.copy_script("viewer.js")
-    site.copy_script("sort.js")
+        for script in ("drawing.js", "viewer.js"):
+            site.copy_script(script)
+    site.copy_script("leaderboard.js")
     return site
 
 

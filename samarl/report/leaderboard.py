@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import yaml
@@ -12,8 +13,9 @@ import yaml
 from mrsan import TASKS
 from samarl.configuration import available_agents, load_agent_config
 from samarl.evaluation.methods import is_ablation, label_of, split_method
+from samarl.evaluation.submission import submission_rows
 from samarl.evaluation.summary import Column, Row, column_of, read_rows, scenario_column
-from samarl.files import find_folder
+from samarl.files import find_folder, read_json
 
 GROUPS = {"learned": "Learned", "ablation": "Ablations", "planner": "Planners"}
 
@@ -86,11 +88,17 @@ def task_of(row: Row) -> str | None:
     return _task_columns().get(alone)
 
 
-def task_rows() -> list[Row]:
-    """Return the rows in `results/` that are of a task, without those of ablations."""
+def task_rows(submissions: Path | None = None) -> list[Row]:
+    """Return the rows in `results/` that are of a task, without those of ablations.
+
+    Args:
+        submissions: folder of files of `samarl-submit`, whose rows are added.
+    """
     rows: list[Row] = []
     for path in sorted(find_folder("results").glob("*.json")):
         rows += read_rows(path) or []
+    for path in sorted(submissions.glob("*.json")) if submissions else []:
+        rows += submission_rows(read_json(path))
     return [row for row in rows if task_of(row) and not is_ablation(row["method"])]
 
 
@@ -100,24 +108,28 @@ def _communicates(row: Row) -> bool:
 
 
 def is_best(row: Row, rows: Sequence[Row]) -> bool:
-    """Return whether a row has the highest success rate of its column."""
-    column = column_of(row)
-    return row["success_rate"] == max(r["success_rate"] for r in rows if column_of(r) == column)
+    """Return whether a row has the highest success rate of its column or task."""
+    place = task_of(row) or column_of(row)
+    rates = [r["success_rate"] for r in rows if (task_of(r) or column_of(r)) == place]
+    return bool(row["success_rate"] == max(rates))
 
 
 def _line(name: str, communicates: bool, rows: list[Row | None]) -> Line:
     """Return the line of a method; methods without a configuration file count as planners."""
     agent, settings = split_method(name)
     settings = _configuration(agent) | settings
+    first: Row = next(filter(None, rows))
+    about = first.get("submission", {})
+    settings |= about.get("settings", {})
     checkpoint = settings.get("checkpoint")
     group = "planner" if checkpoint is None else "learned"
     return Line(
         name=name,
         group="ablation" if is_ablation(name) else group,
-        description=_description(agent),
+        description=about.get("description") or _description(agent),
         checkpoint=checkpoint,
         has_shield=bool(settings.get("shield")),
-        is_privileged=bool(settings.get("central")),
+        is_privileged=bool(about.get("privileged") or settings.get("central")),
         communicates=communicates,
         rows=rows,
     )

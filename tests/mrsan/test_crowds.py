@@ -122,6 +122,7 @@ def test_settings_reach_the_function_as_numbers(registry: None) -> None:
         Scenario(crowd="moody", crowd_settings={"mood": "sad"})
 
 
+@pytest.mark.slow
 def test_worker_processes_need_the_module(stroll: None) -> None:
     scenario = Scenario(crowd="stroll", crowd_settings={"pace": 0.25})
     context = multiprocessing.get_context("spawn")

@@ -28,6 +28,7 @@ ROOMS = [
     "samarl.training",
     "samarl.report",
     "samarl.api",
+    "samarl.play",
     "samarl.run",
     "samarl.commands",
 ]

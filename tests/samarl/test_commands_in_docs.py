@@ -15,10 +15,12 @@ from samarl.commands.cli import compose_cells
 from samarl.commands.export import Export
 from samarl.commands.macro import Macro
 from samarl.commands.overrides import CommandLine
+from samarl.commands.play import Play
 from samarl.commands.predictor import Predictor
 from samarl.commands.record import Record
 from samarl.commands.render import Render
 from samarl.commands.report import Report
+from samarl.commands.submit import Submit
 from samarl.configuration import register_schemas
 from samarl.training.settings import train_schema
 
@@ -29,14 +31,16 @@ SCHEMAS = {
     "bench": Bench,
     "export": Export,
     "macro": Macro,
+    "play": Play,
     "predictor": Predictor,
     "record": Record,
     "render": Render,
     "report": Report,
+    "submit": Submit,
     "train": train_schema(),
 }
 # Placeholders; options instead of settings.
-OTHER_SYNTAX = r"\.\.\.|NAME|RECORDINGS=|--help|samarl-(?:recording|map|curves|examples)"
+OTHER_SYNTAX = r"\.\.\.|NAME|RECORDINGS=|--help|samarl-(?:verify|recording|map|curves|examples)"
 
 
 def command_lines() -> Iterator[tuple[str, str]]:

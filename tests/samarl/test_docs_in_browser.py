@@ -15,6 +15,8 @@ CUT_COMMANDS = """blocks => blocks.filter(block => block.scrollWidth > block.cli
 def test_every_page_fits(page: Page, width: int) -> None:
     page.set_viewport_size({"width": width, "height": 900})
     for path in DOCS.rglob("*.html"):
+        if path.parent.name == "play":  # a page of the report, which has tests of its own
+            continue
         page.goto(path.as_uri(), wait_until="domcontentloaded")
         assert page.evaluate("document.documentElement.scrollWidth") <= width, path
         assert page.eval_on_selector_all(".language-console code", CUT_COMMANDS) == [], path

@@ -7,8 +7,10 @@ import pytest
 import yaml
 
 from samarl.evaluation.summary import read_rows
+from samarl.report.leaderboard import task_rows
 from tools.doc_tables import METHODS, ONE_LEVEL
 from tools.figures import figure
+from tools.model_cards import model_cards
 from tools.update_docs import fill, pages, update_docs
 
 ROOT = Path(__file__).parents[2]
@@ -62,6 +64,8 @@ def test_the_committed_pages_show_the_committed_results() -> None:
     for page in pages(ROOT):
         text = page.read_text(encoding="utf-8")
         assert fill(text) == text, page.name
+    for path, text in model_cards(ROOT, task_rows()).items():
+        assert path.read_text(encoding="utf-8") == text, path.name
 
 
 def test_make_bench_plays_the_rows_of_the_readme() -> None:

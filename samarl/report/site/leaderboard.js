@@ -1,5 +1,15 @@
 // Clicking a heading of a leaderboard sorts every group: best first, on a second click worst first.
+// Filters choose lines of the leaderboard below them.
 "use strict";
+
+for (const form of document.querySelectorAll("form.filters")) {
+  form.addEventListener("change", () => {
+    const chosen = [...form.querySelectorAll("select")].filter((choice) => choice.value);
+    for (const line of form.nextElementSibling.querySelectorAll("tr[data-learned]")) {
+      line.hidden = !chosen.every((choice) => line.dataset[choice.dataset.filter] === choice.value);
+    }
+  });
+}
 
 for (const table of document.querySelectorAll("table.grid")) {
   const headings = [...table.querySelectorAll("thead th")];
