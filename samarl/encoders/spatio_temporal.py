@@ -253,11 +253,11 @@ class SpatioTemporalEncoder(Encoder):
         lag = torch.arange(self.history + 1, device=is_init.device)
         fresh = frame % is_init.shape[1] - lag >= episode_start.flatten()[frame].clamp_min(0)
         needed, window = torch.where(fresh, frame - lag, frame).unique(return_inverse=True)
-        f = frames.map(lambda tensor: tensor.flatten(0, 1)[needed])
+        f = frames.apply(lambda tensor: tensor.flatten(0, 1)[needed])
         agents = tuple(
             getattr(self, kind)(f.ego, *_agents(f, kind), window, fresh) for kind in self.kinds
         )
-        return self._scene(agents, f.of(window[:, 0]))
+        return self._scene(agents, f.select(window[:, 0]))
 
     def read(self, scene: SpatioTemporalScene, query: Tensor) -> Tensor:
         """See `Encoder.read`."""
@@ -287,7 +287,7 @@ class SpatioTemporalEncoder(Encoder):
         """See `Encoder.step`; earlier frames are not encoded again."""
         count = torch.where(is_init, 0, state["count"])
         state["count"][:] = count + 1
-        f = frame.map(lambda tensor: tensor[:, 0])
+        f = frame.apply(lambda tensor: tensor[:, 0])
         agents = tuple(
             getattr(self, kind).step(
                 f.ego, *_agents(f, kind), state[kind], state[f"{kind}_known"], count

@@ -168,8 +168,8 @@ class StochasticPolicy(Policy):
         )
         if noise is not None or not self._decides_independently:
             active = None
-        seen = tracks if active is None else tracks.of(active)
-        features = self.extract_features(seen, scenario).to(device)
+        seen = tracks if active is None else tracks.of_robots(active)
+        features = self.extract_features(seen, scenario)
         if active is None:
             step, policy_state = self.step(features, *inputs, noise)
         else:
@@ -261,7 +261,7 @@ class StochasticPolicy(Policy):
 
         def observe(net: Any, i: int, samples_of_set: Any) -> Any:
             return net.encoder.observe(
-                visible.of(slice(i, None, sets)),
+                visible.select(slice(i, None, sets)),
                 is_init[i::sets],
                 encoder_states[i],
                 rows[samples_of_set] // sets * steps + step[samples_of_set],
@@ -320,7 +320,7 @@ class StochasticPolicy(Policy):
         for i, net in enumerate(self.networks):
             of_set = slice(i, None, sets)
             net.encoder.resume(
-                self._encoder_input(features).of(of_set),
+                self._encoder_input(features).select(of_set),
                 is_init[of_set],
                 state["encoder"][i],
                 rows[of_set] // sets,
@@ -348,7 +348,7 @@ class StochasticPolicy(Policy):
 
         def encode(net: Any, i: int, samples: Any) -> Any:
             of_set = slice(i, None, sets)
-            return net.encoder.step(visible.of(of_set), is_init[of_set], state["encoder"][i])
+            return net.encoder.step(visible.select(of_set), is_init[of_set], state["encoder"][i])
 
         return self._per_parameter_set(rows, encode)
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from mrsan import OTHER_FEATURES, Entities, Observation
 from mrsan.se2 import unrotate
-from samarl.observations.tracker import Tracker, TrackMemory, Tracks
+from samarl.observations.tracker import Tracker, TrackMemory
 from samarl.runtime.inputs import Detection, OwnState
 from samarl.runtime.slots import Slots
 
@@ -63,7 +63,7 @@ class AgentTracks:
             entities[kind] = Entities(features, visible)
         return entities, reassigned
 
-    def update(self, observation: Observation, elapsed: float) -> Tracks:
+    def update(self, observation: Observation, elapsed: float) -> Observation:
         """Return what is known after an observation, `elapsed` seconds after the one before."""
         is_init, self._is_new = np.array([self._is_new]), False
         return self._tracker.update(observation, self._memory, is_init, elapsed)

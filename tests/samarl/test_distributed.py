@@ -122,10 +122,10 @@ def half(rollout: Rollout, number: int) -> Rollout:
         rollout.scenario,
         rollout.correlation,
         rollout.steps[which],
-        rollout.frames.of(rows),
+        rollout.frames.select(rows),
         rollout.is_init[rows],
         tree_map(lambda tensor: tensor[rows], rollout.encoder),
-        rollout.state.of(rows),
+        rollout.state.select(rows),
         [],
         rollout.environment_steps // 2,
     )
