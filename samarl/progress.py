@@ -54,10 +54,6 @@ def progress_bar(iterable: Any = None, **settings: Any) -> tqdm:
     """Return a tqdm bar on standard error.
 
     Where standard error is not a terminal, a plain line is printed at most every 10 seconds.
-
-    Args:
-        iterable: what to iterate over, if anything.
-        **settings: settings of tqdm.
     """
     if not sys.stderr.isatty():
         settings |= {
@@ -73,9 +69,7 @@ def progress_bar(iterable: Any = None, **settings: Any) -> tqdm:
 def shared_progress(bar: tqdm, workers: int) -> Iterator[Path]:
     """Let worker processes advance a bar.
 
-    Args:
-        bar: the bar, which shows the sum of the counts of all workers.
-        workers: number of counts.
+    The bar shows the sum of the counts of all workers.
 
     Yields:
         The path of the file of counts, see `shared_counts`.

@@ -68,8 +68,8 @@ class Rollout:
         """What the robots of some sequences knew."""
         rows, sets = self.rows(which), len(self.encoder)
         states = tuple(
-            tree_map(lambda tensor, i=i: tensor[rows[i::sets] // sets], of_set)
-            for i, of_set in enumerate(self.encoder)
+            tree_map(lambda tensor, i=i: tensor[rows[i::sets] // sets], state)
+            for i, state in enumerate(self.encoder)
         )
         return Sequences(self.frames.select(rows), self.is_init[rows], states)
 

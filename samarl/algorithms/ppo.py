@@ -264,13 +264,7 @@ class PPO(Algorithm):
         return features.view(s, n, -1, features.shape[-1]).transpose(1, 2)
 
     def _level_data(self, level: str, rollout: Rollout, features: Tensor) -> TensorDict:
-        """Return the data of one level [B, T] as in `prepare`, not yet normalised.
-
-        Args:
-            level: the level.
-            rollout: S sequences of T + 1 steps.
-            features: [S, T + 1, N, F] the critics' view.
-        """
+        """Return the data of one level [B, T] as in `prepare`, not yet normalised."""
         c, critic = self.config, self.critics[level]
         steps, stream = rollout.steps[level_key(level)], streams(rollout.steps)
         reward = rollout.steps["next", *level_key(level), "reward"][:, :-1]

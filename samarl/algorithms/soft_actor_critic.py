@@ -308,9 +308,7 @@ def sequences_of(rollout: Rollout, team: bool) -> TensorDict:
     short, the last step is removed (see `advantages.Streams`); such a collision ends the team's
     value.
 
-    Args:
-        rollout: S sequences of T steps.
-        team: the reward is shared by the team.
+    With `team` the reward is shared by the team.
 
     Returns:
         [S] with `frames` (the parts of `Frames`, [S, N, h + T + 1, ...]), `is_init` [S, N,

@@ -330,13 +330,11 @@ def _row(
 def _from_training(checkpoints: Sequence[str], command: str) -> Row:
     """Return how a row of a policy is reproduced from scratch.
 
-    Args:
-        checkpoints: the policy of the row, then those of its other training seeds.
-        command: the command that evaluates the first one.
+    The first checkpoint is the policy of the row, which `command` evaluates.
 
     Returns:
         A command that trains and evaluates, the commit of the training, and the training command
-        of each seed; nothing for policies that continue another training, whose card has the
+        of each seed; nothing for policies that continue another training run, whose card has the
         commands, or were not trained by `samarl-train`.
     """
     trainings = []

@@ -25,7 +25,7 @@ class SetPoolConfig:
 
     width: int = required(8, 1024, help="width of all hidden layers")
     features: int = required(8, 4096, help="length of the output Y")
-    # Of places with walls, where the robots observe them:
+    # Of walled environments, where the robots observe them:
     segments: bool = setting(True, kw_only=True, help="read the nearest walls")
     rays: bool = setting(True, kw_only=True, help="read the ranges of the lidar")
 

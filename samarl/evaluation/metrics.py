@@ -154,14 +154,14 @@ def _success(episodes: Episodes) -> tuple[float, float, float]:
     return _percent(success), 100 * low, 100 * high
 
 
-def _percent(share: NDArray[Any]) -> float:
+def _percent(share: Any) -> float:
     return 100 * float(share.mean())
 
 
 def _rate(
     field: str,
     heading: str,
-    share: Callable[[Episodes], NDArray[Any]],
+    share: Callable[[Episodes], Any],
     tables: Tables = Tables.printed | Tables.report,
 ) -> None:
     """Register the mean of booleans or shares, in %."""

@@ -118,10 +118,7 @@ def true_state(world: World, waypoints: NDArray[np.float32] | None = None) -> Ob
     Features of people and robots end with the goal in the body frame (units of `LENGTH_SCALE`) and
     whether they have arrived; those of robots with their waypoints.
 
-    Args:
-        world: E worlds.
-        waypoints: [E, N, N - 1, W] features of the waypoints of the other robots; None: there is
-            no macro level.
+    `waypoints` [E, N, N - 1, W] are features of those of the other robots; None: no macro level.
     """
     state, n = world.state, world.scenario.robots
     observation = world.observe(privileged=True)

@@ -87,14 +87,14 @@ class LookaheadPolicy(Policy):
             rows: [P] see `_per_parameter_set`.
         """
 
-        def of_set(net: Networks, i: int, samples: Any) -> Tensor:
+        def evaluate(net: Networks, i: int, samples: Any) -> Tensor:
             frame = frames.select(samples)
             is_init = torch.ones_like(frame.ego[..., 0], dtype=torch.bool)
             y = net.encoder.read(net.encoder.observe(frame, is_init, {}), frame.ego[:, 0])
             result: Tensor = net.heads[LOCAL](y).squeeze(-1)
             return result
 
-        value: Tensor = self._per_parameter_set(rows, of_set)
+        value: Tensor = self._per_parameter_set(rows, evaluate)
         return VALUE_SCALE * value
 
     @torch.no_grad()
@@ -154,7 +154,7 @@ class LookaheadPolicy(Policy):
         rows = torch.arange(len(frames.ego), device=self.device)
         is_init = torch.ones_like(frames.ego[..., 0], dtype=torch.bool)
 
-        def of_set(net: Networks, i: int, samples: Any) -> Any:
+        def observe(net: Networks, i: int, samples: Any) -> Any:
             return net.encoder.observe(frames.select(samples), is_init[samples], {})
 
-        return self._per_parameter_set(rows, of_set)
+        return self._per_parameter_set(rows, observe)

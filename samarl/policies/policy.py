@@ -195,9 +195,7 @@ class Policy(nn.Module, ABC):
     ) -> NDArray[np.float32] | None:
         """Return the features of the waypoints of every robot's team-mates, [E, N, N - 1, W].
 
-        Args:
-            state: after a decision.
-            ego: [E, N, 11] own states; the waypoints are in their body frames.
+        They are in the body frames of `ego` [E, N, 11], after a decision.
 
         Returns:
             None without a macro level.

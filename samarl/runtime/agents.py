@@ -37,13 +37,7 @@ class AgentTracks:
     def observe(
         self, own: OwnState, detections: Sequence[Detection], time: float
     ) -> tuple[dict[str, Entities], dict[str, list[int]]]:
-        """Return the agents in their slots, [1, 1, ...], and which slots held somebody else before.
-
-        Args:
-            own: the robot.
-            detections: everybody who is visible now.
-            time: of the detections, s.
-        """
+        """Return the agents in their slots, [1, 1, ...], and which slots held others before."""
         cos, sin = math.cos(own.heading), math.sin(own.heading)
         entities, reassigned = {}, {}
         for kind, slots in self._slots.items():

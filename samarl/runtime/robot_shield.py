@@ -136,11 +136,6 @@ def _reason(
     """Return for what the action would have been rejected alone, the nearest of several.
 
     If that is nothing, it is what the action would have passed without.
-
-    Args:
-        tracks: what the shield knew.
-        walls: those in the tracks.
-        rejects: whether the shield rejects the action with fewer tracks.
     """
     members = _members(tracks, walls)
     distance = _distances(tracks, walls)

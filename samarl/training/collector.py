@@ -375,8 +375,8 @@ class RolloutCollector:
                 state = concatenate([state, state.select(rows.cpu())])
             sets = len(encoder_before)
             encoder_before = tuple(
-                tree_map(lambda t, i=i: torch.cat([t, t[rows[i::sets] // sets]]), of_set)
-                for i, of_set in enumerate(encoder_before)
+                tree_map(lambda t, i=i: torch.cat([t, t[rows[i::sets] // sets]]), encoder_state)
+                for i, encoder_state in enumerate(encoder_before)
             )
         return Rollout(
             self.stage.scenario,

@@ -87,10 +87,6 @@ def _padded(initial: Tensor, weights: Tensor) -> Tensor:
 def build_algorithm(settings: Mapping[str, Any], policy: Policy) -> Algorithm:
     """Return the algorithm that trains a policy.
 
-    Args:
-        settings: `name` and configuration of the algorithm.
-        policy: on its device.
-
     Raises:
         ConfigurationError: a setting is not valid, or there are several processes and the algorithm
             does not support them.
