@@ -18,7 +18,6 @@ from samarl.algorithms import ALGORITHMS
 from samarl.algorithms.value_learning import ValueLearning, samples_of
 from samarl.configuration import load_agent_config
 from samarl.observations.features import frames_of
-from samarl.observations.frames import Frames
 from samarl.planning.one_step import command_set
 from samarl.policies.card import LAST
 from samarl.policies.checkpoint import make_policy
