@@ -50,10 +50,7 @@ Check = Callable[[DictConfig], tuple[str, Path] | None]
 
 
 def run_command(
-    task: Callable[[DictConfig], Any],
-    config_name: str,
-    check: Check | None = None,
-    **schemas: Any,
+    task: Callable[[DictConfig], Any], config_name: str, check: Check | None = None, **schemas: Any
 ) -> None:
     """Run a Hydra task; user errors are reported in one line with exit code 2.
 

@@ -199,10 +199,7 @@ def _social(episodes: Episodes) -> tuple[float, float, float]:
 
 
 _rate(
-    "collision_rate",
-    "collision %",
-    lambda e: e.hit_human | e.hit_robot | e.hit_wall,
-    Tables.report,
+    "collision_rate", "collision %", lambda e: e.hit_human | e.hit_robot | e.hit_wall, Tables.report
 )
 _rate("human_collision_rate", "hit human %", lambda e: e.hit_human)
 # Who approached faster when a robot and a human hit each other:
