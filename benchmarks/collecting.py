@@ -42,7 +42,7 @@ WORLDS, STEPS = 96, 32
 OBSERVATION_KEYS = [
     ("agents", "observation", name) for name in SensorSuite(Scenario()).empty(1).arrays()
 ]
-FRAME_KEYS = {name: ("agents", "known", name) for name in empty_frames(Scenario()).named()}
+FRAME_KEYS = {name: ("agents", "known", name) for name in empty_frames(Scenario()).arrays("known")}
 
 
 def main() -> None:
@@ -109,7 +109,7 @@ class Actor(TensorDictModuleBase):
         step["agents", "unclipped_action"] = level.action
         step["agents", "sample_log_prob"] = level.log_prob
         step["agents", "previous_noise"] = decision.step.previous_noise
-        for name, tensor in decision.features.named().items():
+        for name, tensor in decision.features.arrays("known").items():
             step[FRAME_KEYS[name]] = tensor.view(*active.shape, *tensor.shape[2:])
         return step
 
@@ -145,7 +145,7 @@ def torchrl_rollouts(
 
 def _frames(steps: TensorDictBase) -> tuple[Frames, Tensor]:
     """Return the frames [B, T, ...] of steps [E, T] and where episodes begin, [B, T]."""
-    frames = Frames.from_named(
+    frames = Observation.from_arrays(
         {name: steps[key].transpose(1, 2).flatten(0, 1) for name, key in FRAME_KEYS.items()}
     )
     robots = steps["agents", "active_mask"].shape[2]

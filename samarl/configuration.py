@@ -64,9 +64,7 @@ def first(*values: Any) -> Any:
 def register_schemas(**schemas: Any) -> None:
     """Register all that the files in `conf/` refer to: schemas, resolvers and choices by path.
 
-    Args:
-        **schemas: further dataclasses, or their structured configurations, by their names in the
-            defaults lists.
+    `schemas` are further dataclasses, by their names in the defaults lists.
     """
     OmegaConf.register_new_resolver("first", first, replace=True)
     OmegaConf.register_new_resolver("label", name_of, replace=True)
@@ -246,9 +244,6 @@ def training_scenario(checkpoint: str) -> Scenario:
     Of the scenarios with which a curriculum ends, it is the one with the most worlds; of equals the
     first. It is SAMARL's if the card of the policy names none.
 
-    Args:
-        checkpoint: a policy, see `find_policy`.
-
     Raises:
         ConfigurationError: there is no such policy, or its scenario cannot be read.
     """
@@ -290,8 +285,7 @@ def in_quotes(text: str) -> str:
 def hydra_tree(folder: Path | None = None) -> Iterator[ConfigLoader]:
     """Yield the configuration loader of the running command, or one for `conf/` outside of it.
 
-    Args:
-        folder: more files, as with `--config-dir`.
+    Files in `folder` come first, as with `--config-dir`.
     """
     hydra = GlobalHydra.instance()
     if hydra.is_initialized():

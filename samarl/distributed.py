@@ -36,16 +36,13 @@ _stop_requested = False
 
 
 class LostProcessError(TrainingError):
-    """Another process of the training has ended."""
+    """Another process of the training run has ended."""
 
 
 def init_process_group(device: str) -> None:
     """Connect to the other processes, if there are any and it has not been done yet.
 
     From then on SIGINT and SIGTERM only set a flag, see `stop_requested`.
-
-    Args:
-        device: torch device of the networks.
 
     Raises:
         ConfigurationError: processes on this device cannot exchange gradients.
@@ -166,4 +163,4 @@ def _detect_lost_process() -> Iterator[None]:
     except RuntimeError as error:
         message = re.sub(r"^\[.*?\] ", "", str(error).splitlines()[0])  # without source location
         reason = message.partition(". ")[0]
-        raise LostProcessError(f"another process of the training has ended ({reason})") from None
+        raise LostProcessError(f"another process of the run has ended ({reason})") from None

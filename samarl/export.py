@@ -7,20 +7,20 @@ import os
 import warnings
 from dataclasses import asdict, replace
 from pathlib import Path
+from typing import Any
 
 import onnx
 import onnxruntime
 import torch
 from torch import Tensor, nn
 
-from mrsan import ConfigurationError, Scenario
+from mrsan import ConfigurationError, Observation, Scenario
 from mrsan.scenario import DEFAULT_NEAREST_WALLS
 from samarl.agents import Agent
 from samarl.agents.learned import Learned
 from samarl.agents.shielded import Shielded
 from samarl.files import atomic_write
 from samarl.observations.features import empty_tracks
-from samarl.observations.tracker import Tracks
 from samarl.planning.one_step import command_set
 from samarl.planning.shield import Shield
 from samarl.planning.track_predictor import CONSTANT_VELOCITY
@@ -44,7 +44,7 @@ class StepModule(nn.Module):
 
     def forward(self, *inputs: Tensor) -> tuple[Tensor, ...]:
         """Return the action and the next memory."""
-        named = dict(zip(self.names, inputs, strict=True))
+        named: dict[str, Any] = dict(zip(self.names, inputs, strict=True))
         is_init, route = named.pop("is_init"), named.pop("route")
         if self.policy.observes_route:
             named["route"] = route.unsqueeze(1)
@@ -53,7 +53,7 @@ class StepModule(nn.Module):
             for name in self.names
             if name.startswith(MEMORY)
         }
-        features = self.policy.extract_features(Tracks.from_named(named), self.scenario)
+        features = self.policy.extract_features(Observation.from_arrays(named), self.scenario)
         state = _state_of(memory)
         step, state = self.policy.step(features, named["ego"][:, 0], route, is_init, state)
         next_memory = _memory_of(state)
@@ -70,7 +70,8 @@ class ValueModule(nn.Module):
 
     def forward(self, *inputs: Tensor) -> Tensor:
         """Return the values, [C]."""
-        tracks = Tracks.from_named(dict(zip(self.names, inputs, strict=True)))
+        named: dict[str, Any] = dict(zip(self.names, inputs, strict=True))
+        tracks = Observation.from_arrays(named)
         rows = torch.zeros(len(inputs[0]), dtype=torch.long)
         return self.policy.value(self.policy.extract_features(tracks, self.scenario), rows)
 
@@ -170,7 +171,7 @@ def _example_tracks(policy: Policy, scenario: Scenario, rows: int) -> dict[str, 
     """Return the tracks of one robot in `rows` worlds by name, everything known and zero."""
     tracks = {
         name: torch.from_numpy(array[:, :1].copy())
-        for name, array in empty_tracks(scenario, rows).named().items()
+        for name, array in empty_tracks(scenario, rows).arrays("known").items()
     }
     observed = policy.sizes.entities.keys() | policy.sizes.sensors.keys() | {"ego"}
     if policy.observes_route:

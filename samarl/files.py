@@ -39,9 +39,7 @@ def atomic_write(path: Path) -> Iterator[Path]:
 def check_writable(path: Path, field: str) -> None:
     """Check that a file can be written, before a long computation whose result it will hold.
 
-    Args:
-        path: path of the file.
-        field: name of the setting that holds the path, for error messages.
+    Messages name the setting `field`.
 
     Raises:
         ConfigurationError: the file cannot be written.

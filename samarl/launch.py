@@ -59,11 +59,6 @@ def copies(number: int, module: str, arguments: Sequence[str]) -> Iterator[None]
     """Run a command in several processes on this machine: this one, and copies that it starts.
 
     Nothing is started where the processes exist already, as under `torchrun`.
-
-    Args:
-        number: of processes.
-        module: that runs the command, as in `python -m module`.
-        arguments: of the command.
     """
     if number == 1 or world_size() > 1:
         yield

@@ -17,7 +17,7 @@ COMMANDS = {
     "render": "draw one case as a picture or a video",
     "play": "open a playground in the browser",
     "record": "write the trajectories of one case as a table",
-    "train": "train a policy, or resume a training",
+    "train": "train a policy, or resume a training run",
     "report": "build web pages with tables, curves and replays",
     "predictor": "train and evaluate a predictor of people",
     "macro": "train the macro level of right_of_way and compare it with the rule",

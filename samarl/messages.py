@@ -46,9 +46,7 @@ def unknown_field(path: str, key: str, fields: Iterable[str] | Mapping[str, str]
 def describe(error: OmegaConfBaseException, path: str = "") -> str:
     """Return one line for an error of OmegaConf, with the field.
 
-    Args:
-        error: the error.
-        path: prefix of the field, such as `agent.`.
+    `path` is the prefix of the field, such as `agent.`.
     """
     name = f"{path}{error.full_key or ''}".removesuffix(".")
     if isinstance(error, ConfigKeyError | ConfigAttributeError):
@@ -76,9 +74,7 @@ def _describe_unknown(error: OmegaConfBaseException, name: str) -> str:
 def explain(error: BaseException, folder: Path | None = None) -> str:
     """Return one line for an error of a command, or of composing its configuration.
 
-    Args:
-        error: the error.
-        folder: the folder of `--config-dir`, whose files may be the cause.
+    Files in `folder`, that of `--config-dir`, may be the cause.
     """
     if isinstance(error, MissingConfigException) and error.missing_cfg_file:
         group, _, name = error.missing_cfg_file.partition("/")

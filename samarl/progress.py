@@ -8,7 +8,7 @@ import tempfile
 import threading
 from collections.abc import Iterator, MutableMapping
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any, NamedTuple, TextIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,10 +54,6 @@ def progress_bar(iterable: Any = None, **settings: Any) -> tqdm:
     """Return a tqdm bar on standard error.
 
     Where standard error is not a terminal, a plain line is printed at most every 10 seconds.
-
-    Args:
-        iterable: what to iterate over, if anything.
-        **settings: settings of tqdm.
     """
     if not sys.stderr.isatty():
         settings |= {
@@ -73,12 +69,10 @@ def progress_bar(iterable: Any = None, **settings: Any) -> tqdm:
 def shared_progress(bar: tqdm, workers: int) -> Iterator[Path]:
     """Let worker processes advance a bar.
 
-    Args:
-        bar: the bar, which shows the sum of the counts of all workers.
-        workers: number of counts.
+    The bar shows the sum of the counts of all workers.
 
     Yields:
-        The path of the file of counts, see `shared_counts`.
+        The path of the file of counts, see `SharedCount`.
     """
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "counts"
@@ -94,9 +88,15 @@ def shared_progress(bar: tqdm, workers: int) -> Iterator[Path]:
             del counts  # Windows does not delete open files
 
 
-def shared_counts(path: Path) -> NDArray[np.int64]:
-    """Open the counts of `shared_progress`, [workers]; writing to them advances the bar."""
-    return np.memmap(path, np.int64, "r+")
+class SharedCount(NamedTuple):
+    """The count of one worker of `shared_progress`; calling it advances the bar."""
+
+    path: Path  # of the file of all counts
+    worker: int  # its number
+
+    def __call__(self, number: int) -> None:
+        """Add to the count."""
+        np.memmap(self.path, np.int64, "r+")[self.worker] += number
 
 
 def _follow(bar: tqdm, counts: NDArray[np.int64], finished: threading.Event) -> None:

@@ -27,11 +27,7 @@ class Entry(Generic[T]):
 
 
 def needed(*, help: str = "") -> Any:
-    """Return a required dataclass field that is not a number.
-
-    Args:
-        help: what it means, for `--help`.
-    """
+    """Return a required dataclass field that is not a number."""
     return field(metadata={"help": help})
 
 
@@ -43,10 +39,7 @@ def _check_named(values: Any, path: str) -> None:
 def checked_fields(schema: Any, values: Any, path: str) -> dict[str, Any]:
     """Return the fields of a dataclass from `values`, checked for names and types.
 
-    Args:
-        schema: the dataclass.
-        values: a mapping of names to values.
-        path: prefix of the fields in errors, such as `agent`.
+    `path` is the prefix of the fields in errors, such as `agent`.
 
     Raises:
         ConfigurationError: a field is unknown, missing or of a wrong type.

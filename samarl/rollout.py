@@ -68,10 +68,10 @@ class Rollout:
         """What the robots of some sequences knew."""
         rows, sets = self.rows(which), len(self.encoder)
         states = tuple(
-            tree_map(lambda tensor, i=i: tensor[rows[i::sets] // sets], of_set)
-            for i, of_set in enumerate(self.encoder)
+            tree_map(lambda tensor, i=i: tensor[rows[i::sets] // sets], state)
+            for i, state in enumerate(self.encoder)
         )
-        return Sequences(self.frames.of(rows), self.is_init[rows], states)
+        return Sequences(self.frames.select(rows), self.is_init[rows], states)
 
     def to(self, device: torch.device) -> Rollout:
         """The same on another device."""
@@ -83,10 +83,10 @@ class Rollout:
             self.scenario,
             self.correlation,
             self.steps.to(device),
-            self.frames.to(device),
+            move(self.frames),
             move(self.is_init),
             move(self.encoder),
-            None if self.state is None else self.state.to(device),
+            None if self.state is None else move(self.state),
             self.episodes,
             self.environment_steps,
         )

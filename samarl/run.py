@@ -79,7 +79,7 @@ class Run:
     def resume(
         self, steps: int | None = None, *, threads: int | None = None, plugins: Sequence[str] = ()
     ) -> Run:
-        """Continue the training, for example after an interrupt.
+        """Continue the training run, for example after an interrupt.
 
         Args:
             steps: environment steps in total; None: as before.
@@ -131,7 +131,7 @@ def train(
 
     Raises:
         ConfigurationError: a setting is not valid, or the folder holds a run with other settings.
-        TrainingError: the training failed.
+        TrainingError: the training run failed.
         KeyboardInterrupt: it was interrupted; the same call resumes it.
 
     Examples:

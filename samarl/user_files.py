@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import builtins
+import contextlib
 from pathlib import Path
 from typing import Any
 
@@ -96,27 +97,27 @@ def reject_alias_bomb(path: Path) -> None:
     Raises:
         ConfigurationError: it has too many values.
     """
-    try:
+    sizes: dict[int, int] = {}  # by node, values below it with its aliases expanded
+
+    def size(node: yaml.Node) -> int:
+        if id(node) not in sizes:
+            sizes[id(node)] = MAX_VALUES  # counted if the node contains itself
+            parts = node.value if isinstance(node, yaml.CollectionNode) else []
+            pairs = (part if isinstance(part, tuple) else (part,) for part in parts)
+            sizes[id(node)] = 1 + sum(size(value) for pair in pairs for value in pair)
+        return sizes[id(node)]
+
+    with contextlib.suppress(OSError, UnicodeError, yaml.YAMLError, RecursionError):  # as when used
         text = path.read_text(encoding="utf-8")
-        tree = yaml.compose(text, yaml.SafeLoader) if "&" in text else None
-        if tree and _count_values(tree, {}) > MAX_VALUES:
+        if (
+            "&" in text
+            and (tree := yaml.compose(text, yaml.SafeLoader))
+            and size(tree) > MAX_VALUES
+        ):
             raise ConfigurationError(
                 f"{path} has more than {MAX_VALUES} values with its aliases expanded; it must "
                 "have fewer"
             )
-    except (OSError, UnicodeError, yaml.YAMLError, RecursionError):
-        pass  # reported when the file is used
-
-
-def _count_values(node: yaml.Node, counts: dict[int, int]) -> int:
-    """Return the number of values below a node, aliases expanded; `counts` caches other nodes."""
-    if id(node) not in counts:
-        counts[id(node)] = MAX_VALUES  # counted if the node contains itself
-        entries = node.value if isinstance(node, yaml.CollectionNode) else []
-        if isinstance(node, yaml.MappingNode):
-            entries = [part for pair in entries for part in pair]
-        counts[id(node)] = 1 + sum(_count_values(entry, counts) for entry in entries)
-    return counts[id(node)]
 
 
 def _absolute(group: str, path: Path, base: Any) -> Any:

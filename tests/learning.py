@@ -14,6 +14,7 @@ from samarl.algorithms import ALGORITHMS
 from samarl.algorithms.advantages import streams
 from samarl.algorithms.ppo import PPO
 from samarl.observations.features import empty_frames
+from samarl.observations.frames import FeatureSizes
 from samarl.policies.checkpoint import make_policy
 from samarl.policies.policy import LOCAL, Policy
 from samarl.policies.stochastic import ActionEvaluation, StochasticPolicy
@@ -141,7 +142,7 @@ def policy(
     """A policy whose means depend on the input `gain` times as much as they do at first."""
     torch.manual_seed(0)
     numbers = policy_numbers(name, encoder, **changes)
-    sizes = None if scenario is None else empty_frames(scenario).sizes
+    sizes = None if scenario is None else FeatureSizes.of(empty_frames(scenario))
     model = make_policy(numbers.pop("name"), numbers, 3, sizes)
     with torch.no_grad():
         for networks in model.networks:

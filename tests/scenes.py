@@ -9,14 +9,14 @@ from torch import Tensor
 from mrsan import Entities, Observation, Scenario
 from mrsan.features import GOAL, HEADING_COS, PREFERRED_SPEED, RADIUS, VELOCITY_X
 from samarl.observations.frames import Frames
-from samarl.observations.tracker import Tracker, Tracks
+from samarl.observations.tracker import Tracker
 from samarl.planning.one_step import Commands
 
 KNOWN = ("humans_known", "robots_known")
 COMMANDS = Commands(turns=5, speeds=5, directions=16)
 
 
-def known(observation: Observation, scenario: Scenario) -> Tracks:
+def known(observation: Observation, scenario: Scenario) -> Observation:
     e, n, m = observation.humans_visible.shape
     tracker = Tracker(8 * scenario.time_step, scenario.time_step)
     return tracker.update(observation, tracker.initial(e, n, m), np.ones(e, np.bool_))
@@ -24,7 +24,7 @@ def known(observation: Observation, scenario: Scenario) -> Tracks:
 
 def scene_of(
     humans: list[list[float]], goal: tuple[float, float], speed: float, scenario: Scenario
-) -> Tracks:
+) -> Observation:
     """A robot at the origin that looks and moves along x; people relative to it."""
     ego = np.zeros((1, 1, 11), np.float32)
     ego[..., GOAL], ego[..., VELOCITY_X], ego[..., HEADING_COS] = goal, speed, 1.0
@@ -36,15 +36,15 @@ def scene_of(
         "humans": Entities(people, np.ones((1, 1, len(humans)), np.bool_)),
         "robots": Entities(np.zeros((1, 1, 0, 6), np.float32), np.zeros((1, 1, 0), np.bool_)),
     }
-    return Tracks(ego, entities, {})
+    return Observation(ego, entities, {})
 
 
 def changed(frames: Frames, **tensors: Tensor) -> Frames:
     """The same frames with some of their `named` tensors replaced."""
-    return Frames.from_named(frames.named() | tensors)
+    return Observation.from_arrays(frames.arrays("known") | tensors)
 
 
 def blind(frames: Frames) -> Frames:
     """The same with nobody known."""
-    unknown = {name: torch.zeros_like(frames.named()[name]) for name in KNOWN}
+    unknown = {name: torch.zeros_like(frames.arrays("known")[name]) for name in KNOWN}
     return changed(frames, **unknown)

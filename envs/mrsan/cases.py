@@ -27,9 +27,7 @@ class Split(Enum):
     def number(self, case: int) -> int:
         """Return the number of a case.
 
-        Args:
-            case: index of a case of this split, or the number of a case of any split from 2^40 on,
-                which is returned as it is.
+        Numbers from 2^40 on are those of cases of any split and are returned as they are.
         """
         return case if CASES_PER_SPLIT <= case < len(Split) * CASES_PER_SPLIT else self.case(case)
 

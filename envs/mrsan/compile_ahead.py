@@ -29,9 +29,6 @@ def compile_ahead(world: World) -> Iterator[bool]:
     because it does not know a plugin's crowd model, its kernels are compiled when they are used, as
     without this function.
 
-    Args:
-        world: worlds of the scenario to be simulated, in any number.
-
     Yields:
         Whether anything is compiled.
     """

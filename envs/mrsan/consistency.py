@@ -51,7 +51,7 @@ def _check_social(s: Scenario) -> None:
     share = f"scenario.groups.share is {s.groups.share}"
     if s.has_walls:
         raise ConfigurationError(
-            f"{share}; it must be 0 in places with walls (scenario.layout {s.layout.name})"
+            f"{share}; it must be 0 in walled environments (scenario.layout {s.layout.name})"
         )
     for name in ("pair_probability", "late_probability", "leave_probability"):
         if getattr(s, name) > 0.0:
@@ -62,7 +62,7 @@ def _check_social(s: Scenario) -> None:
 
 
 def _check_walls(s: Scenario) -> None:
-    """Check the settings of places with walls."""
+    """Check the settings of walled environments."""
     drawn = s.case_file is not None and bool(read_case_file(s.case_file).walls)
     if (s.map is not None or drawn) != (s.layout is Layout.map):
         files = f"scenario.map is {s.map!r}, scenario.case_file is {s.case_file!r}"

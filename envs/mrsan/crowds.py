@@ -268,10 +268,6 @@ def social_settings(scenario: Any, crowd_settings: tuple[Any, ...]) -> tuple[Any
 
     They are those of the crowd model by their own names, and those of `Scenario.reactions` and
     `Scenario.groups` with the prefixes `reaction_` and `group_`; kernels take no nested tuples.
-
-    Args:
-        scenario: the scenario.
-        crowd_settings: the settings of its crowd model.
     """
     if not scenario.is_social:
         return ()

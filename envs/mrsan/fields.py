@@ -59,9 +59,7 @@ def setting(default: Any, *, kw_only: bool = False, help: str = "") -> Any:
 def short_repr(settings: Any, others: Mapping[str, str | None] | None = None) -> str:
     """Return a dataclass as Python code with the fields that differ from their defaults.
 
-    Args:
-        settings: an instance.
-        others: code for some of its fields, written at the end; None leaves a field out.
+    `others` is code for some of its fields, written at the end; None leaves a field out.
     """
     others = others or {}
     shown = []
@@ -125,9 +123,7 @@ def from_mapping(cls: type[T], value: Any, path: str) -> T:
 def check_numbers(config: Any, path: str) -> None:
     """Check every number, switch and choice of a dataclass; names of choices become their enums.
 
-    Args:
-        config: a dataclass instance.
-        path: prefix of its fields in messages, such as `scenario`; may be empty.
+    `path` is the prefix of its fields in messages, such as `scenario`; it may be empty.
 
     Raises:
         ConfigurationError: names the first invalid field, its value and its range.

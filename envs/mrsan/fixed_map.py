@@ -75,9 +75,6 @@ def map_centre(map_file: str | None) -> tuple[float, float]:
     It is the middle of the map: coordinates far from their own origin, such as those of surveyed
     sites, would lose centimetres in float32.
 
-    Args:
-        map_file: `Scenario.map`; without one (0, 0).
-
     Raises:
         ConfigurationError: the file cannot be used.
     """

@@ -2,20 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, NamedTuple
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any, Generic, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mrsan.state import Bools, Floats, Ints
 
+if TYPE_CHECKING:
+    from typing_extensions import TypeVar
 
-class Entities(NamedTuple):
+    A = TypeVar("A", default=NDArray[Any])
+    B = TypeVar("B", default=NDArray[Any])
+else:
+    from typing import TypeVar
+
+    A, B = TypeVar("A"), TypeVar("B")
+
+
+class Entities(NamedTuple, Generic[A]):
     """One group of entities; each slot belongs to one of them for the whole episode."""
 
-    features: Floats  # [E, N, slots, F], zero where the mask is False
-    mask: Bools  # [E, N, slots] what the robot perceives
+    features: A  # [E, N, slots, F], zero where the mask is False
+    mask: A  # [E, N, slots] bool: what the robot perceives
 
 
 class KnownMap(NamedTuple):
@@ -27,8 +37,8 @@ class KnownMap(NamedTuple):
     corner_distance: Floats  # [E, V, V]
 
 
-class Observation(NamedTuple):
-    """The observations of all robots.
+class Observation(NamedTuple, Generic[A]):
+    """What robots perceive, what they remember of it, or what their networks get of that.
 
     Every scenario has the groups `humans` (M slots) and `robots` (N - 1 slots, the others in the
     order of their numbers) with `OTHER_FEATURES`. `Scenario.sensors` adds further groups and
@@ -38,88 +48,101 @@ class Observation(NamedTuple):
     those that were only reported.
     """
 
-    ego: Floats  # [E, N, 11], EGO_FEATURES
-    entities: dict[str, Entities]
-    sensors: dict[str, Floats]  # [E, N, ...] each
-    reported: dict[str, Bools]  # of `humans` and `robots`; empty without team perception
-    map: KnownMap | None = None  # of places with walls, with `Scenario.map_known`; for planners
+    ego: A  # [E, N, 11], EGO_FEATURES
+    entities: dict[str, Entities[A]]
+    sensors: dict[str, A]  # [E, N, ...] each
+    reported: Mapping[str, A] = {}  # of `humans` and `robots`; empty without team perception
+    map: KnownMap | tuple[()] = ()  # with `Scenario.map_known` in walled environments; for planners
 
     @property
-    def humans(self) -> Floats:
+    def humans(self) -> A:
         """Return the features of people, [E, N, M, 5]."""
         return self.entities["humans"].features
 
     @property
-    def humans_visible(self) -> Bools:
+    def humans_visible(self) -> A:
         """Return which people are perceived, [E, N, M]."""
         return self.entities["humans"].mask
 
     @property
-    def robots(self) -> Floats:
+    def robots(self) -> A:
         """Return the features of the other robots, [E, N, N - 1, 5]."""
         return self.entities["robots"].features
 
     @property
-    def robots_visible(self) -> Bools:
+    def robots_visible(self) -> A:
         """Return which other robots are perceived, [E, N, N - 1]."""
         return self.entities["robots"].mask
 
     @property
-    def humans_reported(self) -> Bools:
+    def humans_known(self) -> A:
+        """Return which people are perceived or remembered, [E, N, M]."""
+        return self.entities["humans"].mask
+
+    @property
+    def robots_known(self) -> A:
+        """Return which other robots are perceived or remembered, [E, N, N - 1]."""
+        return self.entities["robots"].mask
+
+    @property
+    def humans_reported(self) -> A | Bools:
         """Return which people were only reported, [E, N, M]."""
         return self.reported.get("humans", np.zeros_like(self.humans_visible))
 
     @property
-    def robots_reported(self) -> Bools:
+    def robots_reported(self) -> A | Bools:
         """Return which other robots were only reported, [E, N, N - 1]."""
         return self.reported.get("robots", np.zeros_like(self.robots_visible))
 
     @property
-    def agents(self) -> tuple[Floats, Floats, Bools, Floats, Bools]:
+    def agents(self) -> tuple[A, A, A, A, A]:
         """Return the arrays that compiled planners take: ego, then people, then other robots."""
         return self.ego, *self.entities["humans"], *self.entities["robots"]
 
-    def arrays(self) -> dict[str, NDArray[Any]]:
-        """Return all arrays by flat names, the keys of the wrappers.
+    def arrays(self, mask: str = "visible") -> dict[str, A]:
+        """Return all arrays by flat names, by default those of the wrappers.
 
         These are `ego`; `GROUP` and `GROUP_visible` of each group; `GROUP_reported`; and the names
-        of the sensors.
+        of the sensors. With another `mask`, such as `known`, masks are called `GROUP_known`.
         """
-        return {
-            **named_arrays(self.ego, self.entities, "visible"),
-            **{f"{group}_reported": mask for group, mask in self.reported.items()},
-            **self.sensors,
-        }
+        arrays = {"ego": self.ego}
+        for name, group in self.entities.items():
+            arrays[name], arrays[f"{name}_{mask}"] = group
+        reported = {f"{group}_reported": values for group, values in self.reported.items()}
+        return {**arrays, **reported, **self.sensors}
 
-    def of_worlds(self, worlds: Ints | Bools) -> Observation:
-        """Return a copy of the rows of some worlds."""
+    @staticmethod
+    def from_arrays(arrays: Mapping[str, B]) -> Observation[B]:
+        """Return the observation, without reports, whose `arrays` these are, visible or known."""
+        rest = dict(arrays.items())  # a TensorDict would iterate over its rows
+        masks = [name for name in rest if name.endswith(("_visible", "_known"))]
+        entities = {
+            (group := name.rpartition("_")[0]): Entities(rest.pop(group), rest.pop(name))
+            for name in masks
+        }
+        return Observation(rest.pop("ego"), entities, rest)
+
+    def apply(self, function: Callable[[A], B]) -> Observation[B]:
+        """Apply a function to every array but those of the map, which is left out."""
         return Observation(
-            self.ego[worlds],
+            function(self.ego),
             {
-                name: Entities(group.features[worlds], group.mask[worlds])
-                for name, group in self.entities.items()
+                name: Entities(function(features), function(mask))
+                for name, (features, mask) in self.entities.items()
             },
-            {name: values[worlds] for name, values in self.sensors.items()},
-            {name: mask[worlds] for name, mask in self.reported.items()},
-            None if self.map is None else KnownMap(*(array[worlds] for array in self.map)),
+            {name: function(values) for name, values in self.sensors.items()},
+            {name: function(mask) for name, mask in self.reported.items()},
         )
 
+    def select(self, rows: Any) -> Observation[A]:
+        """Return some rows of every array, without the map."""
+        return self.apply(lambda array: array[rows])  # type: ignore[index]
 
-def parts_of_named(arrays: Mapping[str, Any], mask: str) -> tuple[Any, dict[str, Any], dict]:
-    """Return the ego, the pairs of features and mask of each group, and the rest by name.
+    def of_worlds(self, worlds: Ints | Bools) -> Observation[A]:
+        """Return a copy of the rows of some worlds, with the map."""
+        copied = [array[worlds] for array in self.map]
+        return self.select(worlds)._replace(map=KnownMap(*copied) if copied else ())
 
-    The inverse of `named_arrays`.
-    """
-    rest = dict(arrays.items())  # a TensorDict would iterate over its rows
-    ending = f"_{mask}"
-    groups = [name.removesuffix(ending) for name in rest if name.endswith(ending)]
-    entities = {name: (rest.pop(name), rest.pop(f"{name}{ending}")) for name in groups}
-    return rest.pop("ego"), entities, rest
-
-
-def named_arrays(ego: Any, entities: dict[str, Any], mask: str) -> dict[str, Any]:
-    """Return `ego`, and the features and the mask of each group as `GROUP` and `GROUP_mask`."""
-    arrays = {"ego": ego}
-    for name, group in entities.items():
-        arrays[name], arrays[f"{name}_{mask}"] = group
-    return arrays
+    def of_robots(self, robots: Bools) -> Observation[A]:
+        """Return what some robots [E, N] perceive, R of them, as [R, 1, ...]."""
+        return self.apply(lambda array: array[robots][:, None])  # type: ignore[index]

@@ -32,12 +32,7 @@ def route_of(
 ) -> NDArray[np.float64]:
     """Return the points of the shortest route of an agent, [P, 2], m.
 
-    Args:
-        state: of some worlds.
-        world: which of them.
-        agent: people first, then robots.
-        start: its position, at which its next corner was found.
-        goal: its goal.
+    Agents are numbered people first, then robots; `start` is where the next corner was found.
     """
     count, corner = int(state.place[world, CORNERS]), int(state.route_corner[world, agent])
     corners = state.corners[world, :2, :count].T.astype(float)

@@ -33,9 +33,7 @@ class Renderer:
     def __init__(self, mode: str | None, scenario: Scenario) -> None:
         """Prepare to draw.
 
-        Args:
-            mode: one of `RENDER_MODES`. None: nothing is drawn.
-            scenario: the task of the worlds.
+        `mode` is one of `RENDER_MODES`; with None nothing is drawn.
 
         Raises:
             ConfigurationError: there is no such mode.

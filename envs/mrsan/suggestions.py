@@ -88,10 +88,7 @@ def closest_names(name: str, names: Iterable[str], count: int = 3) -> list[str]:
 def choice_hint(name: str, names: Iterable[str], rest: str = "see --help") -> str:
     """Return a hint which of `names` is meant by an unknown name.
 
-    Args:
-        name: the unknown name.
-        names: the valid names.
-        rest: the hint if none is similar and there are too many to list.
+    `rest` is the hint if none is similar and there are too many to list.
     """
     options = sorted(names)
     if new := renamed(name, options):

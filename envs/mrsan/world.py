@@ -259,8 +259,7 @@ class World:
     def observe(self, privileged: bool = False) -> Observation:
         """Return the observations of all robots in new arrays.
 
-        Args:
-            privileged: observe without limits or noise, for central critics.
+        `privileged` is without limits and noise, for central critics.
         """
         sensors = self._privileged if privileged else self._sensors
         observation = sensors.empty(self.worlds)
@@ -273,9 +272,7 @@ class World:
     def tell(self, macro_actions: ArrayLike) -> None:
         """Set what robots tell their team-mates that they are doing, until they tell otherwise.
 
-        Args:
-            macro_actions: [E, N] whole numbers of at least 0, whose meaning is the agent's; below
-                2^24, as messages hold float32.
+        They are [E, N] whole numbers from 0 to 2^24, whose meaning is the agent's.
 
         Raises:
             ValueError: `scenario.team_messages` is false, or these are not such numbers.
@@ -296,8 +293,7 @@ class World:
     def step(self, actions: ArrayLike) -> Step:
         """Move every world by one time step.
 
-        Args:
-            actions: [E, N, A] in [-1, 1]; actions of parked robots and ended worlds have no effect.
+        They are [E, N, A] in [-1, 1]; those of parked robots and ended worlds have no effect.
 
         Raises:
             ActionError: an action is not a number, is out of range or has the wrong shape.

@@ -38,12 +38,6 @@ def checked_act(
 ) -> NDArray[np.float32]:
     """Return the actions of an agent, [E, N, A].
 
-    Args:
-        agent: it acts.
-        observation: what it acts on.
-        scenario: the task.
-        role: of the agent, for messages.
-
     Raises:
         ActionError: an action is not a number, is out of range or has the wrong shape; the message
             names the agent.
@@ -135,9 +129,6 @@ class Agent(ABC):
         """Tell the agent which actions of the next `act` will have an effect.
 
         The others may be any: those of robots that have arrived and of episodes that are over.
-
-        Args:
-            robots: [E, N].
         """
 
     @abstractmethod

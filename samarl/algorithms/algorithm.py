@@ -32,12 +32,7 @@ class Algorithm(nn.Module, ABC):
     supports_data_parallel = False  # gradients can be averaged over processes
 
     def __init__(self, policy: Policy, config: AlgorithmConfig) -> None:
-        """Create critics and optimisers.
-
-        Args:
-            policy: the policy to train.
-            config: an instance of the dataclass that the algorithm is registered with.
-        """
+        """Create critics and optimisers."""
         super().__init__()
         self.config = config
         self.__dict__["policy"] = policy  # not a submodule: the trainer saves it separately

@@ -18,10 +18,7 @@ class CriticEncoder(nn.Module):
     def __init__(self, sizes: FeatureSizes, width: int, features: int) -> None:
         """Create the layers.
 
-        Args:
-            sizes: of the frames; sensors are not used.
-            width: of the hidden layers.
-            features: length of the feature vector.
+        Sensors of the frames are not used.
         """
         super().__init__()
         self.own = nn.Sequential(nn.Linear(sizes.ego, width), nn.ReLU())

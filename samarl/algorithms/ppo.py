@@ -34,7 +34,7 @@ from samarl.algorithms.critics import CriticEncoder, PopArtHead
 from samarl.algorithms.training_data import TrainingData, merge
 from samarl.distributed import all_gather_cat, all_gather_object, average_gradients
 from samarl.observations.features import state_sizes
-from samarl.observations.frames import FeatureSizes, Frames
+from samarl.observations.frames import FeatureSizes, Frames, slice_time, split
 from samarl.policies.policy import LOCAL, MACRO, Policy
 from samarl.policies.stochastic import Sequences, StochasticPolicy
 from samarl.rollout import Rollout, level_key
@@ -258,19 +258,13 @@ class PPO(Algorithm):
 
     def _critic_features(self, rollout: Rollout) -> Tensor:
         """Return the critics' view of all steps, [S, T + 1, N, F]."""
-        frames = self._critic_frames(rollout).map(lambda x: x.flatten(0, 1))
-        features = torch.cat([self.critic_encoder(part) for part in frames.split(CHUNK_SIZE)])
+        frames = self._critic_frames(rollout).apply(lambda x: x.flatten(0, 1))
+        features = torch.cat([self.critic_encoder(part) for part in split(frames, CHUNK_SIZE)])
         s, n = len(rollout.steps), rollout.robots
         return features.view(s, n, -1, features.shape[-1]).transpose(1, 2)
 
     def _level_data(self, level: str, rollout: Rollout, features: Tensor) -> TensorDict:
-        """Return the data of one level [B, T] as in `prepare`, not yet normalised.
-
-        Args:
-            level: the level.
-            rollout: S sequences of T + 1 steps.
-            features: [S, T + 1, N, F] the critics' view.
-        """
+        """Return the data of one level [B, T] as in `prepare`, not yet normalised."""
         c, critic = self.config, self.critics[level]
         steps, stream = rollout.steps[level_key(level)], streams(rollout.steps)
         reward = rollout.steps["next", *level_key(level), "reward"][:, :-1]
@@ -463,7 +457,7 @@ class PPO(Algorithm):
         """Return the value loss (Yu et al., 2022) over the policy's samples and waiting robots."""
         local = data.levels[LOCAL]
         row, step = (data.selected | (local["valued"] & ~local["decides"])).nonzero(as_tuple=True)
-        features = self.critic_encoder(data.critic_frames.map(lambda x: x[row, step]))
+        features = self.critic_encoder(data.critic_frames.apply(lambda x: x[row, step]))
         total = features.new_zeros(())
         for level, level_data in data.levels.items():
             samples = level_data[row, step]
@@ -511,4 +505,4 @@ class IPPO(PPO):
         return self.policy.sizes
 
     def _critic_frames(self, rollout: Rollout) -> Frames:
-        return rollout.frames.at(slice(self.policy.history, None))
+        return slice_time(rollout.frames, slice(self.policy.history, None))

@@ -16,7 +16,7 @@ from tensordict import TensorDict
 from torch import Tensor, nn
 from torchrl.data import LazyTensorStorage, ReplayBuffer
 
-from mrsan import ConfigurationError
+from mrsan import ConfigurationError, Observation
 from mrsan.fields import required
 from samarl.algorithms.action_values import (
     Aggregation,
@@ -28,7 +28,6 @@ from samarl.algorithms.advantages import streams
 from samarl.algorithms.algorithm import ALGORITHMS, Algorithm
 from samarl.distributed import all_gather_object, average_gradients
 from samarl.launch import per_process
-from samarl.observations.frames import Frames
 from samarl.policies.policy import Policy
 from samarl.policies.squashed import SquashedPolicy
 from samarl.policies.stochastic import Sequences
@@ -292,7 +291,7 @@ def q_of(
 
 def features(policy: SquashedPolicy, batch: TensorDict) -> Tensor:
     """Return Y of all robots in all steps and in the one after them, [S, T + 1, N, F]."""
-    frames = Frames.from_named(batch["frames"]).map(lambda part: part.flatten(0, 1))
+    frames = Observation.from_arrays(batch["frames"]).apply(lambda part: part.flatten(0, 1))
     states = tuple(
         {name: part.flatten(0, 1) for name, part in batch.get(f"encoder {i}", {}).items()}
         for i in range(len(policy.networks))
@@ -309,9 +308,7 @@ def sequences_of(rollout: Rollout, team: bool) -> TensorDict:
     short, the last step is removed (see `advantages.Streams`); such a collision ends the team's
     value.
 
-    Args:
-        rollout: S sequences of T steps.
-        team: the reward is shared by the team.
+    With `team` the reward is shared by the team.
 
     Returns:
         [S] with `frames` (the parts of `Frames`, [S, N, h + T + 1, ...]), `is_init` [S, N,
@@ -333,7 +330,9 @@ def sequences_of(rollout: Rollout, team: bool) -> TensorDict:
         valued, continues = stream.acts, ~stream.terminated & active[:, 1:]
     sequences = TensorDict(
         {
-            "frames": {k: part.unflatten(0, (s, n)) for k, part in rollout.frames.named().items()},
+            "frames": {
+                k: part.unflatten(0, (s, n)) for k, part in rollout.frames.arrays("known").items()
+            },
             "is_init": rollout.is_init.unflatten(0, (s, n)),
             "action": steps["agents", "action"][:, :-1].tanh(),
             "reward": after["reward"][:, :-1],

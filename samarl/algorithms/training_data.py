@@ -14,7 +14,7 @@ from tensordict import TensorDict
 from torch import Tensor
 from torch.utils._pytree import tree_leaves, tree_map
 
-from samarl.observations.frames import Frames
+from samarl.observations.frames import Frames, concatenate
 from samarl.policies.stochastic import Sequences
 
 MAX_PADDING = 1.3  # rollouts are merged if that multiplies the number of slots by at most this
@@ -38,8 +38,8 @@ class TrainingData(NamedTuple):
             for i, state in enumerate(self.sequences.encoder_states)
         )
         return TrainingData(
-            Sequences(self.sequences.features.of(rows), self.sequences.is_init[rows], states),
-            self.critic_frames.of(rows),
+            Sequences(self.sequences.features.select(rows), self.sequences.is_init[rows], states),
+            self.critic_frames.select(rows),
             {level: data[rows] for level, data in self.levels.items()},
             self.selected[rows],
             self.robot[rows],
@@ -99,11 +99,11 @@ def _concatenate(parts: list[TrainingData]) -> TrainingData:
     )
     return TrainingData(
         Sequences(
-            Frames.cat_padded([part.sequences.features for part in parts]),
+            concatenate([part.sequences.features for part in parts]),
             torch.cat([part.sequences.is_init for part in parts]),
             encoder_states,
         ),
-        Frames.cat_padded([part.critic_frames for part in parts]),
+        concatenate([part.critic_frames for part in parts]),
         {level: torch.cat([part.levels[level] for part in parts]) for level in parts[0].levels},
         torch.cat([part.selected for part in parts]),
         torch.cat([part.robot for part in parts]),

@@ -16,13 +16,12 @@ from torch import Tensor, nn
 from torch.nn import functional
 from torchrl.data import LazyTensorStorage, ReplayBuffer
 
-from mrsan import ConfigurationError
+from mrsan import ConfigurationError, Observation
 from mrsan.fields import required
 from samarl.algorithms.advantages import streams
 from samarl.algorithms.algorithm import ALGORITHMS, Algorithm
 from samarl.distributed import all_gather_object, average_gradients
 from samarl.launch import per_process
-from samarl.observations.frames import Frames
 from samarl.policies.lookahead import LookaheadPolicy
 from samarl.policies.policy import Policy
 from samarl.reward_shaping import RewardShaping
@@ -115,7 +114,7 @@ class ValueLearning(Algorithm):
         total = torch.zeros(4, device=self.policy.device)
         for _ in range(c.updates):
             batch = self.replay.sample(c.batch)
-            value = self.policy.value(Frames.from_named(batch["now"]), batch["robot"])
+            value = self.policy.value(Observation.from_arrays(batch["now"]), batch["robot"])
             target = self.targets(batch)
             loss = functional.mse_loss(value, target)
             self.optimiser.zero_grad(set_to_none=True)
@@ -134,7 +133,7 @@ class ValueLearning(Algorithm):
     @torch.no_grad()
     def targets(self, samples: TensorDict) -> Tensor:
         """Return the targets of the values of samples [P]: r + discount V(next), [P]."""
-        following = self.target.value(Frames.from_named(samples["next"]), samples["robot"])
+        following = self.target.value(Observation.from_arrays(samples["next"]), samples["robot"])
         return samples["reward"] + self.policy.config.discount * following * samples["continues"]
 
     def _empty_replay(self) -> ReplayBuffer:
@@ -169,7 +168,7 @@ def samples_of(rollout: Rollout) -> TensorDict:
     continues = steps["agents", "active_mask"][:, 1:] & ~stream.terminated
 
     def frames(step: Tensor) -> TensorDict:
-        parts = rollout.frames.named().items()
+        parts = rollout.frames.arrays("known").items()
         return TensorDict({name: part[row, step, None] for name, part in parts}, [len(row)])
 
     return TensorDict(

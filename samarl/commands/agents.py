@@ -107,10 +107,6 @@ def _check_policy_kind(name: str, checkpoint: str) -> None:
 
     Its results would otherwise carry the name of another method.
 
-    Args:
-        name: name of the agent.
-        checkpoint: a file or the name of an included policy.
-
     Raises:
         ConfigurationError: the kinds differ.
     """

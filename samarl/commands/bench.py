@@ -15,6 +15,7 @@ from tqdm import tqdm
 
 from mrsan import ActionError, ConfigurationError, Scenario, World
 from mrsan.compile_ahead import compile_ahead
+from mrsan.fields import check_numbers, number
 from samarl.agents import build_agent
 from samarl.commands.cli import run_command
 from samarl.commands.recordings import recordings_in
@@ -26,13 +27,7 @@ from samarl.configuration import (
     open_mapping,
     scenario_of,
 )
-from samarl.evaluation.methods import (
-    label_of,
-    labelled,
-    method_name,
-    method_words,
-    split_method,
-)
+from samarl.evaluation.methods import label_of, labelled, method_name, method_words, split_method
 from samarl.evaluation.page import improvement_figure, page
 from samarl.evaluation.regression import beside_committed, compare
 from samarl.evaluation.runner import Evaluation, run_cases
@@ -46,10 +41,7 @@ from samarl.evaluation.summary import (
     scenario_column,
     summarise,
 )
-from samarl.evaluation.table import (
-    grids_as_markdown,
-    rows_as_markdown,
-)
+from samarl.evaluation.table import grids_as_markdown, rows_as_markdown
 from samarl.files import (
     check_writable,
     code_version,
@@ -59,7 +51,7 @@ from samarl.files import (
     write_text,
 )
 from samarl.policies.card import find_policy
-from samarl.progress import progress_bar, shared_counts, shared_progress
+from samarl.progress import SharedCount, progress_bar, shared_progress
 from samarl.user_files import name_of
 
 STATUS = """\
@@ -92,9 +84,9 @@ class Bench(Table):
     only_headline: bool = False
     recordings: str | None = None
     seeds: bool = False
-    learned_cases: int | None = None
+    learned_cases: int | None = number(None, 1, 10**6, help="cases of learned agents, if fewer")
     merge: bool = False
-    jobs: int = -1
+    jobs: int = number(-1, -1, 10**4, help="processes; -1: one per core")
 
 
 def main() -> None:
@@ -104,7 +96,9 @@ def main() -> None:
 
 def bench(config: DictConfig) -> None:
     """Evaluate all rows of the table, print them, compare them with the committed ones, write."""
-    _check_numbers(config)
+    check_numbers(Bench(jobs=config.jobs, learned_cases=config.learned_cases), "")
+    if config.jobs == 0:
+        raise ConfigurationError("jobs is 0; it must be 1 or more, or -1 for all cores")
     scenarios = _scenarios(config)
     path = Path(config.output) / f"{config.name}.json"
     check_writable(path, "output")
@@ -142,11 +136,11 @@ def _print_grid(
     shown = beside_committed(rows, committed, columns)
     print(grids_as_markdown(shown, columns), "\n")
     if others := shown[len(rows) :]:
-        print(f"(this run): evaluated now, {_cases(rows)}; others: committed, {_cases(others)}\n")
-
-
-def _cases(rows: Sequence[Row]) -> str:
-    return f"{' or '.join(map(str, sorted({row['episodes'] for row in rows})))} cases"
+        now, then = (
+            f"{' or '.join(map(str, sorted({row['episodes'] for row in group})))} cases"
+            for group in (rows, others)
+        )
+        print(f"(this run): evaluated now, {now}; others: committed, {then}\n")
 
 
 def _write_page(config: DictConfig, path: Path, rows: Sequence[Row]) -> None:
@@ -169,8 +163,11 @@ def _scenarios(config: DictConfig) -> list[Scenario]:
     Raises:
         ConfigurationError: there are none, or two are the same column.
     """
-    columns = [OmegaConf.to_container(column) for column in config.columns]
-    scenarios = [scenario_of(column) for column in [*columns, *_recorded_columns(config)]]
+    columns: list[Any] = [OmegaConf.to_container(column) for column in config.columns]
+    for file, seconds in recordings_in(config.recordings, config.frame_seconds).items():
+        recording = {"crowd": "recorded", "recording": str(file), "frame_seconds": seconds}
+        columns.append({**config.recorded, **recording})
+    scenarios = [scenario_of(column) for column in columns]
     if not scenarios:
         raise ConfigurationError("columns is empty; it must name at least one")
     if len({_column(scenario) for scenario in scenarios}) < len(scenarios):
@@ -240,7 +237,7 @@ def _run(tasks: Sequence[_Task], config: DictConfig, committed: Sequence[Row]) -
     commit, plugins = code_version(), list(config.plugins)
     total = sum(len(task.variants) * task.evaluation.cases for task in tasks)
     os.environ.setdefault("PYTHONWARNINGS", "ignore:resource_tracker")  # printed on interrupts
-    rows: dict[int, Row] = {}
+    rows: list[Row] = []
     with compile_ahead(World(tasks[0].scenario)):
         pass  # once, rather than in every process
     with (
@@ -249,54 +246,18 @@ def _run(tasks: Sequence[_Task], config: DictConfig, committed: Sequence[Row]) -
         parallel_config("loky", n_jobs=config.jobs, inner_max_num_threads=1),
     ):
         jobs = [
-            delayed(_numbered_row)(
-                k, task, load_scenario(task.scenario.name), commit, plugins, counts
+            delayed(_row)(
+                task, load_scenario(task.scenario.name), commit, plugins, SharedCount(counts, k)
             )
             for k, task in enumerate(tasks)
         ]
         try:
-            for k, row in Parallel(return_as="generator_unordered")(jobs):
-                rows[k] = row
+            for row in Parallel(return_as="generator")(jobs):
+                rows.append(row)
                 tqdm.write(compare(row, committed))
         except ActionError as error:
             raise error from None  # without the traceback of the other process
-    return [rows[k] for k in range(len(tasks))]
-
-
-def _numbered_row(
-    k: int, task: _Task, named: Scenario, commit: str, plugins: list[str], counts: Path
-) -> tuple[int, Row]:
-    """Evaluate task `k`, see `_row`; count its cases in entry `k` of the shared counts."""
-    shared = shared_counts(counts)
-
-    def advance(cases: int) -> None:
-        shared[k] += cases
-
-    return k, _row(task, named, commit, plugins, advance)
-
-
-def _check_numbers(config: DictConfig) -> None:
-    if config.jobs < 1 and config.jobs != -1:
-        raise ConfigurationError(
-            f"jobs is {config.jobs}; it must be 1 or more, or -1 for all cores"
-        )
-    if config.learned_cases is not None and config.learned_cases < 1:
-        raise ConfigurationError(
-            f"learned_cases is {config.learned_cases}; it must be null or at least 1"
-        )
-
-
-def _recorded_columns(config: DictConfig) -> list[dict[str, Any]]:
-    """Return a column for each recording in the folder `recordings`."""
-    return [
-        {
-            **config.recorded,
-            "crowd": "recorded",
-            "recording": str(file),
-            "frame_seconds": frame_seconds,
-        }
-        for file, frame_seconds in recordings_in(config.recordings, config.frame_seconds).items()
-    ]
+    return rows
 
 
 def _row(
@@ -330,13 +291,11 @@ def _row(
 def _from_training(checkpoints: Sequence[str], command: str) -> Row:
     """Return how a row of a policy is reproduced from scratch.
 
-    Args:
-        checkpoints: the policy of the row, then those of its other training seeds.
-        command: the command that evaluates the first one.
+    The first checkpoint is the policy of the row, which `command` evaluates.
 
     Returns:
         A command that trains and evaluates, the commit of the training, and the training command
-        of each seed; nothing for policies that continue another training, whose card has the
+        of each seed; nothing for policies that continue another training run, whose card has the
         commands, or were not trained by `samarl-train`.
     """
     trainings = []
@@ -412,20 +371,13 @@ def _command(
     words.append(f"scenario={scenario.name}")  # not that of the training of a policy
     column = ("fov_degrees", "humans", "robots")
     words += [f"scenario.{name}={getattr(scenario, name):g}" for name in column]
-    excluded = {
-        *(f"scenario.{name}" for name in column),
-        "scenario.name",
-        "evaluation.batch",
-    }
-    for path, instance, default in (
-        ("scenario", scenario, named),
-        ("evaluation", evaluation, Evaluation()),
-    ):
-        for name, value in changed_fields(instance, default):
-            key = f"{path}.{name}"
-            if key not in excluded:
-                value = Path(value).name if name == "recording" else value
-                words.append(f"{key}={value}")
+    changes = [(f"scenario.{name}", value) for name, value in changed_fields(scenario, named)]
+    changes += [(f"evaluation.{n}", v) for n, v in changed_fields(evaluation, Evaluation())]
+    excluded = {*(f"scenario.{name}" for name in column), "scenario.name", "evaluation.batch"}
+    for key, value in changes:
+        if key not in excluded:
+            value = Path(value).name if key == "scenario.recording" else value
+            words.append(f"{key}={value}")
     return shlex.join(words)
 
 

@@ -50,10 +50,7 @@ Check = Callable[[DictConfig], tuple[str, Path] | None]
 
 
 def run_command(
-    task: Callable[[DictConfig], Any],
-    config_name: str,
-    check: Check | None = None,
-    **schemas: Any,
+    task: Callable[[DictConfig], Any], config_name: str, check: Check | None = None, **schemas: Any
 ) -> None:
     """Run a Hydra task; user errors are reported in one line with exit code 2.
 
@@ -165,10 +162,6 @@ def compose_cells(config_name: str, command: CommandLine) -> Iterator[DictConfig
     """Compose the configuration of every cell of a sweep.
 
     `HydraConfig` holds the choices of the cell yielded last.
-
-    Args:
-        config_name: name of the primary file in `conf/`.
-        command: the sweep.
     """
     with hydra_tree(command.folder) as loader:
         for cell in command.cells(loader):
@@ -221,12 +214,7 @@ def _remove_empty_folder() -> None:
 
 
 def _fail(error: Exception, folder: Path | None = None) -> NoReturn:
-    """Print the error in one line and exit with code 2.
-
-    Args:
-        error: the user error.
-        folder: the folder of `--config-dir`.
-    """
+    """Print the error in one line and exit with code 2."""
     if isinstance(error, BrokenPipeError):  # the reader of the output, such as `head`, closed it
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)

@@ -56,10 +56,7 @@ def run(
 ) -> None:
     """Parse the options and run the command; a `ValueError` becomes one line.
 
-    Args:
-        parser: of the command.
-        task: function of the options.
-        options: of this command, by the settings that messages name.
+    Messages name settings, which become the `options` of this command.
     """
     for stream in (sys.stdout, sys.stderr):  # some terminals support ASCII only
         if isinstance(stream, io.TextIOWrapper):

@@ -58,13 +58,7 @@ def help_text(config_name: str, command: CommandLine) -> str:
 
 
 def _meanings(config: DictConfig, primary: Path, choices: dict[str, str]) -> Meanings:
-    """Return the meanings of all settings, from the YAML files and from the dataclasses.
-
-    Args:
-        config: the composed configuration.
-        primary: the primary file.
-        choices: the selected file of each group.
-    """
+    """Return the meanings of all settings, from the YAML files and from the dataclasses."""
     meanings = comments_in_yaml(primary)
     for group, choice in choices.items():
         comments = _comments_of_choice(primary.parent / group, choice)

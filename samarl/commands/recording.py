@@ -90,9 +90,7 @@ def _describe(arguments: argparse.Namespace) -> None:
 
 def _check_options(arguments: argparse.Namespace) -> None:
     Scenario(
-        crowd=Crowd.recorded,
-        frame_seconds=arguments.frame_seconds,
-        recording_scale=arguments.scale,
+        crowd=Crowd.recorded, frame_seconds=arguments.frame_seconds, recording_scale=arguments.scale
     )
     check_output("--figure", arguments.figure, arguments.file, pictures=True)
     check_output("--output", arguments.output, arguments.file)

@@ -15,12 +15,7 @@ from omegaconf import MISSING, DictConfig, OmegaConf
 from mrsan import ConfigurationError, Scenario, Split
 from samarl.agents import Agent, build_agent
 from samarl.commands.cli import command_line, run_command
-from samarl.configuration import (
-    available_agents,
-    load_method_config,
-    load_scenario,
-    scenario_of,
-)
+from samarl.configuration import available_agents, load_method_config, load_scenario, scenario_of
 from samarl.evaluation.summary import scenario_column
 from samarl.evaluation.table import column_name
 from samarl.evaluation.trajectory import record_episode

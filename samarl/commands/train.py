@@ -1,4 +1,4 @@
-"""`samarl-train`: train a policy or resume an interrupted training."""
+"""`samarl-train`: train a policy or resume an interrupted training run."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def main() -> None:
 
 
 def train(config: DictConfig) -> None:
-    """Train a policy; running the same command again resumes an interrupted training."""
+    """Train a policy; the same command resumes an interrupted training run."""
     from samarl.training.run import run_training  # imports torch, which --help does not need
 
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # like Ctrl-C
@@ -39,7 +39,7 @@ def train(config: DictConfig) -> None:
 
 
 def check_training(config: DictConfig) -> tuple[str, Path]:
-    """Check the settings of a cell of a sweep without starting its training.
+    """Check the settings of a cell of a sweep without starting it.
 
     Returns:
         The setting `run_dir`, see `run_command`.

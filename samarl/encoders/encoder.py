@@ -111,8 +111,8 @@ def samples_of(scene: Any, index: Tensor | slice) -> Any:
 
 def single_frames(frames: Frames, samples: Tensor | None) -> Frames:
     """Return the frame of each sample, [P, ...], for encoders without history."""
-    flat = frames.map(lambda tensor: tensor.flatten(0, 1))
-    return flat if samples is None else flat.of(samples)
+    flat = frames.apply(lambda tensor: tensor.flatten(0, 1))
+    return flat if samples is None else flat.select(samples)
 
 
 def frame_numbers(frames: Frames, history: int, samples: Tensor | None) -> Tensor:

@@ -12,9 +12,10 @@ import torch
 from torch import Tensor, nn
 from torch.jit import is_tracing  # type: ignore[attr-defined]
 
+from mrsan import Entities
 from mrsan.fields import required
 from samarl.encoders.encoder import ENCODERS, Encoder, EncoderState, single_frames
-from samarl.observations.frames import EntityFeatures, FeatureSizes, Frames
+from samarl.observations.frames import FeatureSizes, Frames
 
 DENSE = 0.7  # share of the slots from which on empty ones are computed as well: that is faster
 
@@ -76,7 +77,7 @@ class PairwiseEncoder(Encoder):
         alone = self.alone(self.own_alone(own_and_query[lonely])).squeeze(-1)
         return minimum.index_copy(0, lonely, alone).unsqueeze(1)
 
-    def _least(self, embed: nn.Linear, group: EntityFeatures, own: Tensor) -> Tensor:
+    def _least(self, embed: nn.Linear, group: Entities[Tensor], own: Tensor) -> Tensor:
         """Return the smallest value of the encounters with a group, [P]; infinite without any."""
         features, known = group
         sample, slot = known.nonzero(as_tuple=True)

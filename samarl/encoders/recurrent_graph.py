@@ -128,7 +128,7 @@ class RecurrentGraph(Encoder):
         self, frames: Frames, is_init: Tensor, state: EncoderState
     ) -> tuple[GraphScene, EncoderState]:
         """Return the scene of all frames [B T, ...] and the state after the last one."""
-        f, begins = frames.map(lambda tensor: tensor.transpose(0, 1)), is_init.T  # [T, B, ...]
+        f, begins = frames.apply(lambda tensor: tensor.transpose(0, 1)), is_init.T  # [T, B, ...]
         next_state: EncoderState = {}
 
         def unit(name: str, inputs: Tensor, known: Tensor) -> Tensor:

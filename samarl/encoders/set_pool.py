@@ -11,11 +11,12 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor, nn
 
+from mrsan import Entities
 from mrsan.fields import required, setting
 from samarl.encoders.encoder import ENCODERS, Encoder, EncoderState, single_frames
 from samarl.encoders.rays import RayEncoder
 from samarl.encoders.set_pooling import set_pooling
-from samarl.observations.frames import EntityFeatures, FeatureSizes, Frames
+from samarl.observations.frames import FeatureSizes, Frames
 
 
 @dataclass
@@ -24,7 +25,7 @@ class SetPoolConfig:
 
     width: int = required(8, 1024, help="width of all hidden layers")
     features: int = required(8, 4096, help="length of the output Y")
-    # Of places with walls, where the robots observe them:
+    # Of walled environments, where the robots observe them:
     segments: bool = setting(True, kw_only=True, help="read the nearest walls")
     rays: bool = setting(True, kw_only=True, help="read the ranges of the lidar")
 
@@ -40,7 +41,7 @@ class PooledSet(nn.Module):
         for layer in (self.embed_ego, self.embed_other, self.second):
             nn.init.orthogonal_(layer.weight, gain=2**0.5)
 
-    def forward(self, ego: Tensor, agents: EntityFeatures) -> Tensor:
+    def forward(self, ego: Tensor, agents: Entities[Tensor]) -> Tensor:
         """Return the maximum of each feature over the known agents [P, width]; 0 without any.
 
         Args:

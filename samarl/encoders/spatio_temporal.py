@@ -6,7 +6,7 @@ itself attends to both, and cross-modal attention fuses the results. Unknown age
 everywhere, and the robot can also attend to a learned "nobody", so the result is finite with nobody
 in view.
 
-In places with walls there are further features to fuse: the robot's attention over the nearest
+In walled environments there are further features to fuse: the robot's attention over the nearest
 walls, and the ranges of its lidar. Both are of the present frame only, as walls do not move.
 """
 
@@ -45,7 +45,7 @@ class SpatioTemporalConfig:
     graph: bool = setting(True, kw_only=True, help="graph convolution weighted by proximity")
     cross_modal: bool = setting(True, kw_only=True, help="attention between the four features")
     one_block: bool = setting(False, kw_only=True, help="treat people and robots alike")
-    # Of places with walls, where the robots observe them:
+    # Of walled environments, where the robots observe them:
     segments: bool = setting(True, kw_only=True, help="read the nearest walls")
     rays: bool = setting(True, kw_only=True, help="read the ranges of the lidar")
 
@@ -84,7 +84,7 @@ class Block(Embedding):
         self.temporal = TemporalTransformer(width, config.heads)
 
     def forward(
-        self, ego: Tensor, others: Tensor, known: Tensor, window: Tensor, fresh: Tensor
+        self, ego: Tensor, others: Tensor, known: Tensor, window: Tensor, current: Tensor
     ) -> BlockScene:
         """Return the tokens of P of the frames.
 
@@ -93,10 +93,10 @@ class Block(Embedding):
             others: [F, M, F_o].
             known: [F, M].
             window: [P, H] indices of the last H frames of each, the present first.
-            fresh: [P, H] whether they belong to the same episode as the present.
+            current: [P, H] whether they belong to the same episode as the present.
         """
         tokens, frame = self.embedded(ego, others), window[:, 0]
-        allowed = known[window] & fresh.unsqueeze(-1)
+        allowed = known[window] & current.unsqueeze(-1)
         key_value = self.temporal.keys_values(tokens)
         return self._scene(tokens[frame], others[frame], known[frame], key_value, window, allowed)
 
@@ -251,13 +251,13 @@ class SpatioTemporalEncoder(Encoder):
         steps = torch.arange(is_init.shape[1], device=is_init.device)
         episode_start = torch.where(is_init, steps, -1).cummax(1).values  # [B, h + T]
         lag = torch.arange(self.history + 1, device=is_init.device)
-        fresh = frame % is_init.shape[1] - lag >= episode_start.flatten()[frame].clamp_min(0)
-        needed, window = torch.where(fresh, frame - lag, frame).unique(return_inverse=True)
-        f = frames.map(lambda tensor: tensor.flatten(0, 1)[needed])
+        current = frame % is_init.shape[1] - lag >= episode_start.flatten()[frame].clamp_min(0)
+        needed, window = torch.where(current, frame - lag, frame).unique(return_inverse=True)
+        f = frames.apply(lambda tensor: tensor.flatten(0, 1)[needed])
         agents = tuple(
-            getattr(self, kind)(f.ego, *_agents(f, kind), window, fresh) for kind in self.kinds
+            getattr(self, kind)(f.ego, *_agents(f, kind), window, current) for kind in self.kinds
         )
-        return self._scene(agents, f.of(window[:, 0]))
+        return self._scene(agents, f.select(window[:, 0]))
 
     def read(self, scene: SpatioTemporalScene, query: Tensor) -> Tensor:
         """See `Encoder.read`."""
@@ -287,7 +287,7 @@ class SpatioTemporalEncoder(Encoder):
         """See `Encoder.step`; earlier frames are not encoded again."""
         count = torch.where(is_init, 0, state["count"])
         state["count"][:] = count + 1
-        f = frame.map(lambda tensor: tensor[:, 0])
+        f = frame.apply(lambda tensor: tensor[:, 0])
         agents = tuple(
             getattr(self, kind).step(
                 f.ego, *_agents(f, kind), state[kind], state[f"{kind}_known"], count

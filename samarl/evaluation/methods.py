@@ -66,8 +66,7 @@ _SHIELD = {" shield=true": ", shielded", " shield=false": ", no shield"}
 def method_name(entry: Any) -> tuple[str, str | None]:
     """Return the method of an entry of `agents`, and its label if the entry has one.
 
-    Args:
-        entry: `NAME`, `NAME SETTING=VALUE ...`, or `{agent: NAME, SETTING: VALUE, label: LABEL}`.
+    It is `NAME`, `NAME SETTING=VALUE ...`, or `{agent: NAME, SETTING: VALUE, label: LABEL}`.
 
     Raises:
         ConfigurationError: it is none of these.

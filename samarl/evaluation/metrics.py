@@ -30,7 +30,7 @@ class Tables(Flag):
     report = auto()  # of the report
     driving = auto()  # of the report, on how the robots drive
     counted = auto()  # printed and report, if collisions do not end the episode
-    walled = auto()  # printed and report, of places with walls
+    walled = auto()  # printed and report, of walled environments
     grouped = auto()  # printed and report, if there are groups of people
     everywhere = printed | report | driving
 
@@ -154,10 +154,42 @@ def _success(episodes: Episodes) -> tuple[float, float, float]:
     return _percent(success), 100 * low, 100 * high
 
 
-@metric("robot_success_rate", heading="robots' success %", tables=Tables.driving)
-def _robot_success(episodes: Episodes) -> float:
-    """Robots that arrived, regardless of the others, %."""
-    return _percent(episodes.outcome == Outcome.arrived)
+def _percent(share: Any) -> float:
+    return 100 * float(share.mean())
+
+
+def _rate(
+    field: str,
+    heading: str,
+    share: Callable[[Episodes], Any],
+    tables: Tables = Tables.printed | Tables.report,
+) -> None:
+    """Register the mean of booleans or shares, in %."""
+    metric(field, heading=heading, tables=tables)(lambda episodes: _percent(share(episodes)))
+
+
+def _average(
+    field: str,
+    heading: str,
+    values: Callable[[Episodes], NDArray[Any]],
+    tables: Tables = Tables.printed | Tables.report,
+    form: str = "{:.1f}",
+    decimals: int = 2,
+) -> None:
+    """Register the mean of values, which is undefined if there are none."""
+
+    def measure(episodes: Episodes) -> Value:
+        selected = values(episodes)
+        return float(selected.mean()) if selected.size else None
+
+    metric(field, heading=heading, form=form, decimals=decimals, tables=tables)(measure)
+
+
+def _arrived(episodes: Episodes) -> NDArray[np.bool_]:
+    return episodes.outcome == Outcome.arrived
+
+
+_rate("robot_success_rate", "robots' success %", _arrived, Tables.driving)
 
 
 @metric("social_score", "social_low", "social_high", heading="social score")
@@ -166,82 +198,39 @@ def _social(episodes: Episodes) -> tuple[float, float, float]:
     return mean_interval(social_score(episodes).mean(axis=1))
 
 
-@metric("collision_rate", heading="collision %", tables=Tables.report)
-def _collision(episodes: Episodes) -> float:
-    return _percent(episodes.hit_human | episodes.hit_robot | episodes.hit_wall)
-
-
-@metric("human_collision_rate", heading="hit human %")
-def _human_collision(episodes: Episodes) -> float:
-    return _percent(episodes.hit_human)
-
-
-@metric("robot_on_person_rate", heading="robot on person %", tables=Tables.driving)
-def _robot_on_person(episodes: Episodes) -> float:
-    """Episodes in which a robot hit a human and approached it the faster of the two, %."""
-    return _percent(episodes.robot_on_person)
-
-
-@metric("person_on_robot_rate", heading="person on robot %", tables=Tables.driving)
-def _person_on_robot(episodes: Episodes) -> float:
-    """Episodes in which they hit each other and the human approached faster, %."""
-    return _percent(episodes.person_on_robot)
-
-
-@metric("robot_collision_rate", heading="hit robot %", tables=Tables.everywhere)
-def _robot_collision(episodes: Episodes) -> float:
-    return _percent(episodes.hit_robot)
-
-
-@metric("wall_collision_rate", heading="hit wall %", tables=Tables.walled)
-def _wall_collision(episodes: Episodes) -> float:
-    return _percent(episodes.hit_wall)
-
-
-@metric("deadlock_rate", heading="deadlock %", tables=Tables.walled)
-def _deadlock(episodes: Episodes) -> float:
-    """Episodes in which every robot that had not arrived stood still for 10 s, %."""
-    return _percent(episodes.deadlock)
-
-
-@metric("makespan", heading="makespan s", tables=Tables.walled)
-def _makespan(episodes: Episodes) -> Value:
-    """Time until the last robot arrived, mean over the successful episodes, s."""
-    return _mean(episodes.duration[episodes.success])
-
-
-@metric("flow_rate", heading="robots / min", tables=Tables.walled)
-def _flow_rate(episodes: Episodes) -> Value:
-    """Robots that arrive per minute until the last one does, mean over successful episodes.
-
-    In a doorway or a corridor every robot passes the opening once, so this is the flow through it.
-    """
-    robots = episodes.outcome.shape[1]
-    return _mean(60.0 * robots / episodes.duration[episodes.success])
-
-
-@metric("path_ratio", heading="path ratio", form="{:.2f}", decimals=3, tables=Tables.walled)
-def _path_ratio(episodes: Episodes) -> Value:
-    """Path driven over the shortest route, mean over the robots that arrived."""
-    arrived = episodes.outcome == Outcome.arrived
-    return _mean(episodes.path_length[arrived] / episodes.shortest_path[arrived])
-
-
-@metric("timeout_rate", heading="timeout %")
-def _timeout(episodes: Episodes) -> float:
-    return _percent(episodes.timeout)
-
-
-@metric("path_length", heading="path m")
-def _path_length(episodes: Episodes) -> Value:
-    """Mean over the robots that arrived, m."""
-    return _mean(episodes.path_length[episodes.outcome == Outcome.arrived])
-
-
-@metric("time_to_goal", heading="time s")
-def _time_to_goal(episodes: Episodes) -> Value:
-    """Mean over the robots that arrived, s."""
-    return _mean(episodes.time[episodes.outcome == Outcome.arrived])
+_rate(
+    "collision_rate", "collision %", lambda e: e.hit_human | e.hit_robot | e.hit_wall, Tables.report
+)
+_rate("human_collision_rate", "hit human %", lambda e: e.hit_human)
+# Who approached faster when a robot and a human hit each other:
+_rate("robot_on_person_rate", "robot on person %", lambda e: e.robot_on_person, Tables.driving)
+_rate("person_on_robot_rate", "person on robot %", lambda e: e.person_on_robot, Tables.driving)
+_rate("robot_collision_rate", "hit robot %", lambda e: e.hit_robot, Tables.everywhere)
+_rate("wall_collision_rate", "hit wall %", lambda e: e.hit_wall, Tables.walled)
+# Every robot that had not arrived stood still for 10 s:
+_rate("deadlock_rate", "deadlock %", lambda e: e.deadlock, Tables.walled)
+# Time until the last robot arrived in the successful episodes, s:
+_average("makespan", "makespan s", lambda e: e.duration[e.success], Tables.walled)
+# Robots that arrive per minute until the last one does, in the successful episodes. In a doorway or
+# a corridor every robot passes the opening once, so this is the flow through it.
+_average(
+    "flow_rate",
+    "robots / min",
+    lambda e: 60.0 * e.outcome.shape[1] / e.duration[e.success],
+    Tables.walled,
+)
+# Path driven over the shortest route, of the robots that arrived:
+_average(
+    "path_ratio",
+    "path ratio",
+    lambda e: e.path_length[_arrived(e)] / e.shortest_path[_arrived(e)],
+    Tables.walled,
+    "{:.2f}",
+    decimals=3,
+)
+_rate("timeout_rate", "timeout %", lambda e: e.timeout)
+_average("path_length", "path m", lambda e: e.path_length[_arrived(e)])
+_average("time_to_goal", "time s", lambda e: e.time[_arrived(e)])
 
 
 @metric("closest_human", heading="nearest m", form="{:.2f}", decimals=3, tables=Tables.report)
@@ -251,52 +240,18 @@ def _closest_human(episodes: Episodes) -> Value:
     return float(np.median(distance)) if distance.size else None
 
 
-@metric("csr", heading="CSR %", tables=Tables.counted)
-def _csr(episodes: Episodes) -> float:
-    """Episodes in which every robot arrived in time, even after collisions (MSA3C), %."""
-    return 100 * float(episodes.arrived.all(axis=1).mean())
-
-
-@metric("cr", heading="CR %", tables=Tables.counted)
-def _cr(episodes: Episodes) -> float:
-    """Collisions per episode (MSA3C), %."""
-    return 100 * float(episodes.contacts.sum(axis=1).mean())
-
-
-@metric("apl", heading="APL m", tables=Tables.counted)
-def _apl(episodes: Episodes) -> Value:
-    """Total path length of all robots, mean over the episodes in which all arrived (MSA3C), m."""
-    return _mean(episodes.path_length.sum(axis=1)[episodes.arrived.all(axis=1)])
-
-
-@metric("ntc", heading="NTC", tables=Tables.counted)
-def _ntc(episodes: Episodes) -> Value:
-    """Steps until the last robot arrived, mean over the episodes in which all did (MSA3C)."""
-    return _mean(episodes.steps[episodes.arrived.all(axis=1)])
-
-
-@metric("cir", heading="CIR %", tables=Tables.counted)
-def _cir(episodes: Episodes) -> float:
-    """Share of the steps of all robots within 0.25 m of a human (MSA3C), %."""
-    return 100 * float(np.average(episodes.comfort_share, weights=episodes.time))
-
-
-@metric("close_share", heading="close %", tables=Tables.report | Tables.driving)
-def _close_share(episodes: Episodes) -> float:
-    """Share of a robot's steps in the intimate space of a human, 0.45 m (Hall, 1966), %."""
-    return _percent(episodes.close_share)
-
-
-@metric("personal_share", heading="personal %", tables=Tables.driving)
-def _personal_share(episodes: Episodes) -> float:
-    """Share of a robot's steps 0.45 to 1.2 m from the nearest human (Hall, 1966), %."""
-    return _percent(episodes.personal_share)
-
-
-@metric("social_share", heading="social %", tables=Tables.driving)
-def _social_share(episodes: Episodes) -> float:
-    """Share of a robot's steps 1.2 to 3.6 m from the nearest human (Hall, 1966), %."""
-    return _percent(episodes.social_share)
+# Metrics of MSA3C: episodes in which every robot arrived in time, even after collisions; collisions
+# per episode; total path length (m) and steps in the episodes in which all arrived; and the share
+# of all steps within 0.25 m of a human.
+_rate("csr", "CSR %", lambda e: e.arrived.all(axis=1), Tables.counted)
+_rate("cr", "CR %", lambda e: e.contacts.sum(axis=1), Tables.counted)
+_average("apl", "APL m", lambda e: e.path_length.sum(axis=1)[e.arrived.all(axis=1)], Tables.counted)
+_average("ntc", "NTC", lambda e: e.steps[e.arrived.all(axis=1)], Tables.counted)
+_rate("cir", "CIR %", lambda e: np.average(e.comfort_share, weights=e.time), Tables.counted)
+# Shares of a robot's steps up to 0.45 m from the nearest human, to 1.2 m and to 3.6 m (Hall, 1966):
+_rate("close_share", "close %", lambda e: e.close_share, Tables.report | Tables.driving)
+_rate("personal_share", "personal %", lambda e: e.personal_share, Tables.driving)
+_rate("social_share", "social %", lambda e: e.social_share, Tables.driving)
 
 
 @metric("min_time_to_collision", heading="soonest collision s", decimals=3, tables=Tables.driving)
@@ -323,44 +278,24 @@ def _group_intrusion_share(episodes: Episodes) -> Value:
     return None if np.isnan(share).any() else _percent(share)
 
 
-@metric("jerk", heading="jerk m/s³", tables=Tables.report)
-def _jerk(episodes: Episodes) -> float:
-    """Mean norm of the jerk, m/s^3."""
-    return float(episodes.jerk.mean())
-
-
-@metric("standing_share", heading="not moving %", tables=Tables.driving)
-def _standing_share(episodes: Episodes) -> float:
-    """Share of a robot's steps slower than 0.05 m/s (HuNavSim's time not moving), %."""
-    return _percent(episodes.standing_share)
-
-
-@metric("heading_change", heading="heading change rad", form="{:.2f}", tables=Tables.driving)
-def _heading_change(episodes: Episodes) -> Value:
-    """Sum of absolute changes of heading, mean over the robots that arrived, rad (HuNavSim)."""
-    return _mean(episodes.heading_change[episodes.outcome == Outcome.arrived])
-
-
-@metric(
-    "path_irregularity",
-    heading="irregularity rad/m",
-    form="{:.2f}",
-    decimals=3,
-    tables=Tables.driving,
+_average("jerk", "jerk m/s³", lambda e: e.jerk, Tables.report)  # norm, m/s^3
+# Share of a robot's steps slower than 0.05 m/s (HuNavSim's time not moving):
+_rate("standing_share", "not moving %", lambda e: e.standing_share, Tables.driving)
+# Sum of absolute changes of heading of the robots that arrived, rad (HuNavSim):
+_average(
+    "heading_change",
+    "heading change rad",
+    lambda e: e.heading_change[_arrived(e)],
+    Tables.driving,
+    "{:.2f}",
 )
-def _path_irregularity(episodes: Episodes) -> Value:
-    """Turning per metre driven, mean over the robots that arrived (Guzzi et al., 2013), rad/m.
-
-    Guzzi et al. subtract the turning needed for the straight path, which is zero for robots that
-    start with their heading towards the goal.
-    """
-    arrived = episodes.outcome == Outcome.arrived
-    return _mean(episodes.heading_change[arrived] / episodes.path_length[arrived])
-
-
-def _percent(share: NDArray[np.bool_] | NDArray[np.float64]) -> float:
-    return 100 * float(share.mean())
-
-
-def _mean(values: NDArray[Any]) -> Value:
-    return float(values.mean()) if values.size else None
+# Turning per metre driven of the robots that arrived, rad/m. Guzzi et al. (2013) subtract the
+# turning needed for the straight path, which is zero for robots that start towards the goal.
+_average(
+    "path_irregularity",
+    "irregularity rad/m",
+    lambda e: e.heading_change[_arrived(e)] / e.path_length[_arrived(e)],
+    Tables.driving,
+    "{:.2f}",
+    decimals=3,
+)

@@ -8,12 +8,7 @@ import numpy as np
 
 from samarl.evaluation.seeds import Improvements
 from samarl.evaluation.summary import Column, Row, case_successes, column_of
-from samarl.evaluation.table import (
-    column_name,
-    grids_as_markdown,
-    markdown_table,
-    rows_as_markdown,
-)
+from samarl.evaluation.table import column_name, grids_as_markdown, markdown_table, rows_as_markdown
 from samarl.files import machine
 
 _SEEDS = """ For methods with several

@@ -66,11 +66,6 @@ def beside_committed(
     Committed rows are restricted to the cases of the evaluated rows of their column, so that all
     methods are compared on the same cases. Rows without a record of each case, and rows in which
     collisions are counted, are not restricted.
-
-    Args:
-        rows: the rows that have just been evaluated.
-        committed: all committed rows of the table.
-        columns: the columns of the table.
     """
     methods = {row["method"] for row in rows}
     longest = sorted(rows, key=lambda row: row["episodes"])

@@ -47,10 +47,6 @@ def probability_of_improvement(ours: Sequence[float], theirs: Sequence[float]) -
 
     Source: Agarwal et al., 2021.
 
-    Args:
-        ours: the result of each of our training seeds.
-        theirs: the result of each training seed of another method in the same column.
-
     Returns:
         The share of pairs of seeds in which ours is better, ties counting one half, and its 95 %
         interval over bootstrap samples of the seeds of both methods.
@@ -75,9 +71,7 @@ class Improvements(NamedTuple):
 def improvements(rows: Sequence[Row], methods: Sequence[str]) -> list[Improvements]:
     """Return the probabilities of improvement in success and in social score.
 
-    Args:
-        rows: the rows of a table.
-        methods: methods that are compared with all others in the columns both have played.
+    `methods` are compared with all others in the columns both have played.
 
     Returns:
         Nothing if no rows of several seeds can be compared.

@@ -89,9 +89,7 @@ def column_of(row: Row) -> Column:
 def scenario_column(scenario: Scenario, named: Scenario | None = None) -> Column:
     """Return the column of a scenario.
 
-    Args:
-        scenario: the scenario.
-        named: the scenario in the file of the same name; None: SAMARL's.
+    `named` is the scenario in the file of the same name; None: SAMARL's.
     """
     file = scenario.recording or "synthetic.txt"
     return Column(
@@ -153,14 +151,7 @@ def summarise(
 ) -> Row:
     """Return the row of one method in one scenario: rates in percent, lengths in m, times in s.
 
-    Args:
-        episodes: the episode records.
-        scenario: the scenario of the episodes.
-        method: name of the method in the table.
-        command: the command that reproduces the row.
-        commit: commit of the code.
-        seed: the first case number.
-        named: the scenario in the file of the same name, see `scenario_column`.
+    `seed` is the first case number; for `named` see `scenario_column`.
     """
     row: Row = {
         "method": method,
@@ -218,11 +209,6 @@ def read_rows(path: Path) -> list[Row] | None:
 
 def check_row(row: Any, path: Path, number: int = 0) -> None:
     """Check the fields of a row.
-
-    Args:
-        row: the candidate.
-        path: path of its file, for error messages.
-        number: index of the row in the file.
 
     Raises:
         ConfigurationError: a field is missing or invalid.

@@ -112,10 +112,7 @@ def rows_as_cells(
 ) -> tuple[tuple[str, ...], list[list[str]]]:
     """Return the header and the cells of each row.
 
-    Args:
-        rows: the rows.
-        with_settings: add other overrides of the command line, where they distinguish rows.
-        table: the table whose metrics are shown.
+    `with_settings` adds other overrides of the command line, where they distinguish rows.
     """
     driving = table is Tables.driving
     tables = table
@@ -148,7 +145,7 @@ def rows_as_cells(
 
 
 def has_walls(rows: Sequence[Row]) -> bool:
-    """Return whether the rows are of places with walls."""
+    """Return whether the rows are of walled environments."""
     return any(Layout[column_of(row).layout].has_walls for row in rows)
 
 
@@ -196,9 +193,7 @@ def group_by_kind(rows: Sequence[Row]) -> dict[str, list[Row]]:
 def grids_as_markdown(rows: Sequence[Row], columns: Sequence[Column] = ()) -> str:
     """Return one grid per kind of column, with headings if there are several.
 
-    Args:
-        rows: the rows.
-        columns: the order of the columns; others follow in order of appearance.
+    Grids start with `columns`; others follow in order of appearance.
     """
     kinds = group_by_kind(rows)
     if len(kinds) == 1:
@@ -256,9 +251,7 @@ class Grid(NamedTuple):
 def grid_of(rows: Sequence[Row], columns: Sequence[Column] = ()) -> Grid:
     """Arrange rows by method and column, both in order of appearance.
 
-    Args:
-        rows: the rows.
-        columns: come first, in this order, as far as they have rows.
+    Those in `columns` come first, in this order, as far as they have rows.
     """
     present = list(dict.fromkeys(column_of(row) for row in rows))
     columns = [column for column in dict.fromkeys([*columns, *present]) if column in present]

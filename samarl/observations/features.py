@@ -15,7 +15,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from mrsan import Entities, Scenario, World
+from mrsan import Entities, Observation, Scenario, World
 from mrsan.features import (
     GOAL,
     HEADING_COS,
@@ -32,8 +32,8 @@ from mrsan.features import (
 from mrsan.plugin_values import PluginError, check_shape
 from mrsan.se2 import rotate, untransform
 from mrsan.sensors.suite import SensorSuite
-from samarl.observations.frames import EntityFeatures, FeatureSizes, Frames
-from samarl.observations.tracker import AGE, TRACK_FEATURES, Tracks
+from samarl.observations.frames import FeatureSizes, Frames
+from samarl.observations.tracker import AGE, TRACK_FEATURES
 
 A = TypeVar("A", NDArray[np.float32], Tensor)
 
@@ -89,7 +89,7 @@ def register_features(name: str) -> Callable[[Features], Features]:
     return register
 
 
-def frames_of(tracks: Tracks, scenario: Scenario, observe_map_position: bool = True) -> Frames:
+def frames_of(tracks: Observation, scenario: Scenario, observe_map_position: bool = True) -> Frames:
     """Return what the robots know as the input of the actors' encoder, [B, 1, ...].
 
     Args:
@@ -112,16 +112,13 @@ def state_of(world: World) -> Frames:
     return state_features(true_state(world), world.scenario)
 
 
-def true_state(world: World, waypoints: NDArray[np.float32] | None = None) -> Tracks:
+def true_state(world: World, waypoints: NDArray[np.float32] | None = None) -> Observation:
     """Return the true state as seen from every robot: `state_of` before it is scaled.
 
     Features of people and robots end with the goal in the body frame (units of `LENGTH_SCALE`) and
     whether they have arrived; those of robots with their waypoints.
 
-    Args:
-        world: E worlds.
-        waypoints: [E, N, N - 1, W] features of the waypoints of the other robots; None: there is
-            no macro level.
+    `waypoints` [E, N, N - 1, W] are features of those of the other robots; None: no macro level.
     """
     state, n = world.state, world.scenario.robots
     observation = world.observe(privileged=True)
@@ -139,7 +136,7 @@ def true_state(world: World, waypoints: NDArray[np.float32] | None = None) -> Tr
         if name == "robots" and waypoints is not None:
             extended.append(waypoints)
         entities[name] = Entities(np.concatenate(extended, -1, dtype=np.float32), mask)
-    return Tracks(observation.ego, entities, observation.sensors)
+    return Observation(observation.ego, entities, observation.sensors)
 
 
 def team_mates(robots: int) -> NDArray[np.int64]:
@@ -148,12 +145,12 @@ def team_mates(robots: int) -> NDArray[np.int64]:
     return np.array(others, np.int64).reshape(robots, robots - 1)
 
 
-def state_features(state: Tracks, scenario: Scenario) -> Frames:
+def state_features(state: Observation, scenario: Scenario) -> Frames:
     """Return the features [B, 1, ...] of a `true_state`."""
     return _frames(_ego_features(state, scenario), state, OTHER_RADIUS + 1, scenario)
 
 
-def _frames(ego: Tensor, tracks: Tracks, extra: int, scenario: Scenario) -> Frames:
+def _frames(ego: Tensor, tracks: Observation, extra: int, scenario: Scenario) -> Frames:
     """Return the features of all groups and sensors.
 
     Args:
@@ -177,17 +174,17 @@ def _frames(ego: Tensor, tracks: Tracks, extra: int, scenario: Scenario) -> Fram
     both = _agent_features(observed.flatten(0, 1), mask.flatten(0, 1), extra, scenario)
     slots = [mask.shape[-1] for _, mask in agents.values()]
     parts = zip(agents, both.features.split(slots, 2), both.mask.split(slots, 2), strict=True)
-    split = {name: EntityFeatures(features, mask) for name, features, mask in parts}
+    split = {name: Entities(features, mask) for name, features, mask in parts}
     waypoints = torch.as_tensor(agents["robots"].features)[..., common:]
     if waypoints.shape[-1]:
         robots = split["robots"]
         waypoints = waypoints.flatten(0, 1).unsqueeze(1) * robots.mask.unsqueeze(-1)
-        split["robots"] = EntityFeatures(torch.cat([robots.features, waypoints], -1), robots.mask)
+        split["robots"] = Entities(torch.cat([robots.features, waypoints], -1), robots.mask)
     ordered = {name: (split | entities)[name] for name in tracks.entities}
-    return Frames(ego, ordered, _additional_sensors(tracks.sensors, scenario))
+    return Observation(ego, ordered, _additional_sensors(tracks.sensors, scenario))
 
 
-def empty_tracks(scenario: Scenario, worlds: int = 1) -> Tracks:
+def empty_tracks(scenario: Scenario, worlds: int = 1) -> Observation:
     """Return tracks in which nothing is known, in the shapes of a scenario."""
     empty = SensorSuite(scenario).empty(worlds)
     entities = {}
@@ -195,13 +192,13 @@ def empty_tracks(scenario: Scenario, worlds: int = 1) -> Tracks:
         size = len(TRACK_FEATURES) if name in ("humans", "robots") else features.shape[-1]
         entities[name] = Entities(np.zeros((*mask.shape, size), np.float32), np.zeros_like(mask))
     sensors = {name: np.zeros_like(values) for name, values in empty.sensors.items()}
-    return Tracks(np.zeros_like(empty.ego), entities, sensors)
+    return Observation(np.zeros_like(empty.ego), entities, sensors)
 
 
 def empty_frames(scenario: Scenario, rows: int = 1) -> Frames:
     """Return frames [B, 1, ...] in which nothing is known, in the shapes of a scenario."""
     example = frames_of(empty_tracks(scenario), scenario)
-    return example.map(lambda tensor: tensor.new_zeros(rows, *tensor.shape[1:]))
+    return example.apply(lambda tensor: tensor.new_zeros(rows, *tensor.shape[1:]))
 
 
 def speed_of(ego: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -230,7 +227,7 @@ def _stacked(x: A, y: A) -> A:
     return np.stack([x, y], -1)
 
 
-def _ego_features(tracks: Tracks, scenario: Scenario) -> Tensor:
+def _ego_features(tracks: Observation, scenario: Scenario) -> Tensor:
     """Return the robots' own features [B, 1, F_e]."""
     ego = torch.as_tensor(tracks.ego).flatten(0, 1)
     goal, velocity, origin = ego[:, GOAL], ego[:, VELOCITY], ego[:, ORIGIN]
@@ -256,7 +253,7 @@ def features_of_target(target: Tensor) -> Tensor:
 
 def _agent_features(
     others: Tensor, known: Tensor, extra: int, scenario: Scenario
-) -> EntityFeatures:
+) -> Entities[Tensor]:
     """Return the features [B, 1, M, F] of people and robots [B, M, ...].
 
     They include the closest approach ahead: when and how near the two will pass if both keep their
@@ -287,14 +284,14 @@ def _agent_features(
 
 def _additional_group(
     name: str, observed: NDArray[np.float32], known: NDArray[np.bool_], scenario: Scenario
-) -> EntityFeatures:
+) -> Entities[Tensor]:
     """Return the features of a further group of entities."""
     features = _registered_features(name, torch.as_tensor(observed).flatten(0, 1), scenario, 2)
     return _masked(features, torch.as_tensor(known).flatten(0, 1))
 
 
-def _masked(features: Tensor, mask: Tensor) -> EntityFeatures:
-    return EntityFeatures((features * mask.unsqueeze(-1)).unsqueeze(1), mask.unsqueeze(1))
+def _masked(features: Tensor, mask: Tensor) -> Entities[Tensor]:
+    return Entities((features * mask.unsqueeze(-1)).unsqueeze(1), mask.unsqueeze(1))
 
 
 def _additional_sensors(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,14 +11,11 @@ from mrsan import Observation
 from mrsan.features import GOAL, GOAL_X, GOAL_Y, ORIGIN_X, ORIGIN_Y
 from mrsan.kernels import function, kernel
 
-if TYPE_CHECKING:
-    from samarl.observations.tracker import Tracks
-
 LOOKAHEAD = 0.3  # of policies that go round the crowd, rad
 ENTRY_ANGLE = 0.15  # rad
 
 
-def next_point(tracks: Observation | Tracks) -> NDArray[np.float32]:
+def next_point(tracks: Observation) -> NDArray[np.float32]:
     """Return the next corner of every robot's route, or its goal, in the body frame, [E, N, 2], m.
 
     Without walls that is always the goal.
@@ -27,7 +23,7 @@ def next_point(tracks: Observation | Tracks) -> NDArray[np.float32]:
     return tracks.sensors.get("route", tracks.ego[..., GOAL])
 
 
-def heading_for_route(tracks: Observation | Tracks) -> NDArray[np.float32]:
+def heading_for_route(tracks: Observation) -> NDArray[np.float32]:
     """Return the robots' own states [E, N, 11] with the next point of the route as the goal."""
     ego = tracks.ego.copy()
     ego[..., GOAL] = next_point(tracks)
@@ -35,7 +31,7 @@ def heading_for_route(tracks: Observation | Tracks) -> NDArray[np.float32]:
 
 
 def route(
-    tracks: Observation | Tracks,
+    tracks: Observation,
     fov_degrees: float,
     perimeter_below_fov: float,
     round_radius: float,

@@ -23,14 +23,7 @@ class Bodies:
     def __init__(
         self, scenario: Scenario, engine: MujocoEngine, drive: Drive, state: State
     ) -> None:
-        """Build the bodies at their starts.
-
-        Args:
-            scenario: the task.
-            engine: the settings of the physics.
-            drive: of the robots.
-            state: the case at its start, one world.
-        """
+        """Build the bodies at their starts."""
         period = engine.control_period(scenario)
         self._steps = max(1, int(np.ceil(period / engine.physics_step - 1e-9)))
         text = case_xml(scenario, engine, drive, state, period / self._steps)
@@ -76,8 +69,7 @@ class Bodies:
     def drive(self, velocities: NDArray[np.float64]) -> None:
         """Set the speeds of all wheels for one control period and move all bodies.
 
-        Args:
-            velocities: [N, 3] of the bases: ahead and to the left (m/s), turning (rad/s).
+        They are [N, 3]: ahead and to the left (m/s), turning (rad/s).
         """
         self.data.ctrl[:] = (velocities @ self._wheel_speeds.T).ravel()
         mujoco.mj_step(self.model, self.data, self._steps)
@@ -107,9 +99,7 @@ class Bodies:
 
         The geometry must be up to date.
 
-        Args:
-            robot: which one.
-            heading: from which the angles of the rays are measured, rad.
+        Angles are measured from `heading`, rad.
         """
         s = self._scenario
         angles = ray_angles(s.lidar_rays, s.lidar_fov_degrees).astype(np.float64)

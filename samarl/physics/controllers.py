@@ -41,10 +41,6 @@ class Controller(Protocol):
 def controller_of(agent: Agent, name: str) -> Controller:
     """Return the controller of an agent: policies are exported and run on each robot.
 
-    Args:
-        agent: built for the scenario.
-        name: in `conf/agent/`.
-
     Raises:
         ConfigurationError: it is a policy that cannot be exported.
     """

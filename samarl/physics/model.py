@@ -35,12 +35,7 @@ def case_xml(
 ) -> str:
     """Return the MJCF model of the case of a world, the only one of `state`.
 
-    Args:
-        scenario: the task.
-        engine: the settings of the physics.
-        drive: of the robots.
-        state: the case at its start.
-        step: time step of the physics, s.
+    `step` is the time step of the physics, s.
     """
     half = scenario.half_extent + 3.0
     robots = [_robot(i, scenario, engine, drive, state) for i in range(scenario.robots)]

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mrsan import Entities, Kinematics, Scenario
+from mrsan import Entities, Kinematics, Observation, Scenario
 from mrsan.features import (
     GOAL_X,
     GOAL_Y,
@@ -36,7 +36,7 @@ from mrsan.kernels.walls import WALL_ROWS, is_clear
 from mrsan.parameters import kernel_parameters
 from mrsan.reward import step_reward_parts, sum_of_parts
 from mrsan.se2 import rotate, unit_vectors, unrotate, untransform
-from samarl.observations.tracker import AGE, Tracks
+from samarl.observations.tracker import AGE
 from samarl.planning.velocity_control import step_robot
 from samarl.planning.walls import gather_walls, seen_walls
 
@@ -60,7 +60,7 @@ class Commands:
 class Outcomes(NamedTuple):
     """Predicted outcomes of C commands for R robots; shaped like tracks of C worlds of R robots."""
 
-    tracks: Tracks  # [C, R, ...] in the body frames after the step
+    tracks: Observation  # [C, R, ...] in the body frames after the step
     reward: NDArray[np.float32]  # [C, R] of Eq. 10 of SAMARL, without the team's arrival bonus
     ended: NDArray[np.bool_]  # [C, R] the robot arrives or collides
 
@@ -81,7 +81,7 @@ def command_set(sizes: Commands, kinematics: Kinematics) -> NDArray[np.float32]:
 
 
 def predict_outcomes(
-    tracks: Tracks,
+    tracks: Observation,
     active: NDArray[np.bool_],
     target: NDArray[np.float32],
     commands: NDArray[np.float32],
@@ -116,7 +116,7 @@ def predict_outcomes(
     )
     ego, humans, humans_known, others, others_known = following
     entities = {"humans": Entities(humans, humans_known), "robots": Entities(others, others_known)}
-    return Outcomes(Tracks(ego, entities, {}), reward, ended)
+    return Outcomes(Observation(ego, entities, {}), reward, ended)
 
 
 @kernel

@@ -15,7 +15,6 @@ from mrsan.kernels import function, kernel
 from mrsan.kernels.walls import WALL_ROWS, way_distance
 from mrsan.parameters import kernel_parameters
 from samarl.observations.route import next_point
-from samarl.observations.tracker import Tracks
 from samarl.planning.track_predictor import gather_offsets
 from samarl.planning.velocity_control import (
     gather_rows,
@@ -87,7 +86,7 @@ def plan_parameters(plans: Plans, scenario: Scenario) -> PlanParameters:
 
 def first_action(
     plans: Plans,
-    tracks: Observation | Tracks,
+    tracks: Observation,
     scenario: Scenario,
     predicted_offset: NDArray[np.float32],
 ) -> NDArray[np.float32]:

@@ -24,7 +24,6 @@ from mrsan.kernels.contact import closest_approach
 from mrsan.kernels.walls import WALL_ROWS, way_distance
 from mrsan.parameters import Parameters, kernel_parameters
 from samarl.observations.route import next_point
-from samarl.observations.tracker import Tracks
 from samarl.planning.detour import remaining_path_length
 from samarl.planning.track_predictor import CONSTANT_VELOCITY, gather_offsets, zero_offset
 from samarl.planning.velocity_control import (
@@ -80,7 +79,7 @@ class Shield:
 
 
 def apply_shield(
-    tracks: Observation | Tracks,
+    tracks: Observation,
     action: NDArray[np.float32],
     scenario: Scenario,
     shield: Shield,

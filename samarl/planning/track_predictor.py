@@ -10,7 +10,7 @@ from mrsan.features import HEADING_COS, HEADING_SIN
 from mrsan.kernels import function
 from mrsan.prediction import ConstantVelocity, Predictor, checked_prediction, find_predictor
 from mrsan.se2 import unrotate_vectors
-from samarl.observations.tracker import Tracker, TrackMemory, Tracks
+from samarl.observations.tracker import Tracker, TrackMemory
 
 CONSTANT_VELOCITY = "constant_velocity"  # the predictor whose offsets are all zero
 
@@ -105,7 +105,7 @@ class TrackPredictor:
             self._initialize(len(worlds))
         self._is_init |= worlds
 
-    def update(self, observation: Observation) -> tuple[Tracks, NDArray[np.float32]]:
+    def update(self, observation: Observation) -> tuple[Observation, NDArray[np.float32]]:
         """Return the tracks after an observation and the offsets of `OffsetPredictor.update`."""
         if len(observation.ego) != len(self._is_init):
             self._initialize(len(observation.ego))

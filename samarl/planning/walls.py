@@ -8,10 +8,9 @@ from numpy.typing import NDArray
 from mrsan import Observation
 from mrsan.kernels import function
 from mrsan.kernels.walls import START_X, START_Y, close_polygon
-from samarl.observations.tracker import Tracks
 
 
-def seen_walls(tracks: Observation | Tracks) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+def seen_walls(tracks: Observation) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """Return the walls in view, [E, N, K, 4] and [E, N, K]; K is 0 without walls."""
     if "walls" in tracks.entities:
         features, mask = tracks.entities["walls"]

@@ -115,9 +115,6 @@ def make_policy(
 def load_policy(path: Path | str) -> tuple[Policy, PolicyCard]:
     """Read a policy and its card.
 
-    Args:
-        path: a file, or the name of a shipped policy as a string.
-
     Raises:
         ConfigurationError: a file is missing or damaged, is not that of a policy or has another
             format, or a weight is not finite.

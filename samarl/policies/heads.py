@@ -70,7 +70,7 @@ def log_prob(action: Tensor, mean: Tensor, std: Tensor) -> Tensor:
 def given_previous_noise(
     mean: Tensor, std: Tensor, previous: Tensor, correlation: Tensor | float
 ) -> tuple[Tensor, Tensor]:
-    """Return loc and scale of correlated actions: only the fresh part of the noise is random.
+    """Return loc and scale of correlated actions: only the innovation of the noise is random.
 
     With a_t = mean + std n_t and n_t = rho n_(t-1) + sqrt(1 - rho^2) e_t, where e_t is standard
     normal, a_t given n_(t-1) has the location mean + rho std n_(t-1) and the scale

@@ -55,7 +55,7 @@ class HierarchicalPolicy(StochasticPolicy):
 
     Both read the same scene: the macro level with the goal in the query, the local level with the
     waypoint. Without `local_goal` the local level does not know the goal, so the macro level
-    decides where the robot goes; in places with walls it still sees the next corner of the route.
+    decides where the robot goes; in walled environments it still sees the next corner of the route.
     """
 
     config: HierarchicalConfig
@@ -151,8 +151,8 @@ class HierarchicalPolicy(StochasticPolicy):
         if len(index) == 0:
             return LevelStep(ego.new_zeros(len(rows), size), ego.new_zeros(len(rows)), due)
         embedding = self._embedding(samples_of(scene, index), ego[index], rows[index])
-        fresh = None if noise is None else noise.fresh[MACRO][index]
-        action, probability = self._sample_macro(embedding, rows[index], fresh)
+        normal = None if noise is None else noise.innovation[MACRO][index]
+        action, probability = self._sample_macro(embedding, rows[index], normal)
         if every_row:
             return LevelStep(action, probability, due)
         return LevelStep(

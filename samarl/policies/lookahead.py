@@ -18,9 +18,8 @@ from mrsan import ConfigurationError, Observation, Scenario
 from mrsan.fields import required
 from samarl.encoders import Encoder
 from samarl.observations.features import empty_frames
-from samarl.observations.frames import FeatureSizes, Frames
+from samarl.observations.frames import FeatureSizes, Frames, split
 from samarl.observations.route import heading_for_route
-from samarl.observations.tracker import Tracks
 from samarl.planning.one_step import Commands, command_set, predict_outcomes
 from samarl.planning.orca import OrcaParameters, orca_actions
 from samarl.policies.policy import (
@@ -88,14 +87,14 @@ class LookaheadPolicy(Policy):
             rows: [P] see `_per_parameter_set`.
         """
 
-        def of_set(net: Networks, i: int, samples: Any) -> Tensor:
-            frame = frames.of(samples)
+        def evaluate(net: Networks, i: int, samples: Any) -> Tensor:
+            frame = frames.select(samples)
             is_init = torch.ones_like(frame.ego[..., 0], dtype=torch.bool)
             y = net.encoder.read(net.encoder.observe(frame, is_init, {}), frame.ego[:, 0])
             result: Tensor = net.heads[LOCAL](y).squeeze(-1)
             return result
 
-        value: Tensor = self._per_parameter_set(rows, of_set)
+        value: Tensor = self._per_parameter_set(rows, evaluate)
         return VALUE_SCALE * value
 
     @torch.no_grad()
@@ -115,8 +114,8 @@ class LookaheadPolicy(Policy):
         if active is None:
             active = np.ones(shape, np.bool_)
         elif not explore:
-            seen = tracks.of(active)
-        features = self.extract_features(seen, scenario).to(self.device)
+            seen = tracks.of_robots(active)
+        features = self.extract_features(seen, scenario)
         decided = torch.from_numpy(active)
         action = torch.zeros(*shape, self.action_size)
         if explore and self.imitating:
@@ -130,17 +129,17 @@ class LookaheadPolicy(Policy):
         return Decision(step, tracks, features, self._scene(features) if explained else None)
 
     def _best(
-        self, tracks: Tracks, active: NDArray[np.bool_], scenario: Scenario, epsilon: float
+        self, tracks: Observation, active: NDArray[np.bool_], scenario: Scenario, epsilon: float
     ) -> Tensor:
         """Return the best command [R, A] of the R active robots, or any with chance `epsilon`."""
         commands = command_set(self.config, scenario.kinematics)
         target = self.route(tracks, scenario)
         tracks = tracks._replace(ego=heading_for_route(tracks))  # outcomes have no route
         outcomes = predict_outcomes(tracks, active, target, commands, scenario)
-        imagined = self.extract_features(outcomes.tracks, scenario).to(self.device)
+        imagined = self.extract_features(outcomes.tracks, scenario)
         rows = torch.from_numpy(np.flatnonzero(active)).to(self.device).repeat(len(commands))
         chunk = CHUNK_SIZE if self.device.type == "cpu" else max(len(rows), 1)
-        chunks = zip(imagined.split(chunk), rows.split(chunk), strict=True)
+        chunks = zip(split(imagined, chunk), rows.split(chunk), strict=True)
         value = torch.cat([self.value(*part) for part in chunks]).cpu()
         later = value.view(outcomes.reward.shape) * ~torch.from_numpy(outcomes.ended)
         score = torch.from_numpy(outcomes.reward) + self.config.discount * later  # [C, R]
@@ -155,7 +154,7 @@ class LookaheadPolicy(Policy):
         rows = torch.arange(len(frames.ego), device=self.device)
         is_init = torch.ones_like(frames.ego[..., 0], dtype=torch.bool)
 
-        def of_set(net: Networks, i: int, samples: Any) -> Any:
-            return net.encoder.observe(frames.of(samples), is_init[samples], {})
+        def observe(net: Networks, i: int, samples: Any) -> Any:
+            return net.encoder.observe(frames.select(samples), is_init[samples], {})
 
-        return self._per_parameter_set(rows, of_set)
+        return self._per_parameter_set(rows, observe)

@@ -35,7 +35,7 @@ from samarl.observations.features import (
 from samarl.observations.frames import FeatureSizes, Frames
 from samarl.observations.route import heading_for_route, next_point
 from samarl.observations.route import route as next_on_route
-from samarl.observations.tracker import Tracker, Tracks
+from samarl.observations.tracker import Tracker
 from samarl.policies.explanation import Explanation
 from samarl.registry import Registry, needed
 
@@ -96,7 +96,7 @@ class Decision(NamedTuple):
     """What was decided for all robots of E worlds, and from what."""
 
     step: PolicyStep  # [E, N, ...]
-    tracks: Tracks  # [E, N, ...]
+    tracks: Observation  # [E, N, ...]
     features: Frames  # [B, 1, ...] the network's view of the tracks, perhaps of active robots only
     scene: Any = None  # [B, ...]; None while exploring
 
@@ -195,9 +195,7 @@ class Policy(nn.Module, ABC):
     ) -> NDArray[np.float32] | None:
         """Return the features of the waypoints of every robot's team-mates, [E, N, N - 1, W].
 
-        Args:
-            state: after a decision.
-            ego: [E, N, 11] own states; the waypoints are in their body frames.
+        They are in the body frames of `ego` [E, N, 11], after a decision.
 
         Returns:
             None without a macro level.
@@ -248,7 +246,7 @@ class Policy(nn.Module, ABC):
                 f"scenario.robots is {scenario.robots}; it must be {sets}, as "
                 "policy.num_parameter_sets: each robot has its own parameters"
             )
-        available = frames_of(self._as_trained(empty_tracks(scenario)), scenario).sizes
+        available = FeatureSizes.of(frames_of(self._as_trained(empty_tracks(scenario)), scenario))
         for kind in ("entities", "sensors"):
             for name, size in getattr(self.sizes, kind).items():
                 if getattr(available, kind).get(name) != size:
@@ -273,7 +271,7 @@ class Policy(nn.Module, ABC):
         state: PolicyState,
         is_init: NDArray[np.bool_],
         scenario: Scenario,
-    ) -> Tracks:
+    ) -> Observation:
         """Update the tracks of all robots, and return them."""
         tracker = Tracker(self.config.track_time, scenario.time_step)
         return tracker.update(observation, state["tracks"], is_init)
@@ -283,12 +281,13 @@ class Policy(nn.Module, ABC):
         """Return whether the policy was trained with routes round walls."""
         return self.sizes.ego > NETWORK_EGO_FEATURES
 
-    def extract_features(self, tracks: Tracks, scenario: Scenario) -> Frames:
+    def extract_features(self, tracks: Observation, scenario: Scenario) -> Frames:
         """Return the features [B, 1, ...] of the groups and sensors that this policy observes."""
         tracks = self._as_trained(tracks)
-        return frames_of(tracks, scenario, self.config.observe_map_position).select(self.sizes)
+        frames = self.sizes.select(frames_of(tracks, scenario, self.config.observe_map_position))
+        return frames.apply(lambda tensor: tensor.to(self.device, non_blocking=True))
 
-    def _as_trained(self, tracks: Tracks) -> Tracks:
+    def _as_trained(self, tracks: Observation) -> Observation:
         """Return the tracks with the parts that this policy was trained with.
 
         A policy that was trained without walls takes the next corner of its route for its goal. One
@@ -307,8 +306,8 @@ class Policy(nn.Module, ABC):
 
     def empty_frames(self, scenario: Scenario, rows: int) -> Frames:
         """Return frames [B, 1, ...] like those of `extract_features` in which nothing is known."""
-        example = self.extract_features(empty_tracks(scenario), scenario).to(self.device)
-        return example.map(lambda tensor: tensor.new_zeros(rows, *tensor.shape[1:]))
+        example = self.extract_features(empty_tracks(scenario), scenario)
+        return example.apply(lambda tensor: tensor.new_zeros(rows, *tensor.shape[1:]))
 
     def _per_parameter_set(self, rows: Tensor, call: Callable[[Any, int, Any], Any]) -> Any:
         """Call each set of parameters on its own robots and merge the results in order.
@@ -326,7 +325,7 @@ class Policy(nn.Module, ABC):
         order = torch.cat(samples).argsort()
         return tree_map(lambda *tensors: torch.cat(tensors)[order], *parts)
 
-    def route(self, tracks: Observation | Tracks, scenario: Scenario) -> NDArray[np.float32]:
+    def route(self, tracks: Observation, scenario: Scenario) -> NDArray[np.float32]:
         """Return where the route of each robot leads next, [E, N, 2]; see `next_on_route`."""
         c = self.config
         return next_on_route(tracks, scenario.fov_degrees, c.perimeter_below_fov, c.round_radius)

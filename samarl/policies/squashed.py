@@ -94,7 +94,7 @@ class SquashedPolicy(FlatPolicy):
         features, is_init, encoder_states = sequences
         sets, features_per_set = len(self.networks), []
         for i, net in enumerate(self.networks):
-            visible = features.of(slice(i, None, sets))
+            visible = features.select(slice(i, None, sets))
             scene = net.encoder.observe(visible, is_init[i::sets], encoder_states[i])
             query = visible.ego[:, self.history :]
             y = net.encoder.read(scene, query.flatten(0, 1))

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 class ExplorationNoise(NamedTuple):
     """Standard normal numbers of one step; see `StochasticPolicy.draw_noise`."""
 
-    fresh: dict[str, Tensor]  # of each level, [B, A]
+    innovation: dict[str, Tensor]  # of each level, [B, A], independent of the step before
     initial: Tensor  # [B, A] the local level's noise before the first step of an episode
     correlation: float  # of the local level's noise from step to step
 
@@ -117,12 +117,7 @@ class StochasticPolicy(Policy):
         return {LOCAL: self.action_size}
 
     def initial_policy_state(self, rows: int, scenario: Scenario) -> PolicyState:
-        """Return the memory of B robots before their first step.
-
-        Args:
-            rows: B.
-            scenario: of the robots; the memory has a slot for each agent and entity.
-        """
+        """Return the memory of B robots before their first step."""
         example = self.empty_frames(scenario, rows // len(self.networks))
         return {
             "encoder": tuple(net.encoder.initial_state(example) for net in self.networks),
@@ -168,8 +163,8 @@ class StochasticPolicy(Policy):
         )
         if noise is not None or not self._decides_independently:
             active = None
-        seen = tracks if active is None else tracks.of(active)
-        features = self.extract_features(seen, scenario).to(device)
+        seen = tracks if active is None else tracks.of_robots(active)
+        features = self.extract_features(seen, scenario)
         if active is None:
             step, policy_state = self.step(features, *inputs, noise)
         else:
@@ -233,8 +228,8 @@ class StochasticPolicy(Policy):
         def normal(size: int) -> Tensor:
             return torch.randn(rows, size).to(self.device)
 
-        fresh = {level: normal(size) for level, size in self.action_sizes().items()}
-        return ExplorationNoise(fresh, normal(self.action_size), correlation)
+        innovation = {level: normal(size) for level, size in self.action_sizes().items()}
+        return ExplorationNoise(innovation, normal(self.action_size), correlation)
 
     def embed(
         self,
@@ -259,12 +254,12 @@ class StochasticPolicy(Policy):
         rows, step = samples // steps, samples % steps
         visible = self._encoder_input(features)
 
-        def observe(net: Any, i: int, samples_of_set: Any) -> Any:
+        def observe(net: Any, i: int, samples: Any) -> Any:
             return net.encoder.observe(
-                visible.of(slice(i, None, sets)),
+                visible.select(slice(i, None, sets)),
                 is_init[i::sets],
                 encoder_states[i],
-                rows[samples_of_set] // sets * steps + step[samples_of_set],
+                rows[samples] // sets * steps + step[samples],
             )
 
         scene = self._per_parameter_set(rows, observe)
@@ -318,19 +313,19 @@ class StochasticPolicy(Policy):
         """
         sets = len(self.networks)
         for i, net in enumerate(self.networks):
-            of_set = slice(i, None, sets)
+            own_rows = slice(i, None, sets)
             net.encoder.resume(
-                self._encoder_input(features).of(of_set),
-                is_init[of_set],
+                self._encoder_input(features).select(own_rows),
+                is_init[own_rows],
                 state["encoder"][i],
-                rows[of_set] // sets,
+                rows[own_rows] // sets,
             )
 
     def memory(self, state: PolicyState) -> PolicyState:
         """Return the part of a state that `resume` cannot recompute; not copied."""
         encoder = tuple(
-            net.encoder.memory(of_set)
-            for net, of_set in zip(self.networks, state["encoder"], strict=True)
+            net.encoder.memory(encoder_state)
+            for net, encoder_state in zip(self.networks, state["encoder"], strict=True)
         )
         return {**state, "encoder": encoder}
 
@@ -347,8 +342,10 @@ class StochasticPolicy(Policy):
         rows = torch.arange(len(is_init), device=is_init.device)
 
         def encode(net: Any, i: int, samples: Any) -> Any:
-            of_set = slice(i, None, sets)
-            return net.encoder.step(visible.of(of_set), is_init[of_set], state["encoder"][i])
+            own_rows = slice(i, None, sets)
+            return net.encoder.step(
+                visible.select(own_rows), is_init[own_rows], state["encoder"][i]
+            )
 
         return self._per_parameter_set(rows, encode)
 
@@ -397,7 +394,7 @@ class StochasticPolicy(Policy):
             return mean, LevelStep(mean, zero, everywhere), state["noise"], state["noise"]
         rho = noise.correlation
         previous = torch.where(is_init.unsqueeze(-1), noise.initial, state["noise"])
-        current = rho * previous + (1.0 - rho**2) ** 0.5 * noise.fresh[LOCAL]
+        current = rho * previous + (1.0 - rho**2) ** 0.5 * noise.innovation[LOCAL]
         action = mean + std * current
         loc, scale = given_previous_noise(mean, std, previous, rho)
         level = LevelStep(action, log_prob(action, loc, scale), everywhere)

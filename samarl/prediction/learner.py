@@ -186,14 +186,14 @@ class Learner:
         """Restore the state from the file.
 
         Raises:
-            ConfigurationError: the file is damaged, or belongs to another training.
+            ConfigurationError: the file is damaged, or belongs to another training run.
         """
         with attribute_errors_to(self.path), safe_open(self.path, "pt") as file:
             progress = {"run": "", **(file.metadata() or {})}
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
         if progress["run"] != self._run:
             raise ConfigurationError(
-                f"{self.path} belongs to another training; choose another output, or remove it"
+                f"{self.path} belongs to another training run; choose another output, or remove it"
             )
         with attribute_errors_to(self.path):
             self._load_state(tensors, int(progress["rounds"]))

@@ -44,9 +44,7 @@ _CAUSES = {  # of a failed episode; robots that were interrupted did not cause i
 def save_animation(trajectories: Sequence[tuple[Trajectory, str]], path: Path) -> None:
     """Write a .gif or .mp4, atomically: in real time, but at most 20 s long.
 
-    Args:
-        trajectories: each with its title, drawn side by side.
-        path: output file.
+    Trajectories with their titles are drawn side by side.
 
     Raises:
         ConfigurationError: the encoder for .mp4 is not installed.
@@ -67,10 +65,7 @@ def save_animation(trajectories: Sequence[tuple[Trajectory, str]], path: Path) -
 def write_frames(path: Path, frames: Iterator[NDArray[np.uint8]], seconds: float) -> None:
     """Write a .gif or .mp4, atomically.
 
-    Args:
-        path: output file.
-        frames: pictures [H, W, 3].
-        seconds: from one to the next.
+    Pictures are [H, W, 3], `seconds` apart.
 
     Raises:
         ConfigurationError: the encoder for .mp4 is not installed.

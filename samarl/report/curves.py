@@ -30,8 +30,7 @@ _SEED = re.compile(r"[_,-]?(trainer\.)?seed[-_=]?\d+")  # in the name of a folde
 def read_run_folders(folders: Sequence[Path]) -> Runs:
     """Return the curves of training runs by their folders without training seeds.
 
-    Args:
-        folders: each that of a run, or one that contains some.
+    Each is that of a run, or contains some.
 
     Raises:
         ConfigurationError: a folder contains no curve, or none of them has any values yet.

@@ -41,12 +41,7 @@ _LIGHT_TEXT, _DARK_TEXT = "#FDFDFD", "#111111"  # on a heat map, in light and da
 
 
 def draw_curves(runs: Mapping[str, Sequence[Curve]], *columns: str) -> Figure:
-    """Draw columns of all runs in panels: means over seeds as lines, their ranges as bands.
-
-    Args:
-        runs: the curves of all seeds, by run.
-        columns: the columns to draw.
-    """
+    """Draw columns of all runs in panels: means over seeds as lines, their ranges as bands."""
     width = min(len(columns), _CURVE_PANELS)
     height = math.ceil(len(columns) / width)
     with rc_context(STYLE):
@@ -88,12 +83,7 @@ def _draw_run(axes: Axes, i: int, seeds: Sequence[Points], scale: float) -> Line
 def mean_and_range(
     seeds: Sequence[Points], points: int = _POINTS
 ) -> tuple[NDArray[np.float64], ...]:
-    """Return steps, mean, lowest and highest value, up to the last step all seeds have reached.
-
-    Args:
-        seeds: the points of each seed.
-        points: largest number of steps.
-    """
+    """Return steps, mean, lowest and highest value, up to the last step all seeds have reached."""
     last = min(steps[-1] for steps, _ in seeds)
     grid = np.unique(np.concatenate([steps for steps, _ in seeds]))
     grid = grid[grid <= last]
@@ -169,15 +159,7 @@ def draw_heat_map(rows: Sequence[Row], title: str) -> Figure:
 def draw_lines(
     rows: Sequence[Row], values: Sequence[float], name: str, title: str, lines: Sequence[str]
 ) -> Figure:
-    """Draw success over a quantity, with its interval as a band.
-
-    Args:
-        rows: the rows of all methods.
-        values: the quantity in each row.
-        name: name of the quantity.
-        title: title of the figure.
-        lines: for each row the name of its line.
-    """
+    """Draw success over a quantity, with its interval as a band."""
     with rc_context(STYLE):
         figure = Figure(figsize=(4.6, 3.0), layout="constrained")
         axes = figure.add_subplot()

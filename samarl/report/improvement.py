@@ -29,9 +29,6 @@ def draw_improvements(matrices: Sequence[Improvements]) -> Figure:
     """Draw matrices side by side: one line per other method, one column per column of the table.
 
     Bold values differ from 0.5 by their 95 % interval; cells without a comparison are empty.
-
-    Args:
-        matrices: at least one; all have the same lines and columns.
     """
     with rc_context({**STYLE, "font.size": 8, "axes.grid": False}):
         height = _MARGINS + _LINE * len(matrices[0].others)

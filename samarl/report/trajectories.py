@@ -27,12 +27,7 @@ _MARK_SECONDS = 3.0  # between discs along a path
 
 
 def save_trajectories(trajectories: Sequence[tuple[Trajectory, str]], path: Path) -> None:
-    """Draw trajectories side by side and write the figure atomically.
-
-    Args:
-        trajectories: each with its title.
-        path: output file; its extension is the format.
-    """
+    """Draw trajectories side by side and write the figure atomically."""
     size = 6.4 * len(trajectories), 1.5 + 5.4 * height_share(trajectories)
     figure = Figure(figsize=size, layout="compressed")
     with rc_context(STYLE):

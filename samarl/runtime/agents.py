@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from mrsan import OTHER_FEATURES, Entities, Observation
 from mrsan.se2 import unrotate
-from samarl.observations.tracker import Tracker, TrackMemory, Tracks
+from samarl.observations.tracker import Tracker, TrackMemory
 from samarl.runtime.inputs import Detection, OwnState
 from samarl.runtime.slots import Slots
 
@@ -37,13 +37,7 @@ class AgentTracks:
     def observe(
         self, own: OwnState, detections: Sequence[Detection], time: float
     ) -> tuple[dict[str, Entities], dict[str, list[int]]]:
-        """Return the agents in their slots, [1, 1, ...], and which slots held somebody else before.
-
-        Args:
-            own: the robot.
-            detections: everybody who is visible now.
-            time: of the detections, s.
-        """
+        """Return the agents in their slots, [1, 1, ...], and which slots held others before."""
         cos, sin = math.cos(own.heading), math.sin(own.heading)
         entities, reassigned = {}, {}
         for kind, slots in self._slots.items():
@@ -63,7 +57,7 @@ class AgentTracks:
             entities[kind] = Entities(features, visible)
         return entities, reassigned
 
-    def update(self, observation: Observation, elapsed: float) -> Tracks:
+    def update(self, observation: Observation, elapsed: float) -> Observation:
         """Return what is known after an observation, `elapsed` seconds after the one before."""
         is_init, self._is_new = np.array([self._is_new]), False
         return self._tracker.update(observation, self._memory, is_init, elapsed)

@@ -41,7 +41,7 @@ ROBOT_FIELDS = (
 class Description:
     """Everything that the runtime needs besides the network.
 
-    Inputs of the network are the arrays of `Tracks.named`, [1, 1, ...], but for `route`. With
+    Inputs of the network are `Observation.arrays("known")`, [1, 1, ...], but for `route`. With
     lookahead they are those of C predicted outcomes, [C, 1, ...], and the output is `value` [C].
     Other policies also have the inputs `is_init` [1], whether the memory is cleared, `route`
     [1, 2], where the route leads next in the body frame (m), and `state.NAME`, the memory. Their

@@ -12,11 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrsan import EGO_FEATURES, ConfigurationError, Entities, Observation
-from mrsan.observation import parts_of_named
 from mrsan.parameters import kernel_parameters
 from mrsan.se2 import unrotate
 from samarl.observations.route import heading_for_route, next_point, route
-from samarl.observations.tracker import Tracks
 from samarl.planning.one_step import Commands, command_set, predict_outcomes
 from samarl.planning.velocity_control import action_to_motion
 from samarl.runtime.agents import AgentTracks
@@ -216,8 +214,8 @@ class Driver:
         entities, reassigned = self._agents.observe(own, detections, time)
         for kind, slots in reassigned.items():
             self._network.clear_slots(kind, slots)
-        _, groups, values = parts_of_named({"ego": None, **sensors}, "known")
-        entities |= {name: Entities(*group) for name, group in groups.items()}
+        further = Observation.from_arrays({"ego": ego, **sensors})
+        entities, values = entities | further.entities, further.sensors
         if self._observes_walls:
             entities["walls"] = self._nearest_walls(own, walls)
         if self.description.observes_route or (own.next_x, own.next_y) != (own.goal_x, own.goal_y):
@@ -225,7 +223,7 @@ class Driver:
             assert own.next_y is not None
             next_point = to_body(own.next_x - own.x, own.next_y - own.y)
             values["route"] = np.array([[next_point]], np.float32)
-        return Observation(ego, entities, values, {})
+        return Observation(ego, entities, values)
 
     def _nearest_walls(self, own: OwnState, walls: NDArray[np.float64]) -> Entities:
         """Return the walls nearest to the robot in its body frame, as the simulator does."""
@@ -235,7 +233,7 @@ class Driver:
         features[0, 0, : len(near)] = near[:slots]
         return Entities(features, np.arange(slots)[None, None] < len(near))
 
-    def _decide(self, tracks: Tracks) -> NDArray[np.float32]:
+    def _decide(self, tracks: Observation) -> NDArray[np.float32]:
         """Return the policy's action, [1, 1, A]."""
         policy = self.description.policy
         target = next_point(tracks)

@@ -115,9 +115,7 @@ def validated_centre(centre: Any) -> tuple[float, float]:
 def validated_walls(name: str, walls: Any) -> NDArray[np.float64]:
     """Return wall segments as an array [K, 4].
 
-    Args:
-        name: of the argument.
-        walls: of any type; the walls of a scan remain what they are.
+    The walls of a scan remain what they are.
 
     Raises:
         InputError: they are something else, masked, or not finite.
@@ -141,10 +139,6 @@ def validated_sensors(
     sensors: Mapping[str, Any], expected: Mapping[str, tuple[tuple[int, ...], type]]
 ) -> dict[str, NDArray[Any]]:
     """Check the arrays of further sensors and add the axes of worlds and robots, [1, 1, ...].
-
-    Args:
-        sensors: arrays by name.
-        expected: shape and type of each.
 
     Raises:
         InputError: one is missing, unknown, of another shape or type, or not finite.

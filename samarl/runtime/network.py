@@ -9,8 +9,7 @@ import numpy as np
 import onnxruntime
 from numpy.typing import NDArray
 
-from mrsan import ConfigurationError
-from samarl.observations.tracker import Tracks
+from mrsan import ConfigurationError, Observation
 from samarl.runtime.description import MEMORY, NEXT_MEMORY, Description
 
 _TYPES = {"tensor(float)": np.float32, "tensor(int64)": np.int64, "tensor(bool)": np.bool_}
@@ -92,7 +91,7 @@ class Network:
                 before: list[Any] = [slice(None)] * axis
                 self._memory[f"{MEMORY}{name}"][(*before, [first + k for k in slots])] = 0
 
-    def action(self, tracks: Tracks, route: NDArray[np.float32]) -> NDArray[np.float32]:
+    def action(self, tracks: Observation, route: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the action, [1, 1, A] in [-1, 1].
 
         Args:
@@ -106,11 +105,11 @@ class Network:
             self._memory[name] = outputs[f"{NEXT_MEMORY}{name.removeprefix(MEMORY)}"]
         return outputs["action"][None]
 
-    def values(self, tracks: Tracks) -> NDArray[np.float32]:
+    def values(self, tracks: Observation) -> NDArray[np.float32]:
         """Return the values of C predicted outcomes, [C]."""
         return self._run(tracks)["value"]
 
-    def _run(self, tracks: Tracks, **others: NDArray[Any]) -> dict[str, NDArray[Any]]:
-        arrays = {**tracks.named(), **others}
+    def _run(self, tracks: Observation, **others: NDArray[Any]) -> dict[str, NDArray[Any]]:
+        arrays = {**tracks.arrays("known"), **others}
         inputs = {name: arrays[name] for name in self._inputs}
         return dict(zip(self._outputs, self._session.run(None, inputs), strict=True))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from mrsan import Entities, Observation, Scenario
 from mrsan.features import OTHER_RADIUS, OTHER_X, OTHER_Y
 from mrsan.parameters import Parameters
-from samarl.observations.tracker import AGE, Tracks
+from samarl.observations.tracker import AGE
 from samarl.planning.shield import SUFFICIENT_GAP, Shield, apply_shield
 from samarl.runtime.agents import AgentTracks
 from samarl.runtime.inputs import Detection, OwnState
@@ -85,7 +85,7 @@ class RobotShield:
         entities = {**agents, "walls": known.entities}
         tracks = self._agents.update(observation._replace(entities=entities), elapsed)
 
-        def checked(tracks: Tracks) -> NDArray[np.float32]:
+        def checked(tracks: Observation) -> NDArray[np.float32]:
             return apply_shield(
                 tracks, action, self._scenario, self._shield, parameters=self._parameters
             )
@@ -94,7 +94,7 @@ class RobotShield:
         if (safe_action == action).all():
             return action, None
 
-        def rejects(fewer: Tracks) -> bool:
+        def rejects(fewer: Observation) -> bool:
             return bool((checked(fewer) != action).any())
 
         return safe_action, _reason(tracks, known, rejects)
@@ -130,15 +130,12 @@ class RobotShield:
         return _Walls(entities, near.distance, is_remembered[near.order])
 
 
-def _reason(tracks: Tracks, walls: _Walls, rejects: Callable[[Tracks], bool]) -> ShieldReason:
+def _reason(
+    tracks: Observation, walls: _Walls, rejects: Callable[[Observation], bool]
+) -> ShieldReason:
     """Return for what the action would have been rejected alone, the nearest of several.
 
     If that is nothing, it is what the action would have passed without.
-
-    Args:
-        tracks: what the shield knew.
-        walls: those in the tracks.
-        rejects: whether the shield rejects the action with fewer tracks.
     """
     members = _members(tracks, walls)
     distance = _distances(tracks, walls)
@@ -148,17 +145,17 @@ def _reason(tracks: Tracks, walls: _Walls, rejects: Callable[[Tracks], bool]) ->
     }
     reasons = sorted((r for r in nearest if nearest[r] < math.inf), key=lambda r: nearest[r])
 
-    def kept(is_kept: Callable[[str], NDArray[np.bool_]]) -> Tracks:
+    def kept(is_kept: Callable[[str], NDArray[np.bool_]]) -> Observation:
         entities = {
             name: Entities(tracks.entities[name].features, is_kept(name)) for name in distance
         }
         return tracks._replace(entities={**tracks.entities, **entities})
 
-    def only(reason: ShieldReason) -> Tracks:
+    def only(reason: ShieldReason) -> Observation:
         masks = members[reason]
         return kept(lambda name: masks.get(name, np.zeros_like(tracks.entities[name].mask)))
 
-    def without(reason: ShieldReason) -> Tracks:
+    def without(reason: ShieldReason) -> Observation:
         masks = members[reason]
         return kept(lambda name: tracks.entities[name].mask & ~masks.get(name, np.False_))
 
@@ -171,7 +168,9 @@ def _reason(tracks: Tracks, walls: _Walls, rejects: Callable[[Tracks], bool]) ->
     return reasons[0]
 
 
-def _members(tracks: Tracks, walls: _Walls) -> dict[ShieldReason, dict[str, NDArray[np.bool_]]]:
+def _members(
+    tracks: Observation, walls: _Walls
+) -> dict[ShieldReason, dict[str, NDArray[np.bool_]]]:
     """Return who belongs to each reason, by group of entities, [1, 1, ...]."""
     is_old = {name: tracks.entities[name].features[..., AGE] > 0.0 for name in ("humans", "robots")}
     is_old["walls"] = walls.is_remembered[None, None]
@@ -184,7 +183,7 @@ def _members(tracks: Tracks, walls: _Walls) -> dict[ShieldReason, dict[str, NDAr
     }
 
 
-def _distances(tracks: Tracks, walls: _Walls) -> dict[str, NDArray[np.float64]]:
+def _distances(tracks: Observation, walls: _Walls) -> dict[str, NDArray[np.float64]]:
     """Return the distances of all agents and walls from the robot's centre, [1, 1, ...], m."""
     distance = {"walls": walls.distance[None, None]}
     for name in ("humans", "robots"):

@@ -27,11 +27,7 @@ def as_seen(
 ) -> tuple[OwnState, list[Detection]]:
     """Return the inputs of `Driver.step` for a robot, in the frame of the world.
 
-    Args:
-        observation: of some worlds.
-        robot: which robot.
-        world: of which world.
-        named: whether detections have ids.
+    With `named`, detections have ids.
     """
     ego = [float(value) for value in observation.ego[world, robot]]
     cos, sin = ego[HEADING_COS], ego[HEADING_SIN]

@@ -22,9 +22,7 @@ class Slots:
     def __init__(self, number: int, longest_absence: float) -> None:
         """Start with empty slots.
 
-        Args:
-            number: of slots.
-            longest_absence: after which agents without an id are no longer matched, s.
+        Agents without an id are no longer matched after `longest_absence` seconds.
         """
         self.number, self.longest_absence = number, longest_absence
         self._last: dict[int, tuple[float, Detection]] = {}  # time and last detection of each slot

@@ -16,8 +16,8 @@ from mrsan.metrics import episodes_of
 from samarl.agents.agent import Agent, checked_act
 from samarl.agents.planners.right_of_way import RightOfWay
 from samarl.observations.features import speed_of, state_features, true_state
-from samarl.observations.frames import Frames
-from samarl.observations.tracker import Tracks
+from samarl.observations.frames import Frames, concatenate, slice_time
+from samarl.observations.tracker import Tracker
 from samarl.planning.shield import Shield, apply_shield
 from samarl.policies.policy import LOCAL, Decision, Policy, PolicyState
 from samarl.policies.stochastic import StochasticPolicy
@@ -90,7 +90,7 @@ class RolloutCollector:
         # Columns of the frame buffer: history for the encoder and restarts, then steps 0 to T.
         self.past = policy.history + (RESTART_STEPS if self._restarts else 0)
         columns = self.past + steps + 1
-        self.frames = policy.empty_frames(self.scenario, worlds * scenario.robots).map(
+        self.frames = policy.empty_frames(self.scenario, worlds * scenario.robots).apply(
             lambda tensor: tensor.repeat(1, columns, *[1] * (tensor.dim() - 2))
         )
         self.begins = torch.ones(self.frames.ego.shape[:2], dtype=torch.bool, device=policy.device)
@@ -118,12 +118,14 @@ class RolloutCollector:
         if not imitates:
             self.teacher = None
         policy, world, t, h = self.policy, self.world, self.steps, self.policy.history
-        for tensor in (*self.frames.tensors(), self.begins):  # step T becomes step 0
+        for tensor in (*tree_leaves(self.frames), self.begins):  # step T becomes step 0
             tensor[:, : self.past + 1] = tensor[:, t : t + self.past + 1].clone()
         recent = slice(self.past + 1 - h, self.past + 1)  # encoded again with the new weights
         every = torch.arange(len(self.begins), device=policy.device)
         if isinstance(policy, StochasticPolicy):
-            policy.resume(self.frames.at(recent), self.begins[:, recent], self.state, every)
+            policy.resume(
+                slice_time(self.frames, recent), self.begins[:, recent], self.state, every
+            )
         encoder_before = self.encoder_before
         mask = torch.ones(world.worlds, t + 1, 1, dtype=torch.bool)
         closed: list[tuple[NDArray, Tensor, Frames, Tensor]] = []
@@ -175,13 +177,13 @@ class RolloutCollector:
             self.teacher_action = torch.from_numpy(action)
         column = self.past + step
         for buffer, tensor in zip(
-            self.frames.tensors(), self.decision.features.tensors(), strict=True
+            tree_leaves(self.frames), tree_leaves(self.decision.features), strict=True
         ):
             buffer[:, column] = tensor[:, 0]
         begins = torch.from_numpy(np.repeat(self.is_init, scenario.robots))
         self.begins[:, column] = begins.to(self.begins.device)
 
-    def _true_state(self) -> Tracks | None:
+    def _true_state(self) -> Observation | None:
         """Return the true state, with the waypoints that were just decided, for central critics."""
         if not self.uses_global_state:
             return None
@@ -202,10 +204,11 @@ class RolloutCollector:
         if step.waypoint_features is not None:
             column["agents", "waypoint_features"] = step.waypoint_features
         if self.shield is not None:
-            mean = step.mean.clamp(-1.0, 1.0)
-            safe = torch.from_numpy(
-                apply_shield(decision.tracks, mean.numpy(), self.stage.scenario, self.shield)
-            )
+            scenario, mean = self.stage.scenario, step.mean.clamp(-1.0, 1.0)
+            tracker = Tracker(self.shield.track_time, scenario.time_step)
+            nobody = np.zeros(len(active), np.bool_)
+            tracks = tracker.update(self.observation, self.state["tracks"], nobody, 0.0)
+            safe = torch.from_numpy(apply_shield(tracks, mean.numpy(), scenario, self.shield))
             column["agents", "safe_action"] = safe
             column["agents", "unsafe"] = ((safe - mean).abs().amax(-1) > UNSAFE) & active
         if self.teacher is not None:
@@ -305,12 +308,15 @@ class RolloutCollector:
         h = self.policy.history
         for k in np.unique(back):
             rows = self._rows_of(worlds[back == k])
-            for tensor in (*self.frames.tensors(), self.begins):
+            for tensor in (*tree_leaves(self.frames), self.begins):
                 tensor[rows, k:column] = tensor[rows, : column - k]
         rows = self._rows_of(worlds)
         recent = slice(column - h, column)
         if isinstance(self.policy, StochasticPolicy):
-            last_frames, begins = self.frames.at(recent).of(rows), self.begins[rows, recent]
+            last_frames, begins = (
+                slice_time(self.frames, recent).select(rows),
+                self.begins[rows, recent],
+            )
             self.policy.resume(last_frames, begins, self.state, rows)
 
     def _rows_of(self, worlds: NDArray) -> Tensor:
@@ -321,7 +327,7 @@ class RolloutCollector:
     def _rollout_frames(self, rows: Tensor | slice) -> tuple[Frames, Tensor]:
         """Copy the frames of some rows for a rollout, and where episodes begin."""
         columns = slice(self.past - self.policy.history, None)
-        frames = self.frames.map(lambda tensor: tensor[rows, columns].clone())
+        frames = self.frames.apply(lambda tensor: tensor[rows, columns].clone())
         return frames, self.begins[rows, columns].clone()
 
     def _memory(self) -> list[Tensor]:
@@ -342,7 +348,7 @@ class RolloutCollector:
     def _rollout(
         self,
         columns: list[dict[Any, Tensor]],
-        states: list[Tracks | None],
+        states: list[Observation | None],
         mask: Tensor,
         closed: list,
         encoder_before: Any,
@@ -362,15 +368,15 @@ class RolloutCollector:
             extra = steps[worlds]
             extra["mask"] = torch.cat([part[1] for part in closed])
             steps = torch.cat([steps, extra])
-            frames = Frames.cat([frames, *(part[2] for part in closed)], 0)
+            frames = concatenate([frames, *(part[2] for part in closed)])
             begins = torch.cat([begins, *(part[3] for part in closed)])
             rows = self._rows_of(worlds.numpy())
             if state is not None:
-                state = Frames.cat([state, state.of(rows.cpu())], 0)
+                state = concatenate([state, state.select(rows.cpu())])
             sets = len(encoder_before)
             encoder_before = tuple(
-                tree_map(lambda t, i=i: torch.cat([t, t[rows[i::sets] // sets]]), of_set)
-                for i, of_set in enumerate(encoder_before)
+                tree_map(lambda t, i=i: torch.cat([t, t[rows[i::sets] // sets]]), encoder_state)
+                for i, encoder_state in enumerate(encoder_before)
             )
         return Rollout(
             self.stage.scenario,
@@ -379,17 +385,17 @@ class RolloutCollector:
             frames,
             begins,
             encoder_before,
-            None if state is None else state.to(device),
+            None if state is None else state.apply(lambda tensor: tensor.to(device)),
             episodes,
             e * self.steps,
         )
 
-    def _state_frames(self, states: list[Tracks]) -> Frames:
+    def _state_frames(self, states: list[Observation]) -> Frames:
         """Return the features of T + 1 true states, [B, T + 1, ...]."""
         together = tree_map(lambda *arrays: np.concatenate(arrays), *states)  # [(T + 1) E, ...]
         frames = state_features(together, self.stage.scenario)
         shape = len(states), len(frames.ego) // len(states)
-        return frames.map(lambda x: x.view(*shape, *x.shape[2:]).transpose(0, 1).contiguous())
+        return frames.apply(lambda x: x.view(*shape, *x.shape[2:]).transpose(0, 1).contiguous())
 
     def state_dict(self) -> dict[str, Any]:
         """Return all that the next `collect` depends on, in this module.

@@ -15,8 +15,8 @@ class CurriculumStage:
     """A scenario for training, the number of its worlds, and when it is used."""
 
     worlds: int = number(MISSING, 1, 10**6, help="worlds simulated side by side")
-    begin: float = number(0.0, 0.0, 1.0, help="share of the training after which the stage begins")
-    end: float = number(1.0, 0.0, 1.0, help="share of the training after which the stage ends")
+    begin: float = number(0.0, 0.0, 1.0, help="training progress at which the stage begins")
+    end: float = number(1.0, 0.0, 1.0, help="training progress at which the stage ends")
     midway_start_probability: float = number(
         0.0, 0.0, 1.0, help="probability that an episode starts on the route around the crowd"
     )
@@ -45,9 +45,9 @@ class CurriculumStage:
             return self.scenario
         return replace(self.scenario, team_messages=False)
 
-    def is_active(self, share: float) -> bool:
-        """Return whether the stage is used when `share` of the training is completed."""
-        return self.begin <= share < self.end
+    def is_active(self, progress: float) -> bool:
+        """Return whether the stage is used at a training progress from 0 to 1."""
+        return self.begin <= progress < self.end
 
 
 def check_stages(stages: list[CurriculumStage]) -> None:
@@ -63,10 +63,10 @@ def check_stages(stages: list[CurriculumStage]) -> None:
             raise ConfigurationError(
                 f"{name}.begin is {stage.begin}; it must be less than {name}.end ({stage.end})"
             )
-    for share in (0.0, *(stage.end for stage in stages)):
-        if share < 1.0 and not any(stage.is_active(share) for stage in stages):
+    for progress in (0.0, *(stage.end for stage in stages)):
+        if progress < 1.0 and not any(stage.is_active(progress) for stage in stages):
             raise ConfigurationError(
-                f"curriculum.stages has no stage that is active at {share:g} of the training; it "
+                f"curriculum.stages has no stage that is active at {progress:g} of the run; it "
                 "must have at least one at any time"
             )
 
@@ -76,10 +76,7 @@ def single_stage(
 ) -> CurriculumStage:
     """Return one stage with a scenario, and otherwise like the last stage of a curriculum.
 
-    Args:
-        stages: of the curriculum.
-        scenario: of the stage.
-        worlds: number of worlds; None: that of all stages with which the curriculum ends.
+    Without `worlds` it has as many as all stages with which the curriculum ends.
     """
     final = [stage for stage in stages if stage.end == 1.0]
     total = sum(stage.worlds for stage in final)

@@ -17,9 +17,6 @@ _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
 def usable_device(name: str) -> torch.device:
     """Return a torch device by its name, after verifying that it can compute.
 
-    Args:
-        name: the setting `trainer.device`.
-
     Raises:
         ConfigurationError: this machine has no such device, or the device cannot compute.
     """

@@ -21,12 +21,7 @@ class Health:
         self._succeeded = False
 
     def update(self, row: Mapping[str, float], progress: float) -> list[str]:
-        """Return the new warnings after a round.
-
-        Args:
-            row: of the learning curve.
-            progress: of the training run, from 0 to 1.
-        """
+        """Return the new warnings after a round."""
         new: dict[str, str] = {}
         for name, value in row.items():
             if name.endswith("gradient_norm") and value > LARGEST_GRADIENT_NORM:

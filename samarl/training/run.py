@@ -32,7 +32,7 @@ def run_training(settings: RunSettings, command: str, advice: str | None = None)
 
     Raises:
         ConfigurationError: a setting is not valid, or the folder contains another run.
-        TrainingError: the training failed.
+        TrainingError: the training run failed.
         KeyboardInterrupt: it was interrupted; the message is the advice.
     """
     processes = settings.trainer.processes

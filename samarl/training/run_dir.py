@@ -30,17 +30,17 @@ class RunDir:
         """Create and lock the folder.
 
         Raises:
-            ConfigurationError: another training uses the folder.
+            ConfigurationError: another training run uses the folder.
         """
         self.folder = folder
         folder.mkdir(parents=True, exist_ok=True)
         self._lock = (folder / ".lock").open("wb")
         try:
-            if rank() == 0:  # on behalf of all processes of the training
+            if rank() == 0:  # on behalf of all processes of the training run
                 fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
             raise ConfigurationError(
-                f"run_dir is {str(folder)!r}, which another training is using; choose another"
+                f"run_dir is {str(folder)!r}, which another training run is using; choose another"
             ) from error
 
     def release(self) -> None:

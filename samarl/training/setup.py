@@ -17,6 +17,7 @@ from samarl.algorithms.algorithm import Algorithm
 from samarl.configuration import load_method_config
 from samarl.launch import per_process, rank, world_size
 from samarl.observations.features import empty_frames
+from samarl.observations.frames import FeatureSizes
 from samarl.policies.checkpoint import load_policy, make_policy
 from samarl.policies.policy import Policy
 from samarl.training.collector import RolloutCollector
@@ -38,7 +39,7 @@ def build_policy(settings: Mapping[str, Any], scenario: Scenario) -> Policy:
         ConfigurationError: a setting is not valid.
     """
     config = {key: value for key, value in settings.items() if key != "name"}
-    sizes = empty_frames(scenario).sizes
+    sizes = FeatureSizes.of(empty_frames(scenario))
     return make_policy(str(settings.get("name")), config, scenario.action_size, sizes)
 
 
@@ -85,10 +86,6 @@ def _padded(initial: Tensor, weights: Tensor) -> Tensor:
 
 def build_algorithm(settings: Mapping[str, Any], policy: Policy) -> Algorithm:
     """Return the algorithm that trains a policy.
-
-    Args:
-        settings: `name` and configuration of the algorithm.
-        policy: on its device.
 
     Raises:
         ConfigurationError: a setting is not valid, or there are several processes and the algorithm

@@ -36,8 +36,7 @@ def flatten_state(state: Any) -> dict[str, Tensor]:
 def gather_state(state: dict[str, Any]) -> dict[str, Tensor]:
     """Flatten the states of all processes on rank 0.
 
-    Args:
-        state: equal in all processes, except its part `rankR`, which only process R has.
+    It is equal in all processes, except its part `rankR`, which only process R has.
 
     Returns:
         The named tensors, on rank 0 with those of the other processes.

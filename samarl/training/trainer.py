@@ -147,12 +147,12 @@ class Trainer:
     def collect(self) -> list[Rollout]:
         """Return a rollout of every active stage."""
         shaping, imitates = self.algorithm.reward_shaping, self.algorithm.teacher is not None
-        share = self.steps_done / self.config.steps
+        progress = self.steps_done / self.config.steps
         pairs = zip(self.stages, self.collectors, strict=True)
         return [
             collector.collect(shaping, imitates)
             for stage, collector in pairs
-            if stage.is_active(share)
+            if stage.is_active(progress)
         ]
 
     @property
@@ -240,7 +240,7 @@ class Trainer:
             ) from error
 
     def state_dict(self) -> dict[str, Any]:
-        """Return all that the rest of the training depends on; `rankR` is only of this process."""
+        """Return all that the rest of the run depends on; `rankR` is only of this process."""
         optimisers = self.algorithm.optimisers()
         return {
             "policy": self.policy.state_dict(),

@@ -24,10 +24,7 @@ def validate(
 
     All people are present in every case: `scenario.humans_min` does not apply.
 
-    Args:
-        policy: evaluated on the CPU; it is copied.
-        stages: of the whole curriculum.
-        num_cases: validation cases per scenario.
+    It is copied to the CPU; each scenario has `num_cases` validation cases.
 
     Returns:
         The success rate averaged over the scenarios, and success rate and social score of each

@@ -122,10 +122,10 @@ def half(rollout: Rollout, number: int) -> Rollout:
         rollout.scenario,
         rollout.correlation,
         rollout.steps[which],
-        rollout.frames.of(rows),
+        rollout.frames.select(rows),
         rollout.is_init[rows],
         tree_map(lambda tensor: tensor[rows], rollout.encoder),
-        rollout.state.of(rows),
+        rollout.state.select(rows),
         [],
         rollout.environment_steps // 2,
     )
@@ -260,7 +260,7 @@ def test_a_killed_process_ends_the_run_in_one_line_and_the_same_command_resumes(
     message = (tmp_path / "0.err").read_text()
     assert message.count("\n") == 1
     assert message.startswith("error: training stopped at step ")
-    assert ": another process of the training has ended (" in message
+    assert ": another process of the run has ended (" in message
 
     saved = state.stat().st_mtime_ns
     first, second = start(tmp_path, command)

@@ -7,6 +7,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from mrsan import Observation
 from samarl.encoders import ENCODERS, Encoder
 from samarl.encoders.encoder import EncoderState
 from samarl.encoders.recurrent_graph import RecurrentUnit
@@ -18,7 +19,7 @@ from samarl.observations.features import (
     NETWORK_EGO_FEATURES,
     NETWORK_OTHER_FEATURES,
 )
-from samarl.observations.frames import Frames
+from samarl.observations.frames import Frames, slice_time
 from tests.learning import ENCODERS as NUMBERS
 from tests.scenes import blind, changed
 
@@ -48,7 +49,7 @@ def frames(b: int = 6, t: int = 11, m: int = 5, n: int = 3) -> Frames:
     torch.manual_seed(1)
     known, others_known = torch.rand(b, t, m) < 0.6, torch.rand(b, t, n - 1) < 0.6
     walls_known = torch.rand(b, t, 4) < 0.6
-    return Frames.from_named(
+    return Observation.from_arrays(
         {
             "ego": torch.randn(b, t, EGO),
             "humans": torch.randn(b, t, m, OTHER) * known.unsqueeze(-1),
@@ -63,7 +64,7 @@ def frames(b: int = 6, t: int = 11, m: int = 5, n: int = 3) -> Frames:
 
 
 def start(model: Encoder, data: Frames) -> EncoderState:
-    return model.initial_state(data.at(slice(0, 1)))
+    return model.initial_state(slice_time(data, slice(0, 1)))
 
 
 def seen(model: Encoder, data: Frames, begins: Tensor, samples: Tensor | None = None) -> Tensor:
@@ -85,7 +86,7 @@ def test_frame_by_frame_it_gives_what_the_whole_sequence_gives(name: str) -> Non
     whole = seen(model, data, begins).view(6, 20 - model.history, -1)
     state = start(model, data)
     for t in range(20):
-        now = data.at(slice(t, t + 1))
+        now = slice_time(data, slice(t, t + 1))
         y = model.read(model.step(now, begins[:, t], state), now.ego[:, 0])
         if t >= model.history:
             torch.testing.assert_close(y, whole[:, t - model.history], atol=1e-5, rtol=0)
@@ -95,11 +96,11 @@ def test_frame_by_frame_it_gives_what_the_whole_sequence_gives(name: str) -> Non
 def test_some_robots_alone_step_as_in_a_batch(name: str) -> None:
     model, data, begins = encoder(name), frames(), some_begin()
     rows = torch.tensor([4, 1])
-    together, alone = start(model, data), start(model, data.of(rows))
+    together, alone = start(model, data), start(model, data.select(rows))
     for t in range(11):
-        now = data.at(slice(t, t + 1))
+        now = slice_time(data, slice(t, t + 1))
         batch = model.read(model.step(now, begins[:, t], together), now.ego[:, 0])
-        scene = model.step(now.of(rows), begins[rows, t], alone)
+        scene = model.step(now.select(rows), begins[rows, t], alone)
         y = model.read(scene, now.ego[rows, 0])
         torch.testing.assert_close(y, batch[rows], atol=1e-5, rtol=0)
 
@@ -109,14 +110,14 @@ def test_it_resumes_from_its_memory_and_the_last_frames(name: str) -> None:
     model, data, begins = encoder(name), frames(t=16), some_begin(t=16)
     state = start(model, data)
     for t in range(12):
-        model.step(data.at(slice(t, t + 1)), begins[:, t], state)
+        model.step(slice_time(data, slice(t, t + 1)), begins[:, t], state)
     resumed = start(model, data)
     for key, value in model.memory(state).items():
         resumed[key] = value.clone()
     last = slice(12 - model.history, 12)
-    model.resume(data.at(last), begins[:, last], resumed, torch.arange(6))
+    model.resume(slice_time(data, last), begins[:, last], resumed, torch.arange(6))
     for t in range(12, 16):
-        now = data.at(slice(t, t + 1))
+        now = slice_time(data, slice(t, t + 1))
         one, other = (
             model.read(model.step(now, begins[:, t], s), now.ego[:, 0]) for s in (state, resumed)
         )
@@ -139,7 +140,7 @@ def test_history_counts_within_an_episode_and_not_across_its_beginning() -> None
     never = torch.zeros(6, model.history + 1, dtype=torch.bool)
     now = never.clone()
     now[:, -1] = True
-    other = data.map(lambda x: torch.cat([x[:, :-1].flip(0), x[:, -1:]], 1))
+    other = data.apply(lambda x: torch.cat([x[:, :-1].flip(0), x[:, -1:]], 1))
     assert not torch.allclose(seen(model, data, never), seen(model, other, never), atol=1e-4)
     torch.testing.assert_close(seen(model, data, now), seen(model, other, now))
 
@@ -268,11 +269,11 @@ def test_social_attention_by_hand() -> None:
 @pytest.mark.parametrize(("flag", "part"), [("segments", "walls"), ("rays", "lidar")])
 def test_each_branch_reads_its_part_of_the_walls(name: str, flag: str, part: str) -> None:
     data = frames()
-    other = data.named()
+    other = data.arrays("known")
     other[part] = torch.rand_like(other[part]) * (
         other["walls_known"].unsqueeze(-1) if part == "walls" else 1.0
     )
-    changed_data = Frames.from_named(other)
+    changed_data = Observation.from_arrays(other)
     for on in (True, False):
         model = encoder(name, **{flag: on})
         before, after = (seen(model, one, some_begin()) for one in (data, changed_data))

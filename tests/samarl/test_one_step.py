@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from mrsan import Crowd, Entities, Kinematics, Reward, Scenario, World
+from mrsan import Crowd, Entities, Kinematics, Observation, Reward, Scenario, World
 from mrsan.features import GOAL, HEADING_COS, HEADING_SIN
-from samarl.observations.tracker import AGE, Tracks
+from samarl.observations.tracker import AGE
 from samarl.planning.one_step import command_set, predict_outcomes
 from tests.scenes import COMMANDS, known, scene_of
 
@@ -88,8 +88,8 @@ def test_outcomes_match_the_simulator_if_others_keep_their_velocity(
     )
     step = world.step(action)
     rows, after = np.arange(e), step.observation
-    tracks = Tracks.from_named(
-        {name: array[chosen, rows] for name, array in outcomes.tracks.named().items()}
+    tracks = Observation.from_arrays(
+        {name: array[chosen, rows] for name, array in outcomes.tracks.arrays("known").items()}
     )
     np.testing.assert_allclose(tracks.ego, after.ego[:, 0], atol=1e-5)
     for predicted, actual in ((tracks.humans, after.humans), (tracks.robots, after.robots)):

@@ -98,7 +98,9 @@ def test_training_reduces_the_error_and_resumes(tmp_path: Path) -> None:
         assert torch.equal(a, b)
         assert not torch.equal(a, c)
     assert Learner(SMALL, crowds, tmp_path / "whole.safetensors").round == 20
-    with pytest.raises(ConfigurationError, match=r"whole\.safetensors belongs to another training"):
+    with pytest.raises(
+        ConfigurationError, match=r"whole\.safetensors belongs to another training run"
+    ):
         Learner(replace(SMALL, seed=4), crowds, tmp_path / "whole.safetensors")
     windows = simulate_windows(crowds["force"], Split.validation.case(0) + np.arange(20), SMALL)
     plain = displacement(ConstantVelocity(DT), windows, 4)

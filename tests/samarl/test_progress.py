@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from samarl import progress
-from samarl.progress import progress_bar, shared_counts, shared_progress
+from samarl.progress import SharedCount, progress_bar, shared_progress
 
 
 @pytest.fixture(autouse=True)
@@ -32,9 +32,8 @@ def test_work_that_is_done_soon_leaves_no_line(capsys: pytest.CaptureFixture[str
 def test_workers_advance_one_bar(capsys: pytest.CaptureFixture[str]) -> None:
     with progress_bar(total=9, desc="rows", unit="case") as bar:
         with shared_progress(bar, 2) as path:
-            first, second = shared_counts(path), shared_counts(path)
-            first[0] += 4
-            second[1] += 3
+            SharedCount(path, 0)(4)
+            SharedCount(path, 1)(3)
             time.sleep(0.35)
         assert not Path(path).exists()
     assert "rows: 7 of 9 cases" in capsys.readouterr().err

@@ -12,11 +12,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mrsan import Scenario, World
+from mrsan import Observation, Scenario, World
 from samarl.agents.learned import Learned
 from samarl.agents.shielded import Shielded
 from samarl.export import export_agent
-from samarl.observations.tracker import Tracks
 from samarl.planning.shield import Shield
 from samarl.policies.checkpoint import save_policy
 from samarl.runtime import Command, Detection, Driver, InputError, OwnState
@@ -53,14 +52,14 @@ def loaded(path: Path) -> Driver:
 
 
 @pytest.fixture
-def tracks(driver: Driver, monkeypatch: pytest.MonkeyPatch) -> list[Tracks]:
+def tracks(driver: Driver, monkeypatch: pytest.MonkeyPatch) -> list[Observation]:
     """What the policy is told, step by step."""
-    network_inputs: list[Tracks] = []
+    network_inputs: list[Observation] = []
     original_action = driver._network.action
 
-    def spy(known: Tracks, aim: np.ndarray) -> np.ndarray:
+    def spy(known: Observation, aim: np.ndarray) -> np.ndarray:
         network_inputs.append(
-            Tracks.from_named({name: a.copy() for name, a in known.named().items()})
+            Observation.from_arrays({name: a.copy() for name, a in known.arrays("known").items()})
         )
         return original_action(known, aim)
 
@@ -69,7 +68,7 @@ def tracks(driver: Driver, monkeypatch: pytest.MonkeyPatch) -> list[Tracks]:
 
 
 def test_who_is_missed_goes_on_for_the_time_that_has_passed(
-    driver: Driver, tracks: list[Tracks]
+    driver: Driver, tracks: list[Observation]
 ) -> None:
     driver.step(OWN, [PERSON], 100.0)
     for time in (100.15, 100.55, 100.8):  # early, late, on time

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from samarl.observations.tracker import Tracks
+from mrsan import Observation
 from samarl.planning.shield import Shield
 from samarl.runtime import (
     Command,
@@ -122,7 +122,7 @@ def loaded(tmp_path_factory: pytest.TempPathFactory) -> Driver:
 def driver(loaded: Driver, monkeypatch: pytest.MonkeyPatch) -> Driver:
     """A policy that drives straight to its goal at full speed, whatever it sees, and a shield."""
 
-    def head_on(tracks: Tracks, target: np.ndarray) -> np.ndarray:
+    def head_on(tracks: Observation, target: np.ndarray) -> np.ndarray:
         turn = math.atan2(target[0, 0, 1], target[0, 0, 0]) / loaded.scenario.max_turn
         return np.array([[[1.0, 0.0, np.clip(turn, -1.0, 1.0)]]], np.float32)
 

@@ -171,7 +171,7 @@ def test_a_policy_is_trained_on_them_and_drives_a_robot_with_them(
 ) -> None:
     trainer = train(tmp_path, scenario)
     policy, card = load_policy(tmp_path / "last.safetensors")
-    assert policy.sizes == empty_frames(scenario).sizes
+    assert policy.sizes == FeatureSizes.of(empty_frames(scenario))
     assert policy.sizes.entities["posts"] == 4
     assert card.sizes["sensors"] == {"compass": [2]}
     encoder: Any = trainer.policy.networks[0].encoder

@@ -1,4 +1,4 @@
-"""Tracks of those who left the view."""
+"""Observation of those who left the view."""
 
 import numpy as np
 import pytest

@@ -27,7 +27,9 @@ def test_the_networks_compute_the_same_for_merged_rollouts(encoder: str) -> None
     for part in data:
         # Nothing has been updated yet: the probability of every action is as it was stored.
         learner._policy_loss(part, statistics, [])
-        features = learner.critic_encoder(part.critic_frames.map(lambda x: x[:, :-1].flatten(0, 1)))
+        features = learner.critic_encoder(
+            part.critic_frames.apply(lambda x: x[:, :-1].flatten(0, 1))
+        )
         value = learner.critics[LOCAL](features).view(part.selected.shape)
         valued = part.levels[LOCAL]["valued"]
         before = part.levels[LOCAL]["state_value"].squeeze(-1)

@@ -11,14 +11,13 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from mrsan import Scenario, World
+from mrsan import Observation, Scenario, World
 from samarl.agents import build_agent
 from samarl.agents.learned import Learned
 from samarl.algorithms import ALGORITHMS
 from samarl.algorithms.value_learning import ValueLearning, samples_of
 from samarl.configuration import load_agent_config
 from samarl.observations.features import frames_of
-from samarl.observations.frames import Frames
 from samarl.planning.one_step import command_set
 from samarl.policies.card import LAST
 from samarl.policies.checkpoint import make_policy
@@ -123,8 +122,8 @@ def test_a_value_is_the_least_over_pairs() -> None:
     for part, count in (("humans_known", 4), ("robots_known", 2)):
         for j in range(count):
             only = blind(frames)
-            only.named()[part][..., j] = True
-            here = frames.named()[part][:, 0, j]
+            only.arrays("known")[part][..., j] = True
+            here = frames.arrays("known")[part][:, 0, j]
             assert here.any()
             alone.append(torch.where(here, policy.value(only, rows), torch.inf))
     torch.testing.assert_close(policy.value(frames, rows), torch.stack(alone).amin(0))
@@ -168,7 +167,7 @@ def rollout_of(
         ego = torch.zeros(s * n, t, 11)
         ego[..., 0] = torch.arange(t)
         ego[..., 1] = torch.arange(s * n).unsqueeze(1)
-    frames = Frames.from_named(
+    frames = Observation.from_arrays(
         {
             "ego": ego,
             "humans": torch.zeros(s * n, t, humans, 10),
@@ -235,7 +234,7 @@ def test_what_a_value_is_regressed_on() -> None:
     with torch.no_grad():
         for parameter in algorithm.policy.parameters():
             parameter.mul_(2.0)  # only the target network counts
-    later = algorithm.target.value(Frames.from_named(samples["next"]), samples["robot"])
+    later = algorithm.target.value(Observation.from_arrays(samples["next"]), samples["robot"])
     expected = torch.tensor(
         [r + 0.9 * float(v) * g for (r, g), v in zip(transitions.values(), later, strict=True)]
     )
@@ -258,7 +257,7 @@ def test_values_come_to_what_the_behaviour_is_paid_from_there_on() -> None:
     algorithm = learner(lookahead(), learning_starts=1, updates=50, learning_rate=3e-3)
     for _ in range(25):
         statistics = algorithm.update([rollout])
-    frames = rollout.frames.map(lambda tensor: tensor.transpose(0, 1)[:3])
+    frames = rollout.frames.apply(lambda tensor: tensor.transpose(0, 1)[:3])
     value = algorithm.policy.value(frames, torch.zeros(3, dtype=torch.long))
     assert value.tolist() == pytest.approx(expected, abs=0.05)
     assert statistics["losses/value"] < 0.01

@@ -256,9 +256,7 @@ def _check_crs(content: Any, polygons: list[Polygon]) -> tuple[str, ...]:
 def _check_extent(points: Polygon, metres: bool) -> None:
     """Check that the extent of points [K, 2] is that of a map in metres.
 
-    Args:
-        points: of all polygons.
-        metres: the file states that they are in metres.
+    `metres`: the file states that the points are in metres.
     """
     side = float(np.ptp(points, axis=0).max()) if len(points) else math.nan
     least, most = _SIDE

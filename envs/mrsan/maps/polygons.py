@@ -23,11 +23,6 @@ class MapError(ValueError):
 def points_of(values: Any, name: str, least: int) -> Polygon:
     """Return points [K, 2] without consecutive repetitions.
 
-    Args:
-        values: a list of pairs of numbers.
-        name: of the polygon, for messages.
-        least: smallest number of points.
-
     Raises:
         MapError: they are not points, or too few.
     """

@@ -51,10 +51,6 @@ def read_ros_map(content: dict[Any, Any], folder: Path) -> RosMap:
     The keys are those of the map servers of ROS and ROS 2 (`nav2_map_server`). Cells that are
     transparent, or have the shade that map savers give to unexplored ones, are unknown.
 
-    Args:
-        content: of the YAML file.
-        folder: where the image is.
-
     Raises:
         MapError: a key is unknown, missing or wrong, or the image cannot be read.
     """

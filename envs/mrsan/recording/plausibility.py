@@ -98,12 +98,7 @@ def _people_at_once(people: People) -> int:
 
 
 def find_problem(people: People, summary: Summary | None = None) -> str | None:
-    """Return the first problem of a recording with a remedy; None if it is plausible.
-
-    Args:
-        people: the recording.
-        summary: its statistics. None: they are computed.
-    """
+    """Return the first problem of a recording with a remedy; None if it is plausible."""
     return next(_problems(people, summary or summarize(people)), None)
 
 

@@ -58,10 +58,6 @@ class Table:
     def numbers(self, column: int, name: str) -> Floats:
         """Read a column of finite numbers, [R].
 
-        Args:
-            column: its index.
-            name: of its quantity, for the error.
-
         Raises:
             RecordingError: a cell is not a finite number.
         """

@@ -27,13 +27,7 @@ class Straight(Agent):
 def drive_towards(
     observation: Observation, targets: NDArray[np.float32], scenario: Scenario
 ) -> NDArray[np.float32]:
-    """Return the actions [E, N, A] that drive each robot at full speed towards a point.
-
-    Args:
-        observation: of all worlds.
-        targets: [E, N, 2] in the body frame (m).
-        scenario: the task.
-    """
+    """Return the actions [E, N, A] that drive each robot at full speed towards a point."""
     ego = observation.ego
     action = np.empty((*ego.shape[:2], scenario.action_size), np.float32)
     _drive_towards(
