@@ -165,11 +165,11 @@ def right_of_way() -> str:
     methods = (
         "samarl_places",
         "right_of_way driver=samarl_places shield=true",
-        "right_of_way driver=samarl_places macro_level=right_of_way shield=true",
+        "right_of_way driver=samarl_places macro_level=right_of_way_macro shield=true",
         "right_of_way",
-        "right_of_way macro_level=right_of_way",
-        "right_of_way macro_level=right_of_way_seed1",
-        "right_of_way macro_level=right_of_way_seed2",
+        "right_of_way macro_level=right_of_way_macro",
+        "right_of_way macro_level=right_of_way_macro_seed1",
+        "right_of_way macro_level=right_of_way_macro_seed2",
         "right_of_way central=true",
     )
 

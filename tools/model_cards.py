@@ -15,6 +15,7 @@ from mrsan import TASKS
 from samarl.evaluation.methods import label_of, method_of_policy
 from samarl.evaluation.seeds import without_seed
 from samarl.evaluation.summary import Row, column_of
+from samarl.macro_level.network import MACRO_LEVEL
 from samarl.policies.card import read_card
 from samarl.report.leaderboard import task_of
 
@@ -66,6 +67,9 @@ def _card(weights: Path, rows: Sequence[Row]) -> str:
         f"{made.get('steps', 0):,} steps in {made.get('seconds', 0) / 60:.0f} minutes on "
         f"{made.get('machine', 'an unknown machine')}"
     )
+    use = f'`samarl-evaluate agent={name}` or `samarl.load_agent("{name}")`'
+    if card.policy == MACRO_LEVEL:
+        use = f"`samarl-evaluate agent=right_of_way agent.macro_level={name}`"
     return f"""---
 {yaml.safe_dump(front, sort_keys=False, default_flow_style=None, width=200)}---
 
@@ -73,7 +77,7 @@ def _card(weights: Path, rows: Sequence[Row]) -> str:
 
 {about}: a {card.policy} policy; every robot acts on its own observations.
 
-- Use: `samarl-evaluate agent={name}` or `samarl.load_agent("{name}")`.
+- Use: {use}.
 - Training: {training}.
 - Limits: robots of another size or dynamics, and people who behave otherwise than in training; it
   is not certified for use among people. See `docs/models.md` and `docs/limitations.md`.

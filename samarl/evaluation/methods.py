@@ -30,10 +30,12 @@ _LABELS = {
     "right_of_way": "Right of way",
     "right_of_way central=true": "Right of way, central (privileged)",
     "right_of_way driver=samarl_places": "Right of way, learned driver",
-    "right_of_way driver=samarl_places macro_level=right_of_way": "Right of way, both learned",
-    "right_of_way macro_level=right_of_way": "Right of way, learned macro level",
-    "right_of_way macro_level=right_of_way_seed1": "Right of way, learned macro level, seed 1",
-    "right_of_way macro_level=right_of_way_seed2": "Right of way, learned macro level, seed 2",
+    "right_of_way driver=samarl_places macro_level=right_of_way_macro": (
+        "Right of way, both learned"
+    ),
+    "right_of_way macro_level=right_of_way_macro": "Right of way, learned",
+    "right_of_way macro_level=right_of_way_macro_seed1": "Right of way, learned, seed 1",
+    "right_of_way macro_level=right_of_way_macro_seed2": "Right of way, learned, seed 2",
     "samarl": "SAMARL",
     "samarl checkpoint=ablation_cross_modal": "SAMARL-Transformer without cross-modal attention",
     "samarl checkpoint=ablation_graph": "SAMARL-Transformer without graph convolution",
@@ -100,8 +102,10 @@ def method_words(method: str) -> list[str]:
 
 def method_of_policy(policy: str) -> str:
     """Return the method that drives with an included policy by its name."""
-    of_ablation = f"samarl checkpoint={policy}"
-    return of_ablation if of_ablation in _LABELS else policy
+    for method in (f"samarl checkpoint={policy}", f"right_of_way macro_level={policy}"):
+        if method in _LABELS:
+            return method
+    return policy
 
 
 def is_ablation(method: str) -> bool:
