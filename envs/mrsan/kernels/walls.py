@@ -36,6 +36,7 @@ REDRAWS = 6  # starts and goals that were drawn again because they had no route
 CLEARANCE = 7  # distance that routes keep from walls, m
 DISCARDED = 8  # places drawn before this one in which the agents had no room
 
+_NONE = np.int32(0)
 _ZERO = np.float32(0.0)
 _ONE = np.float32(1.0)
 _TINY = np.float32(1e-12)
@@ -116,19 +117,19 @@ def _from_way(px, py, dx, dy, by_length):
 @separate
 def sees(walls, count, x, y, dx, dy):
     """Return whether no wall crosses or touches the way from (x, y) to (x + dx, y + dy)."""
-    crossed = 0
+    crossed = False
     for k in range(count):
         ax, ay = walls[START_X, k] - x, walls[START_Y, k] - y
         bx, by = walls[END_X, k] - x, walls[END_Y, k] - y
         wall_sides, way_sides = _sides(ax, ay, bx, by, dx, dy)
-        crossed += (wall_sides <= _ZERO) & (way_sides <= _ZERO)
-    return crossed == 0
+        crossed |= (wall_sides <= _ZERO) & (way_sides <= _ZERO)
+    return not crossed
 
 
 @separate
 def is_clear(walls, count, x, y, dx, dy, radius):
     """Return whether a disc that moves from (x, y) by (dx, dy) keeps clear of all walls."""
-    touched = 0
+    touched = False
     squared = radius * radius
     by_length = _ONE / max(dx * dx + dy * dy, _TINY)
     for k in range(count):
@@ -147,8 +148,8 @@ def is_clear(walls, count, x, y, dx, dy, radius):
         t = min(max((dx - ax) * along_x + (dy - ay) * along_y, _ZERO), length)
         px, py = ax + t * along_x - dx, ay + t * along_y - dy
         near |= px * px + py * py < squared
-        touched += near | crossed
-    return touched == 0
+        touched |= near | crossed
+    return not touched
 
 
 @separate
@@ -157,7 +158,7 @@ def is_clear_between(walls, count, x, y, dx, dy, radius):
 
     Then only walls that cross the way and their vertices, each the start of a wall, can be in it.
     """
-    touched = 0
+    touched = False
     squared = radius * radius
     by_length = _ONE / max(dx * dx + dy * dy, _TINY)
     for k in range(count):
@@ -165,8 +166,8 @@ def is_clear_between(walls, count, x, y, dx, dy, radius):
         bx, by = walls[END_X, k] - x, walls[END_Y, k] - y
         wall_sides, way_sides = _sides(ax, ay, bx, by, dx, dy)
         crossed = (wall_sides <= _ZERO) & (way_sides <= _ZERO)
-        touched += crossed | (_from_way(ax, ay, dx, dy, by_length) < squared)
-    return touched == 0
+        touched |= crossed | (_from_way(ax, ay, dx, dy, by_length) < squared)
+    return not touched
 
 
 @function
@@ -235,11 +236,12 @@ def wall_distance(walls, count, x, y):
 @separate
 def winding_number(walls, count, x, y):
     """Return how often the polygons go round (x, y) counter-clockwise, less clockwise."""
-    winding = 0
+    winding = _NONE
     for k in range(count):
         ax, ay = walls[START_X, k] - x, walls[START_Y, k] - y
         bx, by = walls[END_X, k] - x, walls[END_Y, k] - y
         side = ax * by - ay * bx
-        winding += (ay <= _ZERO) & (by > _ZERO) & (side > _ZERO)
-        winding -= (ay > _ZERO) & (by <= _ZERO) & (side < _ZERO)
+        upwards = np.int32((ay <= _ZERO) & (by > _ZERO) & (side > _ZERO))
+        downwards = np.int32((ay > _ZERO) & (by <= _ZERO) & (side < _ZERO))
+        winding = np.int32(winding + upwards - downwards)
     return winding
