@@ -25,7 +25,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import yaml
 
 from mrsan.fields import ConfigurationError
 from mrsan.fixed_map import FixedMap, map_of_polygons
@@ -80,6 +79,8 @@ def read_case_file(path: str | Path) -> CaseFile:
 @lru_cache(maxsize=16)
 def _read(path: str, changed: int) -> CaseFile:
     """Read a version of a file."""
+    import yaml  # robots, which have no case files, need not have it
+
     try:
         content = yaml.load(
             Path(path).read_text(encoding="utf-8"),

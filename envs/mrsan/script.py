@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
@@ -144,7 +145,7 @@ def _place_robot(state: State, e: int, i: int, start: Start) -> None:
     state.robot_start[e, i] = position
     state.robot_velocity[e, i] = start.get("velocity", state.robot_velocity[e, i])
     way = goal - position
-    state.robot_heading[e, i] = start.get("heading", (np.arctan2(way[1], way[0]),))[0]
+    state.robot_heading[e, i] = start.get("heading", (math.atan2(way[1], way[0]),))[0]
     state.route_length[e, i] = state.route_left[e, i] = np.sqrt(way[0] * way[0] + way[1] * way[1])
 
 

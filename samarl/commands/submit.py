@@ -16,11 +16,11 @@ from samarl.agents import build_agent
 from samarl.commands.bench import Table
 from samarl.commands.cli import command_line, run_command
 from samarl.configuration import evaluation_in, open_mapping, scenario_of
-from samarl.evaluation.submission import create_submission
 from samarl.evaluation.table import rows_as_markdown
 from samarl.files import check_writable, write_text
 from samarl.progress import progress_bar
 from samarl.report.marl_eval import marl_eval_json
+from samarl.submission import create_submission
 from samarl.user_files import name_of
 
 

@@ -20,8 +20,8 @@ from samarl.configuration import (
     register_schemas,
     scenario_of,
 )
-from samarl.evaluation.submission import HASHED_CASES, check_submission, replay
 from samarl.files import read_json
+from samarl.submission import HASHED_CASES, check_submission, replay
 
 
 def main() -> None:

@@ -28,7 +28,6 @@ from samarl.planning.right_of_way import (
 OWN = 42  # numbers about a robot itself, its passage, and the people that it sees
 MATE = 18  # about each team-mate; the first is 1 if the robot knows of it
 TRUTH = 8  # about each team-mate, for the critic only
-PRIORITIES = {"own": (0, 1), "mate": (1, 2)}  # of the numbers, those about priorities
 TOLD = slice(3, 3 + MODES)  # of a team-mate's numbers, its macro action
 
 _LENGTH, _STEPS = 5.0, 16.0  # scales, m and steps

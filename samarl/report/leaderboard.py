@@ -13,9 +13,9 @@ import yaml
 from mrsan import TASKS
 from samarl.configuration import available_agents, load_agent_config
 from samarl.evaluation.methods import is_ablation, label_of, split_method
-from samarl.evaluation.submission import submission_rows
 from samarl.evaluation.summary import Column, Row, column_of, read_rows, scenario_column
 from samarl.files import find_folder, read_json
+from samarl.submission import submission_rows
 
 GROUPS = {"learned": "Learned", "ablation": "Ablations", "planner": "Planners"}
 

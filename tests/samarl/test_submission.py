@@ -13,7 +13,9 @@ import pytest
 from mrsan import TASKS, ConfigurationError, Split
 from samarl.commands import verify
 from samarl.configuration import load_agent_config
-from samarl.evaluation.submission import (
+from samarl.report.leaderboard import ranked, task_of
+from samarl.report.marl_eval import marl_eval_json
+from samarl.submission import (
     _checksum,
     _decoded,
     _row,
@@ -22,8 +24,6 @@ from samarl.evaluation.submission import (
     replay,
     submission_rows,
 )
-from samarl.report.leaderboard import ranked, task_of
-from samarl.report.marl_eval import marl_eval_json
 
 SCENARIO = TASKS["samarl-360-3"].scenario
 CASES = Split.test.case(0) + np.arange(5)
