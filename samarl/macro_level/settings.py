@@ -16,7 +16,7 @@ class MacroRewards:
     arrival: float = required(-1e3, 1e3, help="per robot that arrives")
     collision: float = required(-1e3, 1e3, help="of the end with a collision")
     progress: float = required(-1e3, 1e3, help="per metre of route, summed over robots")
-    time: float = required(-1e3, 1e3, help="per step; half of it as long as all robots drive")
+    time: float = required(-1e3, 1e3, help="per step; falls to half as robots arrive")
 
 
 @dataclass

@@ -13,6 +13,7 @@ import yaml
 from mrsan import TASKS
 from samarl.configuration import available_agents, load_agent_config
 from samarl.evaluation.methods import is_ablation, label_of, split_method
+from samarl.evaluation.seeds import without_seed
 from samarl.evaluation.summary import Column, Row, column_of, read_rows, scenario_column
 from samarl.files import find_folder, read_json
 from samarl.submission import submission_rows
@@ -99,6 +100,7 @@ def task_rows(submissions: Path | None = None) -> list[Row]:
         rows += read_rows(path) or []
     for path in sorted(submissions.glob("*.json")) if submissions else []:
         rows += submission_rows(read_json(path))
+    rows = [row for row in rows if without_seed(row["method"]) == row["method"]]
     return [row for row in rows if task_of(row) and not is_ablation(row["method"])]
 
 
@@ -121,7 +123,8 @@ def _line(name: str, communicates: bool, rows: list[Row | None]) -> Line:
     first: Row = next(filter(None, rows))
     about = first.get("submission", {})
     settings |= about.get("settings", {})
-    checkpoint = settings.get("checkpoint")
+    learned = (settings.get(part) for part in ("checkpoint", "macro_level", "driver"))
+    checkpoint = next(filter(None, learned), None)
     group = "planner" if checkpoint is None else "learned"
     return Line(
         name=name,
