@@ -223,8 +223,8 @@ def tasks() -> str:
         best: dict[str, str] = {}
         for line in ranked(full):
             if not line.is_privileged:
-                told = " (messages)" if line.communicates else ""
-                best.setdefault(line.group, f"{line.label}{told} {line.success:.1f}")
+                messages = " (messages)" if line.communicates else ""
+                best.setdefault(line.group, f"{line.label}{messages} {line.success:.1f}")
         cells = [best.get(group, NONE) for group in ("learned", "planner")]
         lines.append([f"`{task.id}`", f"`{name}`", task.about, *cells])
     return markdown_table(["id", "`scenario=`", "what", "learned", "planned"], lines)

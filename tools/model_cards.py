@@ -59,13 +59,13 @@ def _card(weights: Path, rows: Sequence[Row]) -> str:
     }
     if results:
         front["model-index"] = [{"name": name, "results": results}]
-    made = card.provenance
+    origin = card.provenance
     seed_of = without_seed(name)
     about = label_of(method_of_policy(seed_of)) + ("" if seed_of == name else ", another seed")
     training = (
-        f"`{made.get('command', 'unknown')}` at commit {made.get('commit', 'unknown')}, "
-        f"{made.get('steps', 0):,} steps in {made.get('seconds', 0) / 60:.0f} minutes on "
-        f"{made.get('machine', 'an unknown machine')}"
+        f"`{origin.get('command', 'unknown')}` at commit {origin.get('commit', 'unknown')}, "
+        f"{origin.get('steps', 0):,} steps in {origin.get('seconds', 0) / 60:.0f} minutes on "
+        f"{origin.get('machine', 'an unknown machine')}"
     )
     use = f'`samarl-evaluate agent={name}` or `samarl.load_agent("{name}")`'
     if card.policy == MACRO_LEVEL:

@@ -36,7 +36,7 @@ class Decisions(NamedTuple):
     reward: NDArray[np.float64]  # [E, N, K] of the team, discounted to the moment of the decision
     duration: NDArray[np.int64]  # [E, N, K] steps
     ended: NDArray[np.bool_]  # [E, N, K] the episode ended before the next decision
-    number: NDArray[np.int64]  # [E, N]; the last one still goes on unless it ended
+    number: NDArray[np.int64]  # [E, N] filled slots; the last decision may not be over yet
 
     @property
     def is_filled(self) -> NDArray[np.bool_]:
@@ -98,7 +98,7 @@ class Collector:
                 self.agent.reset(self._is_init)
             self.agent.perceive(self._observation)
             self._decide(choose)
-            action = self.agent.drive(self._observation)
+            action = self.agent.drive()
             self.world.tell(self.agent.macro_actions())
             ended = self._step(action)
             self._is_init = ended

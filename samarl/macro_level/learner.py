@@ -11,7 +11,6 @@ from typing import NamedTuple
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from safetensors import safe_open
 from torch import Tensor, nn
 
 from mrsan import ConfigurationError
@@ -22,7 +21,7 @@ from samarl.macro_level.decisions import Collector, Decisions
 from samarl.macro_level.network import PassageNetwork
 from samarl.macro_level.settings import MacroTraining
 from samarl.planning.passage_features import MATE, TRUTH
-from samarl.policies.checkpoint import attribute_errors_to, check_finite, write_tensors
+from samarl.policies.checkpoint import restore_learner, save_learner
 from samarl.progress import progress_bar
 
 _CASES = 10_000_000  # between the first cases of two seeds
@@ -199,13 +198,14 @@ class Learner:
             torch.from_numpy((advantage + value)[over].astype(np.float32)),
         )
 
+    @property
+    def _networks(self) -> dict[str, nn.Module]:
+        return {"actor": self.actor, "critic": self.critic}
+
     def save(self) -> None:
         """Write the state atomically."""
-        tensors = {f"actor/{name}": value for name, value in self.actor.state_dict().items()}
-        tensors |= {f"critic/{name}": value for name, value in self.critic.state_dict().items()}
-        for number, moments in self.optimiser.state_dict()["state"].items():
-            tensors |= {f"optimiser/{number}/{name}": value for name, value in moments.items()}
-        write_tensors(self.path, tensors, {"run": self._run, "steps": str(self.steps)})
+        progress = "steps", self.steps
+        save_learner(self.path, self._networks, self.optimiser, self._run, progress)
 
     def restore(self) -> None:
         """Restore the state from the file.
@@ -213,29 +213,7 @@ class Learner:
         Raises:
             ConfigurationError: the file is damaged, or belongs to another training run.
         """
-        with attribute_errors_to(self.path), safe_open(self.path, "pt") as file:
-            progress = {"run": "", **(file.metadata() or {})}
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-        if progress["run"] != self._run:
-            raise ConfigurationError(
-                f"{self.path} belongs to another training run; choose another output, or remove it"
-            )
-        check_finite(self.path, tensors)
-        parts: dict[str, dict[str, Tensor]] = {"actor": {}, "critic": {}}
-        moments: dict[int, dict[str, Tensor]] = {}
-        with attribute_errors_to(self.path):
-            for name, value in tensors.items():
-                part, rest = name.split("/", 1)
-                if part == "optimiser":
-                    number, kind = rest.split("/")
-                    moments.setdefault(int(number), {})[kind] = value
-                else:
-                    parts[part][rest] = value
-            self.actor.load_state_dict(parts["actor"])
-            self.critic.load_state_dict(parts["critic"])
-            groups = self.optimiser.state_dict()["param_groups"]
-            self.optimiser.load_state_dict({"state": moments, "param_groups": groups})
-            self.steps = int(progress["steps"])
+        self.steps = restore_learner(self.path, self._networks, self.optimiser, self._run, "steps")
 
 
 def advantages(
@@ -257,7 +235,7 @@ def advantages(
     for k in range(slots - 1, -1, -1):
         factor = np.where(d.ended[..., k], 0.0, discount ** d.duration[..., k])
         error = d.reward[..., k] + factor * following[..., k + 1] - value[..., k]
-        # the advantage of a decision that goes on is 0: its rewards are not known yet
+        # 0 for a decision that is not over, whose rewards are not known yet
         rest = factor * gae_lambda * advantage[..., k + 1]
         advantage[..., k] = np.where(over[..., k], error + rest, 0.0)
     return advantage[..., :slots]

@@ -1,4 +1,4 @@
-"""How a team drives by the right of way: what robots believe of each other, and their paths."""
+"""How a team drives by the right of way: where robots are sent, and their paths."""
 
 from __future__ import annotations
 
@@ -6,25 +6,10 @@ import math
 
 import numpy as np
 
-from mrsan.features import (
-    GOAL_X,
-    GOAL_Y,
-    HEADING_COS,
-    HEADING_SIN,
-    ORIGIN_X,
-    ORIGIN_Y,
-    OTHER_RADIUS,
-    OTHER_VELOCITY_X,
-    OTHER_VELOCITY_Y,
-    OTHER_X,
-    OTHER_Y,
-    VELOCITY_X,
-    VELOCITY_Y,
-)
+from mrsan.features import OTHER_RADIUS
 from mrsan.kernels import function, kernel, separate
-from mrsan.kernels.team import MACRO_ACTION, PRIORITY, THROUGH
+from mrsan.kernels.passages import distance_from_way
 from mrsan.kernels.walls import WALL_ROWS, is_clear
-from mrsan.se2 import rotate, transform
 from samarl.planning.path_rollouts import (
     STEPS,
     Others,
@@ -37,17 +22,16 @@ from samarl.planning.path_rollouts import (
 from samarl.planning.right_of_way import (
     CLAIM,
     WAIT,
-    distance_from_way,
     distance_to,
     is_parked,
-    look_ahead,
+    map_of_world,
     mouths_of_world,
     number_of_mode,
     update_mode,
 )
+from samarl.planning.team_beliefs import POINTS, length_between, write_track
 from samarl.planning.velocity_control import track_rotated_velocity
 
-_POINTS = 128  # of a path
 _APPROACH = 0.45  # m, of the points before and behind a passage through which robots drive
 _NEAR_WALL = 4.5  # m, farther than a rollout leads
 _AT_GOAL, _AT_PLACE = 0.12, 0.25  # m, distances at which robots stop
@@ -58,82 +42,13 @@ _ROUND, _CLEAR = 0.12, 0.06  # m, at which paths lead round them, and that paths
 
 
 @kernel
-def perceive(
-    first,
-    last,
-    ego,
-    robots,
-    robots_visible,
-    messages,
-    messages_received,
-    priority,
-    place,
-    walls,
-    corners,
-    distance,
-    all_mouths,
-    first_mouth,
-    memory,
-    central,
-    p,
-):
-    """Update where robots are, what they believe of each other, and which passages they come to.
-
-    Args:
-        first: first world to work on.
-        last: the one after the last.
-        ego: [E, N, 11], and so on: what robots observe.
-        robots: likewise.
-        robots_visible: likewise.
-        messages: [E, N, N - 1, 7], `mrsan.sensors.team.MESSAGE_FEATURES`.
-        messages_received: [E, N, N - 1] bool.
-        priority: [E, N, 1] their own priorities.
-        place: [E, 9], and so on: the map that robots know.
-        walls: likewise.
-        corners: likewise.
-        distance: likewise.
-        all_mouths: `Mouths` of all worlds.
-        first_mouth: [E + 1] the first mouth of each world.
-        memory: `Memory`, updated.
-        central: whether robots know the truth of each other.
-        p: the scenario's parameters.
-    """
-    path, cost = np.zeros((_POINTS, 2)), np.zeros(corners.shape[2], np.float32)
-    for e in range(first, last):
-        known_map = walls[e], place[e], corners[e], distance[e]
-        mouths = mouths_of_world(all_mouths, first_mouth, e)
-        for i in range(ego.shape[1]):
-            _write_pose(ego[e, i], memory.pose[e, i], memory.goal[e, i])
-            from_goal = _length(memory.goal[e, i], memory.pose[e, i])
-            memory.arrived[e, i] = from_goal < p.robot_radius
-        _believe(
-            e,
-            ego,
-            robots,
-            robots_visible,
-            messages,
-            messages_received,
-            priority,
-            mouths,
-            memory,
-            central,
-            p.time_step,
-        )
-        for i in range(ego.shape[1]):
-            look_ahead(e, i, mouths, memory, known_map, cost, path)
-
-
-@kernel
 def drive(
     first,
     last,
     ego,
     humans,
     humans_visible,
-    place,
-    walls,
-    corners,
-    distance,
+    known_maps,
     all_mouths,
     first_mouth,
     memory,
@@ -149,10 +64,7 @@ def drive(
         ego: [E, N, 11], and so on: what robots observe.
         humans: likewise.
         humans_visible: likewise.
-        place: [E, 9], and so on: the map that robots know.
-        walls: likewise.
-        corners: likewise.
-        distance: likewise.
+        known_maps: `KnownMap` of all worlds.
         all_mouths: `Mouths` of all worlds.
         first_mouth: [E + 1] the first mouth of each world.
         memory: `Memory`, updated.
@@ -170,11 +82,11 @@ def drive(
     )
     plans, plan_stops = np.zeros((n, STEPS + 1, 2)), np.zeros((n, 2))
     path, rest, cost = (
-        np.zeros((_POINTS, 2)),
-        np.zeros(_POINTS),
-        np.zeros(corners.shape[2], np.float32),
+        np.zeros((POINTS, 2)),
+        np.zeros(POINTS),
+        np.zeros(known_maps.corners.shape[2], np.float32),
     )
-    near = np.zeros((WALL_ROWS, walls.shape[2] + 1), np.float32)
+    near = np.zeros((WALL_ROWS, known_maps.walls.shape[2] + 1), np.float32)
     actions = action.shape[2]
     scratch = (
         np.zeros(actions, np.float32),
@@ -182,7 +94,7 @@ def drive(
         np.zeros((STEPS + 1, 2)),
     )
     for e in range(first, last):
-        known_map = walls[e], place[e], corners[e], distance[e]
+        known_map = map_of_world(known_maps, e)
         mouths = mouths_of_world(all_mouths, first_mouth, e)
         pose, goal = memory.pose[e], memory.goal[e]
         for i in range(n):
@@ -210,8 +122,8 @@ def drive(
                 present[:] = False
                 _see(ego[e, i], pose[i], humans[e, i], humans_visible[e, i], people, present)
                 others = Others(expected, stops, counts, people, present)
-            length = _write_path(e, i, pose[i], goal[i], mouths, memory, known_map, cost, path)
-            at_goal = _length(path[length - 1], goal[i]) < 1e-6
+            length = _write_path(e, i, mouths, memory, known_map, cost, path)
+            at_goal = length_between(path[length - 1], goal[i]) < 1e-6
             decided[i] = True
             if not at_goal and _stands(i, pose, path[length - 1], others, p):
                 track_rotated_velocity(
@@ -220,9 +132,8 @@ def drive(
                 memory.stuck[e, i] = max(memory.stuck[e, i] - 2, 0)
                 continue
             tolerance = _AT_GOAL if at_goal else _AT_PLACE
-            columns, room = near_walls_of(
-                walls[e], place[e], pose[i, 0], pose[i, 1], _NEAR_WALL, near
-            )
+            walls, place, _, _ = known_map
+            columns, room = near_walls_of(walls, place, pose[i, 0], pose[i, 1], _NEAR_WALL, near)
             length = _go_round(e, i, pose[i], mouths, memory, near, columns, p, path, length)
             write_rest(path, length, rest)
             weights = _weigh(e, i, pose[i], at_goal, mouths, memory, settings)
@@ -255,10 +166,7 @@ def drive(
 def direct(
     first,
     last,
-    place,
-    walls,
-    corners,
-    distance,
+    known_maps,
     all_mouths,
     first_mouth,
     memory,
@@ -272,10 +180,7 @@ def direct(
     Args:
         first: first world to work on.
         last: the one after the last.
-        place: [E, 9], and so on: the map that robots know.
-        walls: likewise.
-        corners: likewise.
-        distance: likewise.
+        known_maps: `KnownMap` of all worlds.
         all_mouths: `Mouths` of all worlds.
         first_mouth: [E + 1] the first mouth of each world.
         memory: `Memory`, updated.
@@ -284,48 +189,21 @@ def direct(
         target: [E, N, 2] their goals or their queue places in the world frame, written, m.
         following: [E, N, 2] the next point of the way there, written, m.
     """
-    path, cost = np.zeros((_POINTS, 2)), np.zeros(corners.shape[2], np.float32)
+    path, cost = np.zeros((POINTS, 2)), np.zeros(known_maps.corners.shape[2], np.float32)
     for e in range(first, last):
-        known_map = walls[e], place[e], corners[e], distance[e]
+        known_map = map_of_world(known_maps, e)
         mouths = mouths_of_world(all_mouths, first_mouth, e)
         pose, goal = memory.pose[e], memory.goal[e]
         for i in range(pose.shape[0]):
             update_mode(e, i, mouths, memory, known_map, p.robot_radius, central)
         for i in range(pose.shape[0]):
-            to = goal[i]
-            if memory.queued[e, i] >= 0 or memory.yields[e, i] > 0:
-                to = memory.place[e, i]
+            to = _target(e, i, memory)
             x, y = pose[i, 0], pose[i, 1]
             write_route(*known_map, x, y, to[0], to[1], cost, path, 0)
             target[e, i, 0], target[e, i, 1] = to[0], to[1]
             following[e, i, 0], following[e, i, 1] = path[0, 0], path[0, 1]
-            _count_standstill(e, i, pose[i], _length(to, goal[i]) < 1e-6, memory)
+            _count_standstill(e, i, pose[i], length_between(to, goal[i]) < 1e-6, memory)
             memory.macro_action[e, i] = number_of_mode(e, i, mouths, memory)
-
-
-@function
-def _length(a, b):
-    return math.hypot(a[0] - b[0], a[1] - b[1])
-
-
-@function
-def _write_pose(ego, pose, goal):
-    """Write a robot's pose [5] and goal [2] in the world frame."""
-    cos, sin = ego[HEADING_COS], ego[HEADING_SIN]
-    x, y = rotate(cos, sin, ego[ORIGIN_X], ego[ORIGIN_Y])
-    pose[0], pose[1] = -x, -y
-    pose[2], pose[3] = rotate(cos, sin, ego[VELOCITY_X], ego[VELOCITY_Y])
-    pose[4] = math.atan2(sin, cos)
-    goal[0], goal[1] = transform(cos, sin, -x, -y, ego[GOAL_X], ego[GOAL_Y])
-
-
-@function
-def _write_track(ego, pose, track, out):
-    """Write an observed agent's position and velocity [4] in the world frame."""
-    cos, sin = ego[HEADING_COS], ego[HEADING_SIN]
-    out[0], out[1] = transform(cos, sin, pose[0], pose[1], track[OTHER_X], track[OTHER_Y])
-    vx, vy = track[OTHER_VELOCITY_X], track[OTHER_VELOCITY_Y]
-    out[2], out[3] = transform(cos, sin, pose[2], pose[3], vx, vy)
 
 
 @function
@@ -333,7 +211,7 @@ def _see(ego, pose, humans, visible, people, present):
     """Add the people that a robot sees."""
     for j in range(visible.shape[0]):
         if visible[j]:
-            _write_track(ego, pose, humans[j], people[j])
+            write_track(ego, pose, humans[j], people[j])
             people[j, 4], present[j] = humans[j, OTHER_RADIUS], True
 
 
@@ -341,7 +219,8 @@ def _see(ego, pose, humans, visible, people, present):
 def _stands(i, pose, place, others, p):
     """Return whether robot `i` stands at its place, with nobody near."""
     x, y = pose[i, 0], pose[i, 1]
-    stands = math.hypot(pose[i, 2], pose[i, 3]) < 0.01 and _length(place, pose[i]) < _AT_PLACE
+    stands = math.hypot(pose[i, 2], pose[i, 3]) < 0.01
+    stands &= length_between(place, pose[i]) < _AT_PLACE
     for j in range(pose.shape[0]):
         gap = math.hypot(others.robots[j, 0, 0] - x, others.robots[j, 0, 1] - y)
         stands &= j == i or not others.counts[j] or gap > 2.0 * p.robot_radius + _ALONE
@@ -355,50 +234,6 @@ def _stands(i, pose, place, others, p):
 def _brake(pose, dt, out):
     """Write where a robot stands that brakes now."""
     out[0], out[1] = pose[0] + 0.5 * dt * pose[2], pose[1] + 0.5 * dt * pose[3]
-
-
-@function
-def _believe(
-    e,
-    ego,
-    robots,
-    robots_visible,
-    messages,
-    received,
-    priority,
-    mouths,
-    memory,
-    central,
-    dt,
-):
-    """Update what the robots believe of each other: the truth, messages, or what they see."""
-    n, pose = ego.shape[1], memory.pose[e]
-    for i in range(n):
-        memory.belief[e, i, i, PRIORITY] = priority[e, i, 0]
-        for j in range(n):
-            if i == j:
-                continue
-            slot = j - (j > i)
-            out = memory.belief[e, i, j]
-            if central:
-                memory.known[e, i, j] = True
-                for f in range(4):
-                    out[f] = pose[j, f]
-                out[THROUGH] = 1.0 if memory.arrived[e, j] else 0.0
-                out[MACRO_ACTION] = number_of_mode(e, j, mouths, memory)
-            elif slot < received.shape[2] and received[e, i, slot]:
-                memory.known[e, i, j] = True
-                _write_track(ego[e, i], pose[i], messages[e, i, slot], out)
-                for f in range(PRIORITY, MACRO_ACTION + 1):
-                    out[f] = messages[e, i, slot, f]
-            elif robots_visible[e, i, slot]:
-                if not memory.known[e, i, j]:
-                    out[PRIORITY], out[THROUGH], out[MACRO_ACTION] = 0.0, 1.0, 0.0
-                memory.known[e, i, j] = True
-                _write_track(ego[e, i], pose[i], robots[e, i, slot], out)
-            elif memory.known[e, i, j]:
-                out[0] += out[2] * dt
-                out[1] += out[3] * dt
 
 
 @function
@@ -416,14 +251,19 @@ def _expect(e, i, memory, dt, expected, stops, counts):
         stops[j, 0], stops[j, 1] = other[0] + 1.5 * dt * other[2], other[1] + 1.5 * dt * other[3]
 
 
+@function
+def _target(e, i, memory):
+    """Return the point to which robot `i` is sent: its place or its goal."""
+    if memory.queued[e, i] >= 0 or memory.yields[e, i] > 0:
+        return memory.place[e, i, 0], memory.place[e, i, 1]
+    return memory.goal[e, i, 0], memory.goal[e, i, 1]
+
+
 @separate
-def _write_path(e, i, pose, goal, mouths, memory, known_map, cost, path):
+def _write_path(e, i, mouths, memory, known_map, cost, path):
     """Write the path of robot `i`; return the number of its points."""
-    walls, place, corners, distance = known_map
-    x, y, to_x, to_y = pose[0], pose[1], goal[0], goal[1]
+    x, y, to = memory.pose[e, i, 0], memory.pose[e, i, 1], _target(e, i, memory)
     gives_way = memory.yields[e, i] > 0
-    if memory.queued[e, i] >= 0 or gives_way:
-        to_x, to_y = memory.place[e, i, 0], memory.place[e, i, 1]
     entry, leave, count = memory.entry[e, i], memory.exit[e, i], 0
     if entry >= 0 and leave >= 0 and memory.mode[e, i] != WAIT and not gives_way:
         for k in (entry, leave):
@@ -431,11 +271,9 @@ def _write_path(e, i, pose, goal, mouths, memory, known_map, cost, path):
                 continue
             by_x = mouths.position[k, 0] + _APPROACH * mouths.outward[k, 0]
             by_y = mouths.position[k, 1] + _APPROACH * mouths.outward[k, 1]
-            count = write_route(
-                walls, place, corners, distance, x, y, by_x, by_y, cost, path, count
-            )
+            count = write_route(*known_map, x, y, by_x, by_y, cost, path, count)
             x, y = by_x, by_y
-    return write_route(walls, place, corners, distance, x, y, to_x, to_y, cost, path, count)
+    return write_route(*known_map, x, y, to[0], to[1], cost, path, count)
 
 
 @separate

@@ -11,6 +11,7 @@ import math
 
 from mrsan.features import OTHER_VELOCITY_X, OTHER_VELOCITY_Y, OTHER_X, OTHER_Y
 from mrsan.kernels import function, kernel
+from mrsan.kernels.passages import ahead_of
 from mrsan.kernels.team import PRIORITY, THROUGH
 from mrsan.se2 import rotate, transform
 from samarl.planning.right_of_way import (
@@ -18,7 +19,6 @@ from samarl.planning.right_of_way import (
     MODES,
     QUEUE,
     WAIT,
-    ahead_of,
     believed_mode,
     distance_to,
     is_blocked,

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mrsan.kernels import function, separate
+from mrsan.kernels.passages import ahead_of, aside_of, crossing, distance_from_way
 from mrsan.kernels.team import MACRO_ACTION, PRIORITY, THROUGH
 from mrsan.kernels.walls import is_clear, wall_count
 from mrsan.passages import BLOCKED_LENGTH, BLOCKED_MARGIN
@@ -25,7 +26,7 @@ DRIVE, WAIT, GO, HOLD = range(4)  # macro actions; WAIT and GO with the mouth wh
 MODES = 4
 CLAIM = 2.5  # m, from the mouth, besides the length of the passage
 BY_RULE, QUEUE, ENTER = range(-1, 2)  # choices before a passage
-STUCK = 8  # steps, after which a robot inside may turn back if it is told to
+STUCK = 8  # steps, after which a learned choice may turn a robot back that is inside
 
 _FACE_TO_FACE = 1.6  # m, from a team-mate at which a robot that is stuck gives way
 _YIELD_STEPS = 16  # for which it does
@@ -79,7 +80,7 @@ class Memory(NamedTuple):
     known: np.ndarray  # [E, N, N] bool, whether robot i has heard of robot j
     belief: np.ndarray  # [E, N, N, 7] what it believes: MESSAGE_FEATURES in the world frame
     choice: np.ndarray  # [E, N] BY_RULE, QUEUE or ENTER
-    due: np.ndarray  # [E, N] bool, whether to choose anew
+    due: np.ndarray  # [E, N] bool, whether a new choice has to be made
     age: np.ndarray  # [E, N] steps since the last choice
     event: np.ndarray  # [E, N] number of the situation in which it was made; -1: there is none
 
@@ -93,6 +94,17 @@ class Settings(NamedTuple):
     robots: float
     gap: float  # m, kept from people in the next step if possible
     stuck_gap: float  # m, the same of robots that have stood for long
+
+
+@function
+def map_of_world(known_maps, e):
+    """Return the walls, the place, the corners and their distances of world `e`."""
+    return (
+        known_maps.walls[e],
+        known_maps.place[e],
+        known_maps.corners[e],
+        known_maps.corner_distance[e],
+    )
 
 
 @function
@@ -112,60 +124,27 @@ def mouths_of_world(mouths, first_mouth, e):
 
 
 @function
-def ahead_of(mouths, k, x, y):
-    """Return how far (x, y) is before mouth `k`, m; negative inside."""
-    dx, dy = x - mouths.position[k, 0], y - mouths.position[k, 1]
-    return dx * mouths.outward[k, 0] + dy * mouths.outward[k, 1]
-
-
-@function
-def _aside(mouths, k, x, y):
-    """Return how far (x, y) is beside the axis of mouth `k`, m."""
-    dx, dy = x - mouths.position[k, 0], y - mouths.position[k, 1]
-    return abs(dy * mouths.outward[k, 0] - dx * mouths.outward[k, 1])
-
-
-@function
 def is_blocked(mouths, k, x, y):
     """Return whether a robot parked at (x, y) blocks mouth `k`."""
     ahead = ahead_of(mouths, k, x, y)
-    return -0.1 <= ahead < BLOCKED_LENGTH and _aside(mouths, k, x, y) < (
+    return -0.1 <= ahead < BLOCKED_LENGTH and aside_of(mouths, k, x, y) < (
         0.5 * mouths.width[k] + BLOCKED_MARGIN
     )
 
 
-@function
-def _crossing(mouths, k, ax, ay, bx, by):
-    """Return at which share of the way from a to b it crosses mouth `k`, outwards or inwards.
-
-    Returns the share, above 1 if it does not, and whether it leads outwards.
-    """
-    before, after = ahead_of(mouths, k, ax, ay), ahead_of(mouths, k, bx, by)
-    if before * after > 0.0 or before == after:
-        return 2.0, False
-    share = before / (before - after)
-    x, y = ax + share * (bx - ax), ay + share * (by - ay)
-    if _aside(mouths, k, x, y) > 0.5 * mouths.width[k]:
-        return 2.0, False
-    return share, after > before
-
-
 @separate
-def _examine_way(e, i, pose, goal, mouths, memory, known_map, cost, path):
+def _examine_way(e, i, mouths, memory, known_map, cost, path):
     """Find the passages on the route of robot `i`: those ahead, and where it enters the next."""
-    walls, place, corners, distance = known_map
-    count = write_route(
-        walls, place, corners, distance, pose[0], pose[1], goal[0], goal[1], cost, path, 0
-    )
+    pose, goal = memory.pose[e, i], memory.goal[e, i]
+    count = write_route(*known_map, pose[0], pose[1], goal[0], goal[1], cost, path, 0)
     memory.is_new[e, i], memory.inside[e, i] = False, False
     memory.entry[e, i] = memory.exit[e, i] = memory.queued[e, i] = -1
     memory.ahead[e, i], memory.mode[e, i] = 0, DRIVE
-    first, last = 0, len(mouths.width)
     enters, leaves, entry, leave = _FAR, _FAR, -1, -1
     for s in range(count):
         ax, ay = (path[s - 1, 0], path[s - 1, 1]) if s > 0 else (pose[0], pose[1])
-        for k in range(first, last):
-            share, outwards = _crossing(mouths, k, ax, ay, path[s, 0], path[s, 1])
+        for k in range(len(mouths.width)):
+            share, outwards = crossing(mouths, k, ax, ay, path[s, 0], path[s, 1])
             if share > 1.0:
                 continue
             memory.ahead[e, i] |= 1 << min(mouths.passage[k], 62)
@@ -174,7 +153,7 @@ def _examine_way(e, i, pose, goal, mouths, memory, known_map, cost, path):
             elif not outwards and s + share < enters:
                 enters, entry = s + share, k
     if leave >= 0 and leaves < enters - 1e-6:  # it begins inside
-        for k in range(first, last):
+        for k in range(len(mouths.width)):
             if k != leave and mouths.passage[k] == mouths.passage[leave]:
                 memory.entry[e, i] = k
         memory.exit[e, i] = leave
@@ -187,10 +166,10 @@ def _examine_way(e, i, pose, goal, mouths, memory, known_map, cost, path):
     leaves = _FAR
     for s in range(count):
         ax, ay = (path[s - 1, 0], path[s - 1, 1]) if s > 0 else (pose[0], pose[1])
-        for k in range(first, last):
+        for k in range(len(mouths.width)):
             if k == entry or mouths.passage[k] != mouths.passage[entry]:
                 continue
-            share, outwards = _crossing(mouths, k, ax, ay, path[s, 0], path[s, 1])
+            share, outwards = crossing(mouths, k, ax, ay, path[s, 0], path[s, 1])
             if share <= 1.0 and outwards and enters - 1e-6 <= s + share < leaves:
                 leaves = s + share
                 memory.exit[e, i] = k
@@ -199,14 +178,13 @@ def _examine_way(e, i, pose, goal, mouths, memory, known_map, cost, path):
 @separate
 def look_ahead(e, i, mouths, memory, known_map, cost, path):
     """Note which passage robot `i` comes to or is in, and whether a choice is due."""
-    pose, goal = memory.pose[e, i], memory.goal[e, i]
     if memory.is_new[e, i]:
-        _examine_way(e, i, pose, goal, mouths, memory, known_map, cost, path)
+        _examine_way(e, i, mouths, memory, known_map, cost, path)
     if memory.arrived[e, i]:
         memory.mode[e, i], memory.entry[e, i], memory.queued[e, i] = DRIVE, -1, -1
         memory.ahead[e, i], memory.inside[e, i] = 0, False
     elif memory.entry[e, i] >= 0:
-        _pass(e, i, pose, goal, mouths, memory, known_map, cost, path)
+        _pass(e, i, mouths, memory, known_map, cost, path)
     memory.age[e, i] += 1
     event = _event(e, i, mouths, memory)
     due = event != memory.event[e, i] or memory.age[e, i] >= _CHOICE_STEPS
@@ -247,6 +225,11 @@ def _give_way(e, i, memory, known_map, radius):
     if memory.queued[e, i] >= 0 or memory.mode[e, i] != DRIVE or memory.entry[e, i] >= 0:
         memory.yields[e, i] = 0
         return
+    if memory.yields[e, i] > 0:
+        memory.yields[e, i] -= 1
+        return
+    if memory.stuck[e, i] < STUCK:
+        return
     nearest, facing = _FACE_TO_FACE, -1
     for j in range(memory.known.shape[1]):
         if j == i or not memory.known[e, i, j]:
@@ -255,10 +238,7 @@ def _give_way(e, i, memory, known_map, radius):
         gap = math.hypot(other[0] - pose[0], other[1] - pose[1])
         if gap < nearest and other[PRIORITY] > memory.belief[e, i, i, PRIORITY]:
             nearest, facing = gap, j
-    if memory.yields[e, i] > 0:
-        memory.yields[e, i] -= 1
-        return
-    if memory.stuck[e, i] < STUCK or facing < 0:
+    if facing < 0:
         return
     other = memory.belief[e, i, facing]
     ux, uy = (pose[0] - other[0]) / nearest, (pose[1] - other[1]) / nearest
@@ -309,19 +289,19 @@ def _event(e, i, mouths, memory):
 
 
 @function
-def _pass(e, i, pose, goal, mouths, memory, known_map, cost, path):
+def _pass(e, i, mouths, memory, known_map, cost, path):
     """Note that robot `i` has entered its passage, or has left it."""
-    entry, leave = memory.entry[e, i], memory.exit[e, i]
+    pose, entry, leave = memory.pose[e, i], memory.entry[e, i], memory.exit[e, i]
     enters = ahead_of(mouths, entry, pose[0], pose[1]) < _BEFORE
-    enters &= _aside(mouths, entry, pose[0], pose[1]) < 0.5 * mouths.width[entry] + 0.1
+    enters &= aside_of(mouths, entry, pose[0], pose[1]) < 0.5 * mouths.width[entry] + 0.1
     memory.inside[e, i] |= enters and memory.mode[e, i] == GO
     if memory.mode[e, i] == WAIT and ahead_of(mouths, entry, pose[0], pose[1]) > _BEFORE:
         memory.inside[e, i] = False  # it has turned back
     if memory.inside[e, i] and leave >= 0:
         ahead = ahead_of(mouths, leave, pose[0], pose[1])
-        aside = _aside(mouths, leave, pose[0], pose[1])
+        aside = aside_of(mouths, leave, pose[0], pose[1])
         if ahead > _BEYOND or (ahead > 0.2 and aside > 0.5 * mouths.width[leave] + _ASIDE):
-            _examine_way(e, i, pose, goal, mouths, memory, known_map, cost, path)
+            _examine_way(e, i, mouths, memory, known_map, cost, path)
 
 
 @function
@@ -469,12 +449,3 @@ def _queue(e, i, k, mouths, memory, central):
         if cost < best:
             best = cost
             memory.place[e, i, 0], memory.place[e, i, 1] = x, y
-
-
-@function
-def distance_from_way(x, y, ax, ay, bx, by):
-    """Return the distance of (x, y) from the way from a to b, m."""
-    dx, dy = bx - ax, by - ay
-    share = ((x - ax) * dx + (y - ay) * dy) / max(dx * dx + dy * dy, 1e-9)
-    share = min(max(share, 0.0), 1.0)
-    return math.hypot(x - ax - share * dx, y - ay - share * dy)

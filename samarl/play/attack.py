@@ -116,11 +116,11 @@ class Attack:
             if self.best is None or attempt.cost < self.best.cost - 0.01:
                 self.best, self._stale = attempt, 0
         for j in self._means:
-            mine = np.flatnonzero(people == j)
-            if len(mine) < 2:
+            of_person = np.flatnonzero(people == j)
+            if len(of_person) < 2:
                 continue
-            order = mine[np.argsort([attempts[k].cost for k in mine])]
-            elite = offsets[order[: max(2, _ELITE * len(mine) // POPULATION)]]
+            order = of_person[np.argsort([attempts[k].cost for k in of_person])]
+            elite = offsets[order[: max(2, _ELITE * len(of_person) // POPULATION)]]
             self._means[j] = elite.mean(0)
             self._spreads[j] = elite.std(0) + 0.05
         self.seconds += time.process_time() - started

@@ -27,11 +27,11 @@ def insight(side: Playback) -> list[dict[str, Any]]:
     if not side.explanations:
         return []
     explanation, scenario, state = side.explanations[-1], side.scenario, side.world.state
-    found: list[dict[str, Any]] = []
+    insights: list[dict[str, Any]] = []
     for i in range(scenario.robots):
         words = []
         if state.arrived[0, i]:
-            found.append({"route": [], "tracks": [], "words": "It has arrived."})
+            insights.append({"route": [], "tracks": [], "words": "It has arrived."})
             continue
         tracks = None
         if explanation.tracks is not None:
@@ -40,14 +40,14 @@ def insight(side: Playback) -> list[dict[str, Any]]:
             words.append(f"The policy wants to {_action(explanation.proposed[0, i], scenario)}.")
             if explanation.shielded is not None and explanation.shielded[0, i]:
                 words.append(f"The shield replaces that{_reason(tracks, scenario)}.")
-        found.append(
+        insights.append(
             {
                 "route": _route(state, scenario, i),
                 "tracks": [] if tracks is None else _tracks(tracks, side, i),
                 "words": " ".join(words),
             }
         )
-    return found
+    return insights
 
 
 def _action(action: NDArray[np.float32], scenario: Scenario) -> str:

@@ -16,10 +16,11 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, TypeGuard
 
-from safetensors import SafetensorError
+from safetensors import SafetensorError, safe_open
 from safetensors.torch import load_file, save
 from torch import Tensor, nn
 from torch.nn.modules.module import register_module_parameter_registration_hook
+from torch.optim import Optimizer
 
 from mrsan import ConfigurationError
 from mrsan.choices import ACTION_SIZE
@@ -75,6 +76,66 @@ def write_tensors(path: Path, tensors: dict[str, Tensor], metadata: dict[str, st
         file.flush()
         os.fsync(file.fileno())
     return hashlib.sha256(content).hexdigest()
+
+
+def save_learner(
+    path: Path,
+    networks: Mapping[str, nn.Module],
+    optimiser: Optimizer,
+    run: str,
+    progress: tuple[str, int],
+) -> None:
+    """Write atomically what a learner needs to go on after an interruption.
+
+    Args:
+        path: file.
+        networks: by name.
+        optimiser: of all their parameters.
+        run: digest of the configuration.
+        progress: what is counted, such as "steps", and how many are done.
+    """
+    tensors = {
+        f"{name}/{key}": value
+        for name, network in networks.items()
+        for key, value in network.state_dict().items()
+    }
+    for number, moments in optimiser.state_dict()["state"].items():
+        tensors |= {f"optimiser/{number}/{name}": value for name, value in moments.items()}
+    counted, done = progress
+    write_tensors(path, tensors, {"run": run, counted: str(done)})
+
+
+def restore_learner(
+    path: Path, networks: Mapping[str, nn.Module], optimiser: Optimizer, run: str, counted: str
+) -> int:
+    """Load what `save_learner` wrote; return how many steps, or what else is counted, are done.
+
+    Raises:
+        ConfigurationError: the file is damaged, or belongs to another training run.
+    """
+    with attribute_errors_to(path), safe_open(path, "pt") as file:
+        saved = {"run": "", **(file.metadata() or {})}
+        tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    if saved["run"] != run:
+        raise ConfigurationError(
+            f"{path} belongs to another training run; choose another output, or remove it"
+        )
+    weights: dict[str, dict[str, Tensor]] = {name: {} for name in networks}
+    moments: dict[int, dict[str, Tensor]] = {}
+    with attribute_errors_to(path):
+        for name, value in tensors.items():
+            part, _, key = name.partition("/")
+            if part == "optimiser":
+                number, moment = key.split("/")
+                moments.setdefault(int(number), {})[moment] = value
+            else:
+                weights[part][key] = value
+        for name, network in networks.items():
+            check_finite(path, weights[name])
+            network.load_state_dict(weights[name])
+        groups = optimiser.state_dict()["param_groups"]
+        optimiser.load_state_dict({"state": moments, "param_groups": groups})
+        return int(saved[counted])
 
 
 def save_policy(path: Path, policy: Policy, name: str, provenance: dict[str, Any]) -> None:

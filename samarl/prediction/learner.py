@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from safetensors import safe_open
 from torch import Tensor, nn
 
 from mrsan import ConfigurationError, Scenario, Split
@@ -27,7 +26,7 @@ from mrsan.prediction import (
 from mrsan.se2 import unrotate_vectors
 from samarl.errors import TrainingError
 from samarl.files import write_json
-from samarl.policies.checkpoint import attribute_errors_to, check_finite, write_tensors
+from samarl.policies.checkpoint import restore_learner, save_learner, write_tensors
 from samarl.prediction.training import Training
 from samarl.prediction.windows import Windows, simulate_windows
 from samarl.progress import progress_bar
@@ -170,17 +169,14 @@ class Learner:
         order = torch.from_numpy(rng.permutation(np.flatnonzero(heading.any(-1))))
         return torch.from_numpy(velocities), torch.from_numpy(mask), torch.from_numpy(target), order
 
-    def _tensors(self) -> dict[str, Tensor]:
-        """Return weights and optimiser state, the latter once training has started."""
-        tensors = {f"network/{name}": value for name, value in self.network.state_dict().items()}
-        for number, moments in self.optimiser.state_dict()["state"].items():
-            tensors |= {f"optimiser/{number}/{name}": value for name, value in moments.items()}
-        return tensors
+    @property
+    def _networks(self) -> dict[str, nn.Module]:
+        return {"network": self.network}
 
     def save(self) -> None:
         """Write the state atomically."""
-        progress = {"run": self._run, "rounds": str(self.round + 1)}
-        write_tensors(self.path, self._tensors(), progress)
+        progress = "rounds", self.round + 1
+        save_learner(self.path, self._networks, self.optimiser, self._run, progress)
 
     def restore(self) -> None:
         """Restore the state from the file.
@@ -188,30 +184,7 @@ class Learner:
         Raises:
             ConfigurationError: the file is damaged, or belongs to another training run.
         """
-        with attribute_errors_to(self.path), safe_open(self.path, "pt") as file:
-            progress = {"run": "", **(file.metadata() or {})}
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-        if progress["run"] != self._run:
-            raise ConfigurationError(
-                f"{self.path} belongs to another training run; choose another output, or remove it"
-            )
-        with attribute_errors_to(self.path):
-            self._load_state(tensors, int(progress["rounds"]))
-
-    def _load_state(self, tensors: Mapping[str, Tensor], rounds: int) -> None:
-        network: dict[str, Tensor] = {}
-        moments: dict[int, dict[str, Tensor]] = {}
-        for name, value in tensors.items():
-            kind, *rest = name.split("/")
-            if kind == "network":
-                network[rest[0]] = value
-            else:
-                moments.setdefault(int(rest[0]), {})[rest[1]] = value
-        check_finite(self.path, network)
-        self.network.load_state_dict(network)
-        groups = self.optimiser.state_dict()["param_groups"]
-        self.optimiser.load_state_dict({"state": moments, "param_groups": groups})
-        self.round = rounds
+        self.round = restore_learner(self.path, self._networks, self.optimiser, self._run, "rounds")
 
 
 def save_predictor(path: Path, predictor: RecurrentPredictor, provenance: dict[str, Any]) -> None:

@@ -30,7 +30,7 @@ class Line:
     description: str  # one line; empty if the method has no configuration file
     checkpoint: str | None  # of its policy
     has_shield: bool
-    is_privileged: bool  # its robots know more than they observe or are told
+    is_privileged: bool  # robots know more than their sensors and messages say
     communicates: bool  # its robots report what they see, or tell each other what they do
     rows: list[Row | None]  # one per column
 

@@ -162,7 +162,7 @@ class RolloutCollector:
             if self.is_init.any():
                 self.guide.reset(self.is_init)
             self.guide.perceive(self.observation)
-            self.directed = self.guide.direct(self.observation)
+            self.directed = self.guide.direct()
             self.world.tell(self.guide.macro_actions())
         self.decision = self.policy.act(
             self.directed,

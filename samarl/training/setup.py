@@ -12,6 +12,7 @@ from torch.nn.functional import pad
 from mrsan import ConfigurationError, Scenario
 from samarl.agents import build_agent
 from samarl.agents.agent import Agent
+from samarl.agents.planners.right_of_way import RightOfWay
 from samarl.algorithms import ALGORITHMS
 from samarl.algorithms.algorithm import Algorithm
 from samarl.configuration import load_method_config
@@ -23,7 +24,6 @@ from samarl.policies.policy import Policy
 from samarl.training.collector import RolloutCollector
 from samarl.training.config import TrainerConfig
 from samarl.training.curriculum import CurriculumStage
-from samarl.training.guide import build_guide
 
 CASES_PER_SEED = 2**20  # training cases; each world uses two, one of them for `WarmStartCrowd`
 
@@ -108,9 +108,26 @@ def build_teacher(name: str | None, scenario: Scenario) -> Agent | None:
     Raises:
         ConfigurationError: there is no such agent, or it cannot drive the robots of the scenario.
     """
+    return _build_agent(name, "algorithm.teacher", scenario)
+
+
+def build_guide(name: str | None, scenario: Scenario) -> RightOfWay | None:
+    """Return the agent of `CurriculumStage.guide`; None without a name.
+
+    Raises:
+        ConfigurationError: there is no such agent, or it does not direct drivers.
+    """
+    field = "curriculum.stages.guide"
+    guide = _build_agent(name, field, scenario)
+    if guide is None or isinstance(guide, RightOfWay):
+        return guide
+    raise ConfigurationError(f"{field} is {name!r}; it must be right_of_way")
+
+
+def _build_agent(name: str | None, field: str, scenario: Scenario) -> Agent | None:
     if name is None:
         return None
-    return build_agent(load_method_config(name, "algorithm.teacher"), scenario)
+    return build_agent(load_method_config(name, field), scenario)
 
 
 def build_collectors(

@@ -14,7 +14,7 @@ from samarl.agents.learned import DeployedPolicy
 from samarl.evaluation.runner import run_cases
 from samarl.policies.policy import Policy
 from samarl.training.curriculum import CurriculumStage
-from samarl.training.guide import build_guide
+from samarl.training.setup import build_guide
 
 
 def validate(

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 import torch
 
-from mrsan import ConfigurationError, CrowdReaction, Layout, Place, Scenario, Split, World
+from mrsan import ConfigurationError, Layout, Observation, Split, World
 from mrsan.features import GOAL
 from mrsan.passages import find_passages
-from samarl import load_agent
-from samarl.agents.agent import act_and_tell
+from samarl import load_agent, load_scenario
+from samarl.agents.agent import Agent, act_and_tell
 from samarl.agents.planners.right_of_way import RightOfWay
 from samarl.macro_level.decisions import Collector, Decisions
 from samarl.macro_level.learner import Learner, advantages
@@ -20,15 +20,14 @@ from samarl.macro_level.settings import MacroRewards, MacroTraining
 from samarl.observations.features import to_world
 from samarl.planning.passage_features import MATE, OWN, TRUTH
 from samarl.planning.right_of_way import ENTER, QUEUE
+from samarl.policies.card import find_policy
+from samarl.policies.checkpoint import load_policy
+from samarl.training.collector import RolloutCollector
+from samarl.training.curriculum import CurriculumStage
+from samarl.training.setup import build_guide
+from samarl.training.state import flatten_state, unflatten_state
 
-NARROW = Scenario(
-    layout=Layout.doorway,
-    robots=4,
-    humans=4,
-    crowd_reaction=CrowdReaction.reciprocal,
-    place=Place(door_width_min=1.0, door_width_max=1.3),
-    team_messages=True,
-)
+NARROW = load_scenario("narrow_doorway", team_messages=True)
 REWARDS = MacroRewards(success=2.0, arrival=0.1, collision=-1.0, progress=0.02, time=-0.005)
 WORLDS = 8
 
@@ -58,6 +57,15 @@ def planner(**changes: object) -> RightOfWay:
     agent = load_agent("right_of_way", NARROW, **changes)
     assert isinstance(agent, RightOfWay)
     return agent
+
+
+def begin(agent: Agent, cases: np.ndarray | None = None) -> tuple[World, Observation]:
+    """Return worlds in which episodes of validation cases begin, and what robots observe."""
+    if cases is None:
+        cases = Split.validation.case(0) + np.arange(WORLDS)
+    world = World(agent.scenario, len(cases))
+    agent.reset(np.ones(len(cases), np.bool_))
+    return world, world.reset(cases)
 
 
 def all_enter(own: np.ndarray, mates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -106,9 +114,7 @@ def test_decisions_earn_the_rewards_of_their_duration(monkeypatch: pytest.Monkey
 def test_features_are_those_of_the_door() -> None:
     """Distances to the mouth are the true ones, and beliefs are the truth where nothing is lost."""
     agent = planner()
-    world = World(NARROW, WORLDS)
-    observation = world.reset(Split.validation.case(0) + np.arange(WORLDS))
-    agent.reset(np.ones(WORLDS, np.bool_))
+    world, observation = begin(agent)
     seen = 0
     for _ in range(30):
         agent.perceive(observation)
@@ -127,7 +133,7 @@ def test_features_are_those_of_the_door() -> None:
             np.testing.assert_allclose(beliefs, truth[e, i][knows][:, positions], atol=2e-3)
             seen += int(knows.sum())
         agent.choose(np.nonzero(agent.due), np.full(int(agent.due.sum()), QUEUE))
-        action = agent.drive(observation)
+        action = agent.drive()
         world.tell(agent.macro_actions())
         observation = world.step(action).observation
     assert seen > 50
@@ -160,9 +166,7 @@ def test_a_network_drives_and_what_it_must_not_know_has_no_effect(tmp_path: Path
     path = tmp_path / "best.safetensors"
     save_macro_level(path, network, {})
     agent = planner(macro_level=str(tmp_path))
-    world = World(NARROW, WORLDS)
-    observation = world.reset(Split.validation.case(0) + np.arange(WORLDS))
-    agent.reset(np.ones(WORLDS, np.bool_))
+    world, observation = begin(agent)
     for _ in range(12):
         observation = world.step(agent.act(observation)).observation
     assert set(np.unique(agent.memory.choice)) <= {-1, QUEUE, ENTER}
@@ -173,13 +177,11 @@ def test_a_network_drives_and_what_it_must_not_know_has_no_effect(tmp_path: Path
 
 def test_a_driver_is_sent_to_its_goal_or_its_place() -> None:
     agent = planner(driver="samarl_places")
-    world = World(NARROW, WORLDS)
-    observation = world.reset(Split.validation.case(0) + np.arange(WORLDS))
-    agent.reset(np.ones(WORLDS, np.bool_))
+    world, observation = begin(agent)
     waited = 0
     for _ in range(30):
         agent.perceive(observation)
-        directed = agent.direct(observation)
+        directed = agent.direct()
         assert "messages" not in directed.entities
         memory, waits = agent.memory, agent.waits
         target = np.where(waits[..., None], memory.place, memory.goal)
@@ -190,14 +192,35 @@ def test_a_driver_is_sent_to_its_goal_or_its_place() -> None:
     assert waited > 0
 
 
+def test_guided_rollouts_resume_bit_for_bit() -> None:
+    """What a guide believes is part of the state of a collector, also after restarts."""
+    scenario = replace(NARROW, nearest_walls=12)
+    stage = CurriculumStage(
+        6, scenario=scenario, guide="right_of_way", failure_restart_probability=0.8
+    )
+    policy, _ = load_policy(find_policy("samarl_places"))
+    first, second = (
+        RolloutCollector(stage, policy, 16, 0, guide=build_guide(stage.guide, scenario))
+        for _ in range(2)
+    )
+    for _ in range(3):
+        first.collect()
+    saved = flatten_state(first.state_dict())
+    second.load_state_dict(unflatten_state(first.state_dict(), saved, {}))
+    steps = []
+    for collector in (first, second):
+        torch.manual_seed(0)
+        steps.append(collector.collect().steps)
+    for key in steps[0].keys(True, True):
+        assert torch.equal(steps[0][key], steps[1][key]), key
+
+
 def test_robots_face_to_face_give_way() -> None:
     """In these corners robots stood face to face until the time limit."""
     scenario = replace(NARROW, layout=Layout.corner, robots=3)
     agent = load_agent("right_of_way", scenario)
     cases = Split.validation.case(0) + np.array([9, 36, 39])
-    world = World(scenario, len(cases))
-    observation = world.reset(cases)
-    agent.reset(np.ones(len(cases), np.bool_))
+    world, observation = begin(agent, cases)
     while not world.state.done.all():
         observation = world.step(act_and_tell(agent, observation, world)).observation
     assert world.state.arrived.all(1).sum() >= 2

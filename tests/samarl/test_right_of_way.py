@@ -5,22 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mrsan import CrowdReaction, Layout, Place, Scenario, Split, World
+from mrsan import Split, World
 from mrsan.passages import find_passages
-from samarl import load_agent
+from samarl import load_agent, load_scenario
 from samarl.agents.agent import act_and_tell
 from samarl.evaluation.trajectory import record_episode
 from samarl.policies.explanation import ACTIVITIES
 from samarl.report.replays import as_replay
 
-NARROW = Scenario(
-    layout=Layout.doorway,
-    robots=4,
-    humans=4,
-    crowd_reaction=CrowdReaction.reciprocal,
-    place=Place(door_width_min=1.0, door_width_max=1.3),
-    team_messages=True,
-)
+NARROW = load_scenario("narrow_doorway", team_messages=True)
 CASES = 16
 
 

@@ -34,14 +34,14 @@ class Mouths(NamedTuple):
 
 
 @function
-def ahead(mouths, k, x, y):
+def ahead_of(mouths, k, x, y):
     """Return how far (x, y) is before mouth `k`, m; negative inside."""
     dx, dy = x - mouths.position[k, 0], y - mouths.position[k, 1]
     return dx * mouths.outward[k, 0] + dy * mouths.outward[k, 1]
 
 
 @function
-def aside(mouths, k, x, y):
+def aside_of(mouths, k, x, y):
     """Return how far (x, y) is beside the axis of mouth `k`, m."""
     dx, dy = x - mouths.position[k, 0], y - mouths.position[k, 1]
     return abs(dy * mouths.outward[k, 0] - dx * mouths.outward[k, 1])
@@ -53,14 +53,23 @@ def crossing(mouths, k, ax, ay, bx, by):
 
     Returns the share, above 1 if it does not, and whether it leads outwards.
     """
-    before, after = ahead(mouths, k, ax, ay), ahead(mouths, k, bx, by)
+    before, after = ahead_of(mouths, k, ax, ay), ahead_of(mouths, k, bx, by)
     if before * after > 0.0 or before == after:
         return 2.0, False
     share = before / (before - after)
     x, y = ax + share * (bx - ax), ay + share * (by - ay)
-    if aside(mouths, k, x, y) > 0.5 * mouths.width[k]:
+    if aside_of(mouths, k, x, y) > 0.5 * mouths.width[k]:
         return 2.0, False
     return share, after > before
+
+
+@function
+def distance_from_way(x, y, ax, ay, bx, by):
+    """Return the distance of (x, y) from the way from a to b, m."""
+    dx, dy = bx - ax, by - ay
+    share = ((x - ax) * dx + (y - ay) * dy) / max(dx * dx + dy * dy, 1e-9)
+    share = min(max(share, 0.0), 1.0)
+    return math.hypot(x - ax - share * dx, y - ay - share * dy)
 
 
 @kernel
@@ -217,9 +226,6 @@ def _distance_from_passage(e, mouths, passage, x, y):
     for s in range(mouths.first_way[e], mouths.first_way[e + 1]):
         if mouths.way_passage[s] != passage:
             continue
-        ax, ay = mouths.way[s, 0, 0], mouths.way[s, 0, 1]
-        dx, dy = mouths.way[s, 1, 0] - ax, mouths.way[s, 1, 1] - ay
-        share = ((x - ax) * dx + (y - ay) * dy) / max(dx * dx + dy * dy, 1e-9)
-        share = min(max(share, 0.0), 1.0)
-        least = min(least, math.hypot(x - ax - share * dx, y - ay - share * dy))
+        start, end = mouths.way[s, 0], mouths.way[s, 1]
+        least = min(least, distance_from_way(x, y, start[0], start[1], end[0], end[1]))
     return least

@@ -21,9 +21,10 @@ from samarl.agents.agent import Agent
 from samarl.agents.learned import DeployedPolicy
 from samarl.macro_level.network import load_macro_level
 from samarl.observations.features import to_body
-from samarl.planning.passage_driving import direct, drive, perceive
+from samarl.planning.passage_driving import direct, drive
 from samarl.planning.passage_features import MATE, OWN, TRUTH, write_features
 from samarl.planning.right_of_way import BY_RULE, ENTER, QUEUE, Memory, Mouths, Settings
+from samarl.planning.team_beliefs import perceive
 from samarl.policies.card import find_policy
 from samarl.policies.checkpoint import load_policy
 from samarl.policies.explanation import Explanation
@@ -114,8 +115,8 @@ class RightOfWay(Agent):
                 choice = np.where(self._random.random(len(enters)) < enters, ENTER, QUEUE)
             self.choose(due, choice)
         if self._driver is not None:
-            return self._driver.act(self.direct(observation))
-        return self.drive(observation)
+            return self._driver.act(self.direct())
+        return self.drive()
 
     def perceive(self, observation: Observation) -> None:
         """Update beliefs, passages, and whose choice is due."""
@@ -141,7 +142,7 @@ class RightOfWay(Agent):
             messages,
             received,
             priority,
-            *self._map,
+            self._map,
             *self._mouths,
             self._memory,
             self.central,
@@ -175,9 +176,9 @@ class RightOfWay(Agent):
         """Let robots (world and number [B]) queue or enter: `QUEUE` or `ENTER` [B]."""
         self._memory.choice[robots] = choice
 
-    def drive(self, observation: Observation) -> NDArray[np.float32]:
+    def drive(self) -> NDArray[np.float32]:
         """Return the actions after `perceive` and `choose`."""
-        ego, humans, humans_visible, _, _ = observation.agents
+        ego, humans, humans_visible, _, _ = self._observation.agents
         action = np.zeros((*ego.shape[:2], self.scenario.action_size), np.float32)
         settings = Settings(
             self.central,
@@ -192,7 +193,7 @@ class RightOfWay(Agent):
             ego,
             humans,
             humans_visible,
-            *self._map,
+            self._map,
             *self._mouths,
             self._memory,
             settings,
@@ -201,17 +202,18 @@ class RightOfWay(Agent):
         )
         return action
 
-    def direct(self, observation: Observation) -> Observation:
+    def direct(self) -> Observation:
         """Return the observation of a driver that is sent to its goal or to a queue place.
 
         Call it after `perceive` and `choose`. The target takes the place of the goal, and the way
         there that of the route; messages are left out.
         """
+        observation = self._observation
         target = np.zeros((*observation.ego.shape[:2], 2))
         following = target.copy()
         direct(
             len(target),
-            *self._map,
+            self._map,
             *self._mouths,
             self._memory,
             self.central,
@@ -219,7 +221,6 @@ class RightOfWay(Agent):
             target,
             following,
         )
-        self.target = target
         ego = observation.ego.copy()
         ego[..., GOAL] = to_body(target.astype(np.float32), observation.ego)
         route = to_body(following.astype(np.float32), observation.ego)
