@@ -19,7 +19,7 @@ from samarl.macro_level.network import NetworkConfig, PassageNetwork, save_macro
 from samarl.macro_level.settings import MacroRewards, MacroTraining
 from samarl.observations.features import to_world
 from samarl.planning.passage_features import MATE, OWN, TRUTH
-from samarl.planning.right_of_way import ENTER, QUEUE
+from samarl.planning.right_of_way import BY_RULE, ENTER, QUEUE
 from samarl.policies.card import find_policy
 from samarl.policies.checkpoint import load_policy
 from samarl.training.collector import RolloutCollector
@@ -173,6 +173,19 @@ def test_a_network_drives_and_what_it_must_not_know_has_no_effect(tmp_path: Path
     assert (agent.memory.choice >= 0).any()
     with pytest.raises(ConfigurationError, match=r"agent\.macro_level"):
         planner(macro_level="samarl")
+
+
+def test_a_choice_ends_with_its_episode() -> None:
+    """What a robot chose before is among its features, but not what it chose in another episode."""
+    agent = planner()
+    world, observation = begin(agent)
+    agent.perceive(observation)
+    agent.choose(np.nonzero(np.ones((WORLDS, 4))), np.full(4 * WORLDS, ENTER))
+    ended = np.arange(WORLDS) < 3
+    agent.reset(ended)
+    agent.perceive(world.reset(worlds=ended))
+    assert (agent.memory.choice[ended] == BY_RULE).all()
+    assert (agent.memory.choice[~ended] == ENTER).all()
 
 
 def test_a_driver_is_sent_to_its_goal_or_its_place() -> None:

@@ -273,6 +273,7 @@ class RightOfWay(Agent):
             memory.is_new[e], memory.queued[e], memory.stuck[e] = True, -1, 0
             memory.known[e], memory.macro_action[e] = False, 0
             memory.event[e], memory.age[e], memory.yields[e] = -1, 0, 0
+            memory.choice[e] = BY_RULE
         self._is_init[:] = False
         self._mouths = _mouths_of([passages for passages in self._passages if passages is not None])
 
