@@ -28,7 +28,8 @@ class Algorithm(nn.Module, ABC):
     reward_shaping = RewardShaping()  # of its next rollouts
     uses_global_state = False  # rollouts must hold the global state
     uses_shield_targets = False  # rollouts must hold the actions of the safety shield
-    teacher: str | None = None  # name of the agent whose actions rollouts must hold, if any
+    imitates = False  # rollouts must hold the actions of the teachers, where there are any
+    teacher: str | None = None  # agent that is the teacher of stages which name none
     supports_data_parallel = False  # gradients can be averaged over processes
 
     def __init__(self, policy: Policy, config: AlgorithmConfig) -> None:

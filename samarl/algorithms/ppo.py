@@ -55,6 +55,7 @@ LOCAL_KEYS = (
     "unsafe",
     "safe_action",
     "teacher_action",
+    "taught",
 )
 """What the local level's losses read of a rollout, as far as it is there."""
 
@@ -152,7 +153,7 @@ class PPO(Algorithm):
         )
         self.losses = {level: self._make_loss(level) for level in policy.levels}
         self.uses_shield_targets = config.shield_coefficient > 0.0
-        self.teacher = config.teacher
+        self.teacher, self.imitates = config.teacher, config.teacher_coefficient > 0.0
         self.teacher_weight = config.teacher_coefficient
         self.to(policy.device)
         self.optimiser = torch.optim.Adam(
@@ -207,7 +208,7 @@ class PPO(Algorithm):
         path_penalty = c.path_penalty * (1.0 - progress)
         self.reward_shaping = replace(self.reward_shaping, path_penalty=path_penalty)
         self.teacher_weight = c.teacher_coefficient * max(1.0 - progress / c.teacher_end, 0.0)
-        self.teacher = c.teacher if self.teacher_weight > 0.0 else None
+        self.imitates = self.teacher_weight > 0.0
         largest = c.std_start + (c.std_end - c.std_start) * progress
         least = {LOCAL: 0.0, MACRO: c.macro_std * min(progress / MACRO_STD_WARMUP, 1.0)}
         for level in self.policy.levels:
@@ -447,10 +448,12 @@ class PPO(Algorithm):
             total = total + c.shield_coefficient * wrong
             statistics["losses/unsafe"].append(float(unsafe.float().mean()))
             statistics["losses/shield_error"].append(float(wrong.detach()))
-        if self.teacher is not None:
-            error = (mean - decisions["teacher_action"]).square().sum(-1).mean()
-            total = total + self.teacher_weight * error
-            statistics["losses/teacher_error"].append(float(error.detach()))
+        if self.imitates and "taught" in decisions.keys() and decisions["taught"].any():
+            taught = decisions[decisions["taught"]]
+            error = (mean[decisions["taught"]] - taught["teacher_action"]).square().sum(-1)
+            share = len(taught) / len(decisions)
+            total = total + self.teacher_weight * share * error.mean()
+            statistics["losses/teacher_error"].append(float(error.mean().detach()))
         return total
 
     def _value_loss(self, data: TrainingData, statistics: Statistics) -> Tensor:

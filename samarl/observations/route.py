@@ -33,6 +33,7 @@ def heading_for_route(tracks: Observation) -> NDArray[np.float32]:
 def route(
     tracks: Observation,
     fov_degrees: float,
+    has_walls: bool,
     perimeter_below_fov: float,
     round_radius: float,
 ) -> NDArray[np.float32]:
@@ -41,7 +42,7 @@ def route(
     To the next corner or the goal; or, without walls and with a view narrower than
     `perimeter_below_fov`, counter-clockwise round the crowd, on a circle of `round_radius` metres.
     """
-    if fov_degrees < perimeter_below_fov and "route" not in tracks.sensors:
+    if fov_degrees < perimeter_below_fov and not has_walls:
         return perimeter_route(tracks.ego, round_radius, LOOKAHEAD, ENTRY_ANGLE)
     return next_point(tracks)
 

@@ -246,7 +246,7 @@ class Policy(nn.Module, ABC):
                 f"scenario.robots is {scenario.robots}; it must be {sets}, as "
                 "policy.num_parameter_sets: each robot has its own parameters"
             )
-        available = FeatureSizes.of(frames_of(self._as_trained(empty_tracks(scenario)), scenario))
+        available = FeatureSizes.of(frames_of(self.as_trained(empty_tracks(scenario)), scenario))
         for kind in ("entities", "sensors"):
             for name, size in getattr(self.sizes, kind).items():
                 if getattr(available, kind).get(name) != size:
@@ -283,11 +283,11 @@ class Policy(nn.Module, ABC):
 
     def extract_features(self, tracks: Observation, scenario: Scenario) -> Frames:
         """Return the features [B, 1, ...] of the groups and sensors that this policy observes."""
-        tracks = self._as_trained(tracks)
+        tracks = self.as_trained(tracks)
         frames = self.sizes.select(frames_of(tracks, scenario, self.config.observe_map_position))
         return frames.apply(lambda tensor: tensor.to(self.device, non_blocking=True))
 
-    def _as_trained(self, tracks: Observation) -> Observation:
+    def as_trained(self, tracks: Observation) -> Observation:
         """Return the tracks with the parts that this policy was trained with.
 
         A policy that was trained without walls takes the next corner of its route for its goal. One
@@ -328,4 +328,5 @@ class Policy(nn.Module, ABC):
     def route(self, tracks: Observation, scenario: Scenario) -> NDArray[np.float32]:
         """Return where the route of each robot leads next, [E, N, 2]; see `next_on_route`."""
         c = self.config
-        return next_on_route(tracks, scenario.fov_degrees, c.perimeter_below_fov, c.round_radius)
+        fov, has_walls = scenario.fov_degrees, scenario.has_walls
+        return next_on_route(tracks, fov, has_walls, c.perimeter_below_fov, c.round_radius)

@@ -150,14 +150,17 @@ class StochasticPolicy(Policy):
         def per_row(values: NDArray[Any]) -> Tensor:
             return torch.from_numpy(np.ascontiguousarray(values)).flatten(0, 1).to(device)
 
+        route = self.route(observation, scenario)
         tracks = self._track(observation, state, is_init, scenario)
+        if self.observes_route:
+            tracks = tracks._replace(sensors={**tracks.sensors, "route": route})
         policy_state = {name: value for name, value in state.items() if name != "tracks"}
         noise = None
         if correlation is not None:
             noise = self.draw_noise(shape[0] * shape[1], correlation)
         inputs = (
             per_row(observation.ego),
-            per_row(self.route(observation, scenario)),
+            per_row(route),
             per_row(np.repeat(is_init[:, None], shape[1], 1)),
             policy_state,
         )

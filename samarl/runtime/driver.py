@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrsan import EGO_FEATURES, ConfigurationError, Entities, Observation
+from mrsan.features import GOAL
 from mrsan.parameters import kernel_parameters
 from mrsan.se2 import unrotate
 from samarl.observations.route import heading_for_route, next_point, route
@@ -239,7 +240,8 @@ class Driver:
         target = next_point(tracks)
         if self._network.needs_route:
             below, radius = policy["perimeter_below_fov"], policy["round_radius"]
-            target = route(tracks, self.scenario.fov_degrees, below, radius)
+            fov = self.scenario.fov_degrees
+            target = route(tracks, fov, _is_among_walls(tracks), below, radius)
         if not self.description.observes_route:
             tracks = tracks._replace(ego=heading_for_route(tracks))
         if not self._network.looks_ahead:
@@ -268,3 +270,11 @@ class Driver:
             reason is not None,
             reason,
         )
+
+
+def _is_among_walls(tracks: Observation) -> bool:
+    """Return whether the robot sees a wall, or its route has a corner before the goal."""
+    walls = tracks.entities.get("walls")
+    if walls is not None and walls.mask.any():
+        return True
+    return bool((next_point(tracks) != tracks.ego[..., GOAL]).any())

@@ -12,11 +12,13 @@ from torch import Tensor
 from torch.utils._pytree import tree_leaves, tree_map
 
 from mrsan import ActionError, Episodes, Observation, Split, World
+from mrsan.features import GOAL
 from mrsan.metrics import episodes_of
 from samarl.agents.agent import Agent, checked_act
 from samarl.agents.planners.right_of_way import RightOfWay
-from samarl.observations.features import speed_of, state_features, true_state
+from samarl.observations.features import speed_of, state_features, state_sizes, true_state
 from samarl.observations.frames import Frames, concatenate, slice_time
+from samarl.observations.route import next_point
 from samarl.observations.tracker import Tracker
 from samarl.planning.shield import Shield, apply_shield
 from samarl.policies.policy import LOCAL, Decision, Policy, PolicyState
@@ -58,16 +60,17 @@ class RolloutCollector:
             first: the first case number within the training split; 2 E of them are used.
             uses_global_state: store the global state too, for central critics.
             uses_shield_targets: store the actions of the safety shield too.
-            teacher: store the actions of this agent too.
+            teacher: store its actions too, in `stage.teacher_share` of the worlds.
             guide: sends robots to their targets; None: to their goals.
         """
         self.stage, self.policy, self.steps = stage, policy, steps
-        self.shaping = RewardShaping()
+        self.shaping, self.imitates = RewardShaping(), teacher is not None
         self.uses_global_state = uses_global_state
         self.shield = Shield() if uses_shield_targets else None
         self.teacher = teacher
+        self.taught = np.arange(stage.worlds) < max(round(stage.teacher_share * stage.worlds), 1)
         if teacher is not None:
-            teacher.reset(np.ones(stage.worlds, np.bool_))
+            teacher.reset(self.taught[self.taught])
         self.guide = guide
         if guide is not None:
             guide.reset(np.ones(stage.worlds, np.bool_))
@@ -95,7 +98,7 @@ class RolloutCollector:
         )
         self.begins = torch.ones(self.frames.ego.shape[:2], dtype=torch.bool, device=policy.device)
         self.decision: Decision  # for the next step
-        # For the next step, if there is a teacher:
+        # For the next step, 0 where no teacher says what it would do:
         self.teacher_action = torch.zeros(worlds, scenario.robots, scenario.action_size)
         self.encoder_before: Any = None  # state of the encoders before it
         for _ in range(RESTART_STEPS if self._restarts else 0):
@@ -114,7 +117,7 @@ class RolloutCollector:
             shaping: of the rewards; None: none.
             imitates: store the teacher's actions. Once it is False, the teacher does not act again.
         """
-        self.shaping = shaping or RewardShaping()
+        self.shaping, self.imitates = shaping or RewardShaping(), imitates
         if not imitates:
             self.teacher = None
         policy, world, t, h = self.policy, self.world, self.steps, self.policy.history
@@ -173,8 +176,9 @@ class RolloutCollector:
             self.active,
         )
         if self.teacher is not None:
-            action = checked_act(self.teacher, self.observation, self.stage.scenario, "teacher")
-            self.teacher_action = torch.from_numpy(action)
+            observation = self.observation.of_worlds(self.taught)
+            action = checked_act(self.teacher, observation, self.stage.scenario, "teacher")
+            self.teacher_action[self.taught] = torch.from_numpy(action)
         column = self.past + step
         for buffer, tensor in zip(
             tree_leaves(self.frames), tree_leaves(self.decision.features), strict=True
@@ -188,7 +192,14 @@ class RolloutCollector:
         if not self.uses_global_state:
             return None
         waypoints = self.policy.team_waypoints(self.state, self.observation.ego)
-        return true_state(self.world, waypoints)
+        state = true_state(self.world, waypoints)
+        if self.guide is None:
+            return state
+        ego = state.ego.copy()
+        ego[..., GOAL] = self.directed.ego[..., GOAL]
+        return state._replace(
+            ego=ego, sensors={**state.sensors, "route": next_point(self.directed)}
+        )
 
     def _decision_column(self) -> dict[Any, Tensor]:
         """Return what was decided for the next step, by the keys of `Rollout.steps`."""
@@ -211,8 +222,10 @@ class RolloutCollector:
             safe = torch.from_numpy(apply_shield(tracks, mean.numpy(), scenario, self.shield))
             column["agents", "safe_action"] = safe
             column["agents", "unsafe"] = ((safe - mean).abs().amax(-1) > UNSAFE) & active
-        if self.teacher is not None:
-            column["agents", "teacher_action"] = self.teacher_action
+        if self.imitates:
+            taught = self.active & self.taught[:, None] & (self.teacher is not None)
+            column["agents", "taught"] = torch.from_numpy(taught)
+            column["agents", "teacher_action"] = self.teacher_action.clone()
         for name, level in decision.levels.items():
             key = level_key(name)
             column[(*key, "action")] = level.action
@@ -276,7 +289,7 @@ class RolloutCollector:
         back = np.zeros(e, np.int64)
         self.is_init = ended.copy()
         if self.teacher is not None:
-            self.teacher.reset(ended)
+            self.teacher.reset(ended[self.taught])
         if not ended.any():
             if self.crowd is not None:
                 self.crowd.step()
@@ -393,7 +406,8 @@ class RolloutCollector:
     def _state_frames(self, states: list[Observation]) -> Frames:
         """Return the features of T + 1 true states, [B, T + 1, ...]."""
         together = tree_map(lambda *arrays: np.concatenate(arrays), *states)  # [(T + 1) E, ...]
-        frames = state_features(together, self.stage.scenario)
+        frames = state_features(self.policy.as_trained(together), self.stage.scenario)
+        frames = state_sizes(self.policy.sizes, self.policy.waypoint_size).select(frames)
         shape = len(states), len(frames.ego) // len(states)
         return frames.apply(lambda x: x.view(*shape, *x.shape[2:]).transpose(0, 1).contiguous())
 

@@ -28,6 +28,13 @@ class TrainerConfig:
     ema_decay: float = required(
         0.0, 0.9999, help="decay of the moving average of the weights, per update"
     )
+    least_participation: float = number(
+        1.0,
+        0.0,
+        1.0,
+        above=True,
+        help="least share of the rounds in which a stage takes part; with success p it is 4 p (1 - p)",
+    )
     processes: int = number(1, 1, 256, help="processes that train together on this machine")
     device: str = setting("cpu", help="device of the networks; the simulation runs on the CPU")
     wandb: str | None = setting(None, help="project that also receives the TensorBoard curves")

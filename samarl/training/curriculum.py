@@ -37,12 +37,16 @@ class CurriculumStage:
     guide: str | None = setting(
         None, help="agent like right_of_way that sends robots to goals and queue places"
     )
+    teacher: str | None = setting(
+        None, help="agent whose actions are imitated at first; null: algorithm.teacher"
+    )
+    teacher_share: float = number(
+        1.0, 0.0, 1.0, above=True, help="share of the worlds in which the teacher says its action"
+    )
 
     @property
     def driver_scenario(self) -> Scenario:
-        """The scenario as the policy observes it: a guide keeps the messages for itself."""
-        if self.guide is None:
-            return self.scenario
+        """The scenario as the policy observes it: messages are for guides and teachers."""
         return replace(self.scenario, team_messages=False)
 
     def is_active(self, progress: float) -> bool:

@@ -42,6 +42,7 @@ class Curriculum:
     """Schema of `conf/curriculum/`."""
 
     stages: list[StageConfig] = field(default_factory=list)
+    guide: str | None = None  # of the stages that refer to it
 
 
 @dataclass

@@ -108,7 +108,7 @@ def build_teacher(name: str | None, scenario: Scenario) -> Agent | None:
     Raises:
         ConfigurationError: there is no such agent, or it cannot drive the robots of the scenario.
     """
-    return _build_agent(name, "algorithm.teacher", scenario)
+    return _build_agent(name, "teacher", scenario)
 
 
 def build_guide(name: str | None, scenario: Scenario) -> RightOfWay | None:
@@ -159,7 +159,7 @@ def build_collectors(
                 first_case + 2 * process_stage.worlds * rank(),
                 algorithm.uses_global_state,
                 algorithm.uses_shield_targets,
-                build_teacher(algorithm.teacher, stage.scenario),
+                build_teacher(stage.teacher or algorithm.teacher, stage.scenario),
                 build_guide(stage.guide, stage.scenario),
             )
         )

@@ -138,22 +138,22 @@ class Trainer:
         start_time = time.perf_counter()
         rollouts = self.collect()
         collected_time = time.perf_counter()
-        statistics = self.algorithm.update(rollouts)
+        statistics = self.algorithm.update(list(rollouts.values()))
         self.averaged.update_parameters(self.policy)
         row = self.progress.add_round(rollouts, statistics, start_time, collected_time)
         self.algorithm.set_progress(min(self.steps_done / self.config.steps, 1.0))
         return row
 
-    def collect(self) -> list[Rollout]:
-        """Return a rollout of every active stage."""
-        shaping, imitates = self.algorithm.reward_shaping, self.algorithm.teacher is not None
+    def collect(self) -> dict[int, Rollout]:
+        """Return the rollouts of the stages that take part in this round, by their numbers."""
         progress = self.steps_done / self.config.steps
-        pairs = zip(self.stages, self.collectors, strict=True)
-        return [
-            collector.collect(shaping, imitates)
-            for stage, collector in pairs
-            if stage.is_active(progress)
-        ]
+        active = [i for i, stage in enumerate(self.stages) if stage.is_active(progress)]
+        shaping, imitates = self.algorithm.reward_shaping, self.algorithm.imitates
+        imitates &= any(collector.teacher is not None for collector in self.collectors)
+        return {
+            stage: self.collectors[stage].collect(shaping, imitates)
+            for stage in self.progress.next_stages(active, self.config.least_participation)
+        }
 
     @property
     def steps_done(self) -> int:
