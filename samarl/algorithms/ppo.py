@@ -448,7 +448,7 @@ class PPO(Algorithm):
             total = total + c.shield_coefficient * wrong
             statistics["losses/unsafe"].append(float(unsafe.float().mean()))
             statistics["losses/shield_error"].append(float(wrong.detach()))
-        if self.imitates and "taught" in decisions.keys() and decisions["taught"].any():
+        if self.imitates and "taught" in decisions and decisions["taught"].any():
             taught = decisions[decisions["taught"]]
             error = (mean[decisions["taught"]] - taught["teacher_action"]).square().sum(-1)
             share = len(taught) / len(decisions)

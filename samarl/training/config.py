@@ -33,7 +33,7 @@ class TrainerConfig:
         0.0,
         1.0,
         above=True,
-        help="least share of the rounds in which a stage takes part; with success p it is 4 p (1 - p)",
+        help="least share of the rounds in which a stage takes part, see conf/trainer",
     )
     processes: int = number(1, 1, 256, help="processes that train together on this machine")
     device: str = setting("cpu", help="device of the networks; the simulation runs on the CPU")

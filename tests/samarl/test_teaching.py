@@ -111,6 +111,37 @@ def test_the_teacher_acts_on_what_the_policy_observes() -> None:
     np.testing.assert_array_equal(steps["agents", "teacher_action"][:, 0], expected)
 
 
+def test_a_teacher_says_its_action_in_a_share_of_the_worlds() -> None:
+    policy, scenario = learning.policy("flat"), learning.crowded()
+    stage = CurriculumStage(4, scenario=scenario, teacher="orca", teacher_share=0.5)
+    teacher = build_teacher(stage.teacher, scenario)
+    collector = RolloutCollector(stage, policy, 3, 0, teacher=teacher)
+    expected = build_teacher("orca", scenario).act(collector.observation)
+    steps = collector.collect().steps["agents"]
+    np.testing.assert_array_equal(steps["taught"][:, 0, 0], [True, True, False, False])
+    np.testing.assert_array_equal(steps["teacher_action"][:2, 0], expected[:2])
+
+
+def test_what_no_teacher_says_has_no_effect() -> None:
+    """Two stages, one of which has a teacher, are learned from together."""
+    policy, scenario = learning.policy("flat"), learning.crowded()
+    learner = learning.algorithm(policy, teacher_coefficient=30.0)
+    rollouts = [
+        RolloutCollector(
+            CurriculumStage(4, scenario=scenario),
+            policy,
+            16,
+            first,
+            uses_global_state=True,
+            teacher=build_teacher(name, scenario),
+        )
+        for first, name in ((0, "orca"), (8, None))
+    ]
+    data = [collector.collect(imitates=True) for collector in rollouts]
+    data[1].steps["agents", "teacher_action"][:] = 1e3
+    assert learner.update(data)["losses/teacher_error"] < 10.0
+
+
 def test_the_policy_learns_what_the_teacher_would_do() -> None:
     policy, scenario = learning.policy("flat"), learning.crowded()
     learner = learning.algorithm(
