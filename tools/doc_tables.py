@@ -164,8 +164,8 @@ def right_of_way() -> str:
     """Return success and social score of robots that tell each other who goes first."""
     methods = (
         "samarl_places",
-        "right_of_way driver=samarl_places shield=true",
-        "right_of_way driver=samarl_places macro_level=right_of_way_macro shield=true",
+        "samarl_places right_of_way=rule",
+        "samarl_places right_of_way=right_of_way_macro",
         "right_of_way",
         "right_of_way macro_level=right_of_way_macro",
         "right_of_way macro_level=right_of_way_macro_seed1",

@@ -57,7 +57,7 @@ def act_and_tell(agent: Controller, observation: Observation, world: World) -> N
         ActionError: see `checked_act`.
     """
     action = checked_act(agent, observation, world.scenario)
-    if world.scenario.team_messages and isinstance(agent, Agent):
+    if world.scenario.team_messages and hasattr(agent, "macro_actions"):
         macro_actions = agent.macro_actions()
         if macro_actions is not None:
             world.tell(macro_actions)

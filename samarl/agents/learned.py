@@ -15,6 +15,7 @@ from mrsan import ConfigurationError, Kinematics, Observation, Scenario
 from mrsan.fields import setting
 from mrsan.parameters import kernel_parameters
 from samarl.agents.agent import Agent
+from samarl.agents.planners.right_of_way import RightOfWay, right_of_way
 from samarl.planning.velocity_control import retarget_actions
 from samarl.policies.card import find_policy
 from samarl.policies.checkpoint import load_policy
@@ -33,16 +34,23 @@ _SCOPE = {
 }
 
 
+RULE = "rule"  # of `Learned.right_of_way`: the rule of the planner
+
+
 class DeployedPolicy:
     """A policy that drives the robots of E worlds without exploration noise.
 
-    Every robot acts on its own observations only.
+    Every robot acts on its own observations, and on what team-mates tell a guide.
     """
 
     def __init__(
-        self, policy: Policy, scenario: Scenario, waypoints: Waypoints = Waypoints.learned
+        self,
+        policy: Policy,
+        scenario: Scenario,
+        waypoints: Waypoints = Waypoints.learned,
+        guide: RightOfWay | None = None,
     ) -> None:
-        """Deploy `policy` in worlds of `scenario`.
+        """Deploy `policy` in worlds of `scenario`, or sent to its targets by a guide.
 
         Raises:
             ConfigurationError: the policy cannot drive these robots, or has no macro level
@@ -57,7 +65,9 @@ class DeployedPolicy:
                 f"agent.waypoints is {waypoints.name}; it must be learned for a policy without a "
                 "macro level"
             )
-        self.policy, self.scenario = policy, scenario
+        if guide is not None:
+            scenario = replace(scenario, team_messages=False)  # they are for the guide
+        self.policy, self.scenario, self.guide = policy, scenario, guide
         self._worlds = -1
         self._initialize(0)
 
@@ -73,6 +83,8 @@ class DeployedPolicy:
         if len(worlds) != self._worlds:
             self._initialize(len(worlds))
         self._is_init |= worlds
+        if self.guide is not None:
+            self.guide.reset(worlds)
 
     def focus(self, robots: NDArray[np.bool_]) -> None:
         """See `Agent.focus`; `explain` needs an `act` without it."""
@@ -82,6 +94,9 @@ class DeployedPolicy:
         """Return the mean action, [E, N, A]."""
         if len(observation.ego) != self._worlds:
             self._initialize(len(observation.ego))
+        if self.guide is not None:
+            self.guide.decide(observation)
+            observation = self.guide.direct()
         decision = self.policy.act(
             observation, self._state, self._is_init, self.scenario, active=self._active
         )
@@ -89,11 +104,21 @@ class DeployedPolicy:
         self._is_init = np.zeros(self._worlds, np.bool_)
         return decision.action
 
+    def macro_actions(self) -> NDArray[np.int32] | None:
+        """See `Agent.macro_actions`."""
+        return None if self.guide is None else self.guide.macro_actions()
+
     def explain(self) -> Explanation | None:
         """Return the explanation of the last action; see `Policy.explain`."""
         if self._decision is None:
             return None
-        return self.policy.explain(self._decision)
+        explanation = self.policy.explain(self._decision)
+        if self.guide is None:
+            return explanation
+        guided, explanation = self.guide.explain(), explanation or Explanation()
+        if explanation.waypoint is None:
+            explanation = explanation._replace(waypoint=guided.waypoint)
+        return explanation._replace(activity=guided.activity)
 
 
 @dataclass
@@ -107,6 +132,11 @@ class Learned(Agent):
     waypoints: Waypoints = setting(Waypoints.learned, help="source of the waypoints")
     track_velocity: bool = setting(
         False, help="let robots of other kinematics track its velocities"
+    )
+    right_of_way: str | None = setting(
+        None,
+        help="who goes first through doors and corridors: rule, or a trained macro level; null: "
+        "nobody decides. Robots must tell each other (scenario.team_messages)",
     )
 
     def __post_init__(self) -> None:
@@ -133,7 +163,11 @@ class Learned(Agent):
                     "agent.track_velocity=true), so that the robots track its velocities"
                 )
             self._policy_scenario = replace(self.scenario, kinematics=Kinematics[min(trained)])
-        self._deployed = DeployedPolicy(self.policy, self._policy_scenario, self.waypoints)
+        guide = None
+        if self.right_of_way is not None and self.scenario.has_walls:
+            macro_level = None if self.right_of_way == RULE else self.right_of_way
+            guide = right_of_way(self.scenario, macro_level)
+        self._deployed = DeployedPolicy(self.policy, self._policy_scenario, self.waypoints, guide)
 
     @property
     def kinematics_mismatch(self) -> bool:
@@ -142,7 +176,9 @@ class Learned(Agent):
 
     def version(self) -> str:
         """Return a digest of the code and of the weights."""
-        return f"{super().version()}.{self.card.sha256[:16]}"
+        version = f"{super().version()}.{self.card.sha256[:16]}"
+        guide = self._deployed.guide
+        return version if guide is None else f"{version}.{guide.version()}"
 
     def scope_warning(self) -> str | None:
         """Return one line about how the scenario differs from those of the training, or None.
@@ -186,8 +222,12 @@ class Learned(Agent):
         source, target = kernel_parameters(self._policy_scenario), kernel_parameters(self.scenario)
         return retarget_actions(observation.ego, action, source, target)
 
+    def macro_actions(self) -> NDArray[np.int32] | None:
+        """See `Agent.macro_actions`."""
+        return self._deployed.macro_actions()
+
     def explain(self) -> Explanation | None:
-        """Return its waypoints and its attention."""
+        """Return its waypoints, its attention, and whose turn it is."""
         return self._deployed.explain()
 
 

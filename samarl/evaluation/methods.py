@@ -29,10 +29,6 @@ _LABELS = {
     "perimeter": "Around the crowd",
     "right_of_way": "Right of way",
     "right_of_way central=true": "Right of way, central (privileged)",
-    "right_of_way driver=samarl_places": "Right of way, learned driver",
-    "right_of_way driver=samarl_places macro_level=right_of_way_macro": (
-        "Right of way, both learned"
-    ),
     "right_of_way macro_level=right_of_way_macro": "Right of way, learned",
     "right_of_way macro_level=right_of_way_macro_seed1": "Right of way, learned, seed 1",
     "right_of_way macro_level=right_of_way_macro_seed2": "Right of way, learned, seed 2",
@@ -50,6 +46,8 @@ _LABELS = {
     "samarl_flat": "One level",
     "samarl_general": "SAMARL-General",
     "samarl_places": "SAMARL-Places",
+    "samarl_places right_of_way=right_of_way_macro": "SAMARL-Places, learned right of way",
+    "samarl_places right_of_way=rule": "SAMARL-Places, right of way",
     "samarl_places_flat": "SAMARL-Places, one level",
     "samarl_planned": "SAMARL-Planned",
     "samarl_ppo": "SAMARL-PPO",

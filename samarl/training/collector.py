@@ -164,7 +164,7 @@ class RolloutCollector:
         if self.guide is not None:
             if self.is_init.any():
                 self.guide.reset(self.is_init)
-            self.guide.perceive(self.observation)
+            self.guide.decide(self.observation)
             self.directed = self.guide.direct()
             self.world.tell(self.guide.macro_actions())
         self.decision = self.policy.act(

@@ -9,7 +9,6 @@ from dataclasses import replace
 import numpy as np
 
 from mrsan import Split, social_score
-from samarl.agents.agent import Controller
 from samarl.agents.learned import DeployedPolicy
 from samarl.evaluation.runner import run_cases
 from samarl.policies.policy import Policy
@@ -43,13 +42,9 @@ def validate(
         name += f"_{scenario.layout.name}" if scenario.has_walls else ""
         if f"validation/success_{name}" in row:
             continue
-        agent: Controller = DeployedPolicy(
-            policy, replace(stage, scenario=scenario).driver_scenario
-        )
+        driver_scenario = replace(stage, scenario=scenario).driver_scenario
         guide = build_guide(stage.guide, scenario)
-        if guide is not None:
-            guide.drive_with(policy)
-            agent = guide
+        agent = DeployedPolicy(policy, driver_scenario, guide=guide)
         episodes = run_cases(agent, scenario, cases, len(cases))
         success_rates.append(float(episodes.success.mean()))
         row[f"validation/success_{name}"] = round(success_rates[-1], 4)

@@ -189,19 +189,21 @@ def test_a_choice_ends_with_its_episode() -> None:
 
 
 def test_a_driver_is_sent_to_its_goal_or_its_place() -> None:
-    agent = planner(driver="samarl_places")
+    agent = load_agent("samarl_places", NARROW, shield=False, right_of_way="rule")
+    guide = planner()
     world, observation = begin(agent)
     waited = 0
     for _ in range(30):
-        agent.perceive(observation)
-        directed = agent.direct()
+        guide.decide(observation)
+        directed = guide.direct()
         assert "messages" not in directed.entities
-        memory, waits = agent.memory, agent.waits
+        memory, waits = guide.memory, guide.waits
         target = np.where(waits[..., None], memory.place, memory.goal)
         shown = to_world(directed.ego[..., GOAL], observation.ego)
         np.testing.assert_allclose(shown, target, atol=1e-4)
         waited += int(waits.sum())
         observation = world.step(act_and_tell(agent, observation, world)).observation
+        np.testing.assert_array_equal(agent.macro_actions(), guide.macro_actions())
     assert waited > 0
 
 

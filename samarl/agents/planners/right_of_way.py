@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from mrsan import Observation
+from mrsan import Observation, Scenario
 from mrsan.features import GOAL
 from mrsan.fields import required
 from mrsan.kernels.routes import CORNER_ROWS
@@ -18,17 +18,15 @@ from mrsan.parameters import kernel_parameters
 from mrsan.passages import Passages, find_passages
 from mrsan.sensors.team import MESSAGE_FEATURES
 from samarl.agents.agent import Agent
-from samarl.agents.learned import DeployedPolicy
+from samarl.agents.build import build_agent
+from samarl.configuration import load_method_config
 from samarl.macro_level.network import load_macro_level
 from samarl.observations.features import to_body
 from samarl.planning.passage_driving import direct, drive
 from samarl.planning.passage_features import MATE, OWN, TRUTH, write_features
 from samarl.planning.right_of_way import BY_RULE, ENTER, QUEUE, Memory, Mouths, Settings
 from samarl.planning.team_beliefs import perceive
-from samarl.policies.card import find_policy
-from samarl.policies.checkpoint import load_policy
 from samarl.policies.explanation import Explanation
-from samarl.policies.policy import Policy
 from samarl.registry import needed
 
 
@@ -59,10 +57,6 @@ class RightOfWay(Agent):
         help="trained macro level that chooses who enters a passage: a file, the folder of its "
         "training, or the name of an included one; null: the rule"
     )
-    driver: str | None = needed(
-        help="trained policy of one level that drives to the goals and places: a file, the folder "
-        "of its training, or the name of an included one; null: rollouts along the path"
-    )
     sampled: bool = needed(help="draw the choices of the macro level instead of the likeliest")
 
     def __post_init__(self) -> None:
@@ -75,15 +69,8 @@ class RightOfWay(Agent):
         self._network, self._random = None, np.random.default_rng(0)
         if self.macro_level is not None:
             self._network = load_macro_level(self.macro_level, "agent.macro_level")
-        self._driver: DeployedPolicy | None = None
-        if self.driver is not None:
-            self.drive_with(load_policy(find_policy(self.driver, "agent.driver"))[0])
         self._passages: list[Passages | None] = []  # of each world
         self._is_init = np.zeros(0, np.bool_)
-
-    def drive_with(self, policy: Policy) -> None:
-        """Let a policy of one level drive; it does not observe the messages."""
-        self._driver = DeployedPolicy(policy, replace(self.scenario, team_messages=False))
 
     def scope_warning(self) -> str | None:
         """Return whether robots do not hear of each other."""
@@ -98,11 +85,14 @@ class RightOfWay(Agent):
             self._passages = [None] * len(worlds)
             self._memory = _empty_memory(len(worlds), self.scenario.robots)
         self._is_init |= worlds
-        if self._driver is not None:
-            self._driver.reset(worlds)
 
     def act(self, observation: Observation) -> NDArray[np.float32]:
-        """Return the actions of the driver, after robots have chosen who goes first."""
+        """Return the actions, after robots have chosen who goes first."""
+        self.decide(observation)
+        return self.drive()
+
+    def decide(self, observation: Observation) -> None:
+        """Choose who goes first, by the rule or the macro level; then call `drive` or `direct`."""
         self.perceive(observation)
         if self._network is not None and self.due.any():
             due = np.nonzero(self.due)
@@ -114,9 +104,6 @@ class RightOfWay(Agent):
                 enters = torch.softmax(logits, -1)[:, ENTER].numpy()
                 choice = np.where(self._random.random(len(enters)) < enters, ENTER, QUEUE)
             self.choose(due, choice)
-        if self._driver is not None:
-            return self._driver.act(self.direct())
-        return self.drive()
 
     def perceive(self, observation: Observation) -> None:
         """Update beliefs, passages, and whose choice is due."""
@@ -177,7 +164,7 @@ class RightOfWay(Agent):
         self._memory.choice[robots] = choice
 
     def drive(self) -> NDArray[np.float32]:
-        """Return the actions after `perceive` and `choose`."""
+        """Return the actions of rollouts along the path, after `decide`."""
         ego, humans, humans_visible, _, _ = self._observation.agents
         action = np.zeros((*ego.shape[:2], self.scenario.action_size), np.float32)
         settings = Settings(
@@ -203,9 +190,9 @@ class RightOfWay(Agent):
         return action
 
     def direct(self) -> Observation:
-        """Return the observation of a driver that is sent to its goal or to a queue place.
+        """Return the observation of a policy that is sent to its goal or to a queue place.
 
-        Call it after `perceive` and `choose`. The target takes the place of the goal, and the way
+        Call it after `decide`. The target takes the place of the goal, and the way
         there that of the route; messages are left out.
         """
         observation = self._observation
@@ -276,6 +263,18 @@ class RightOfWay(Agent):
             memory.choice[e] = BY_RULE
         self._is_init[:] = False
         self._mouths = _mouths_of([passages for passages in self._passages if passages is not None])
+
+
+def right_of_way(scenario: Scenario, macro_level: str | None = None) -> RightOfWay:
+    """Return the agent of `conf/agent/right_of_way.yaml`, as a guide of policies.
+
+    Raises:
+        ConfigurationError: there is no such macro level, or robots cannot be guided.
+    """
+    method = "right_of_way" if macro_level is None else f"right_of_way macro_level={macro_level}"
+    guide = build_agent(load_method_config(method, "right_of_way"), scenario)
+    assert isinstance(guide, RightOfWay)
+    return guide
 
 
 def _empty_memory(e: int, n: int) -> Memory:
