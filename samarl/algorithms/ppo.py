@@ -55,7 +55,7 @@ LOCAL_KEYS = (
     "unsafe",
     "safe_action",
     "teacher_action",
-    "taught",
+    "has_teacher",
 )
 """What the local level's losses read of a rollout, as far as it is there."""
 
@@ -448,11 +448,10 @@ class PPO(Algorithm):
             total = total + c.shield_coefficient * wrong
             statistics["losses/unsafe"].append(float(unsafe.float().mean()))
             statistics["losses/shield_error"].append(float(wrong.detach()))
-        if self.imitates and "taught" in decisions and decisions["taught"].any():
-            taught = decisions[decisions["taught"]]
-            error = (mean[decisions["taught"]] - taught["teacher_action"]).square().sum(-1)
-            share = len(taught) / len(decisions)
-            total = total + self.teacher_weight * share * error.mean()
+        if self.imitates and "has_teacher" in decisions and decisions["has_teacher"].any():
+            has_teacher = decisions["has_teacher"]
+            error = (mean - decisions["teacher_action"])[has_teacher].square().sum(-1)
+            total = total + self.teacher_weight * error.sum() / len(decisions)
             statistics["losses/teacher_error"].append(float(error.mean().detach()))
         return total
 

@@ -68,9 +68,11 @@ class RolloutCollector:
         self.uses_global_state = uses_global_state
         self.shield = Shield() if uses_shield_targets else None
         self.teacher = teacher
-        self.taught = np.arange(stage.worlds) < max(round(stage.teacher_share * stage.worlds), 1)
+        self.teacher_worlds = np.arange(stage.worlds) < max(
+            round(stage.teacher_share * stage.worlds), 1
+        )
         if teacher is not None:
-            teacher.reset(self.taught[self.taught])
+            teacher.reset(self.teacher_worlds[self.teacher_worlds])
         self.guide = guide
         if guide is not None:
             guide.reset(np.ones(stage.worlds, np.bool_))
@@ -176,9 +178,9 @@ class RolloutCollector:
             self.active,
         )
         if self.teacher is not None:
-            observation = self.observation.of_worlds(self.taught)
+            observation = self.observation.of_worlds(self.teacher_worlds)
             action = checked_act(self.teacher, observation, self.stage.scenario, "teacher")
-            self.teacher_action[self.taught] = torch.from_numpy(action)
+            self.teacher_action[self.teacher_worlds] = torch.from_numpy(action)
         column = self.past + step
         for buffer, tensor in zip(
             tree_leaves(self.frames), tree_leaves(self.decision.features), strict=True
@@ -223,8 +225,8 @@ class RolloutCollector:
             column["agents", "safe_action"] = safe
             column["agents", "unsafe"] = ((safe - mean).abs().amax(-1) > UNSAFE) & active
         if self.imitates:
-            taught = self.active & self.taught[:, None] & (self.teacher is not None)
-            column["agents", "taught"] = torch.from_numpy(taught)
+            has_teacher = self.active & self.teacher_worlds[:, None] & (self.teacher is not None)
+            column["agents", "has_teacher"] = torch.from_numpy(has_teacher)
             column["agents", "teacher_action"] = self.teacher_action.clone()
         for name, level in decision.levels.items():
             key = level_key(name)
@@ -289,7 +291,7 @@ class RolloutCollector:
         back = np.zeros(e, np.int64)
         self.is_init = ended.copy()
         if self.teacher is not None:
-            self.teacher.reset(ended[self.taught])
+            self.teacher.reset(ended[self.teacher_worlds])
         if not ended.any():
             if self.crowd is not None:
                 self.crowd.step()

@@ -175,6 +175,19 @@ def test_a_network_drives_and_what_it_must_not_know_has_no_effect(tmp_path: Path
         planner(macro_level="samarl")
 
 
+@pytest.mark.parametrize(("level", "expected"), [("enter", 1.0), ("random", 0.5)])
+def test_ablations_choose_without_a_network(level: str, expected: float) -> None:
+    agent = planner(macro_level=level)
+    world, observation = begin(agent)
+    entered = []
+    for _ in range(60):
+        observation = world.step(act_and_tell(agent, observation, world)).observation
+        entered.append((agent.memory.choice == ENTER)[agent.due])
+    share = np.concatenate(entered).mean()
+    assert abs(share - expected) < 0.2
+    assert (share == 1.0) == (level == "enter")
+
+
 def test_a_choice_ends_with_its_episode() -> None:
     """What a robot chose before is among its features, but not what it chose in another episode."""
     agent = planner()

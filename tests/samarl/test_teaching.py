@@ -118,7 +118,7 @@ def test_a_teacher_says_its_action_in_a_share_of_the_worlds() -> None:
     collector = RolloutCollector(stage, policy, 3, 0, teacher=teacher)
     expected = build_teacher("orca", scenario).act(collector.observation)
     steps = collector.collect().steps["agents"]
-    np.testing.assert_array_equal(steps["taught"][:, 0, 0], [True, True, False, False])
+    np.testing.assert_array_equal(steps["has_teacher"][:, 0, 0], [True, True, False, False])
     np.testing.assert_array_equal(steps["teacher_action"][:2, 0], expected[:2])
 
 

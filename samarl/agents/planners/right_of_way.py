@@ -29,6 +29,8 @@ from samarl.planning.team_beliefs import perceive
 from samarl.policies.explanation import Explanation
 from samarl.registry import needed
 
+RANDOM, ALL_ENTER = "random", "enter"  # of `RightOfWay.macro_level`, for ablations
+
 
 @dataclass
 class RightOfWay(Agent):
@@ -54,8 +56,8 @@ class RightOfWay(Agent):
     )
     stuck_gap: float = required(0.0, 2.0, unit="m", help="the same of robots that are stuck")
     macro_level: str | None = needed(
-        help="trained macro level that chooses who enters a passage: a file, the folder of its "
-        "training, or the name of an included one; null: the rule"
+        help="who chooses who enters a passage: a trained macro level (a file, the folder of its "
+        "training, or the name of an included one), random, or enter: everybody; null: the rule"
     )
     sampled: bool = needed(help="draw the choices of the macro level instead of the likeliest")
 
@@ -67,7 +69,7 @@ class RightOfWay(Agent):
         """
         super().__post_init__()
         self._network, self._random = None, np.random.default_rng(0)
-        if self.macro_level is not None:
+        if self.macro_level not in (None, RANDOM, ALL_ENTER):
             self._network = load_macro_level(self.macro_level, "agent.macro_level")
         self._passages: list[Passages | None] = []  # of each world
         self._is_init = np.zeros(0, np.bool_)
@@ -94,16 +96,26 @@ class RightOfWay(Agent):
     def decide(self, observation: Observation) -> None:
         """Choose who goes first, by the rule or the macro level; then call `drive` or `direct`."""
         self.perceive(observation)
-        if self._network is not None and self.due.any():
+        if self.macro_level is not None and self.due.any():
             due = np.nonzero(self.due)
-            own, mates, _ = self.features()
-            with torch.no_grad():
-                logits = self._network(torch.from_numpy(own[due]), torch.from_numpy(mates[due]))
-            choice = logits.argmax(-1).numpy()
-            if self.sampled:
-                enters = torch.softmax(logits, -1)[:, ENTER].numpy()
-                choice = np.where(self._random.random(len(enters)) < enters, ENTER, QUEUE)
-            self.choose(due, choice)
+            self.choose(due, self._choices(due))
+
+    def _choices(self, due: tuple[NDArray[np.int64], ...]) -> NDArray[np.int64]:
+        """Return whether robots (world and number [B]) queue or enter, `QUEUE` or `ENTER` [B]."""
+        if self._network is None:
+            chance = np.full(len(due[0]), 1.0 if self.macro_level == ALL_ENTER else 0.5)
+            return self._draw(chance)
+        own, mates, _ = self.features()
+        with torch.no_grad():
+            logits = self._network(torch.from_numpy(own[due]), torch.from_numpy(mates[due]))
+        if self.sampled:
+            return self._draw(torch.softmax(logits, -1)[:, ENTER].numpy())
+        choices: NDArray[np.int64] = logits.argmax(-1).numpy()
+        return choices
+
+    def _draw(self, chance: NDArray[np.floating]) -> NDArray[np.int64]:
+        """Return `ENTER` with these chances [B], and `QUEUE` otherwise."""
+        return np.where(self._random.random(len(chance)) < chance, ENTER, QUEUE)
 
     def perceive(self, observation: Observation) -> None:
         """Update beliefs, passages, and whose choice is due."""
