@@ -15,7 +15,7 @@ from mrsan import ConfigurationError, Kinematics, Observation, Scenario
 from mrsan.fields import setting
 from mrsan.parameters import kernel_parameters
 from samarl.agents.agent import Agent
-from samarl.agents.planners.right_of_way import RightOfWay, right_of_way
+from samarl.agents.planners.right_of_way import RightOfWay
 from samarl.planning.velocity_control import retarget_actions
 from samarl.policies.card import find_policy
 from samarl.policies.checkpoint import load_policy
@@ -166,7 +166,7 @@ class Learned(Agent):
         guide = None
         if self.right_of_way is not None and self.scenario.has_walls:
             macro_level = None if self.right_of_way == RULE else self.right_of_way
-            guide = right_of_way(self.scenario, macro_level)
+            guide = RightOfWay(self.scenario, macro_level=macro_level)
         self._deployed = DeployedPolicy(self.policy, self._policy_scenario, self.waypoints, guide)
 
     @property

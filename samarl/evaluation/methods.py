@@ -32,35 +32,39 @@ _LABELS = {
     "right_of_way macro_level=right_of_way_macro": "Right of way, learned",
     "right_of_way macro_level=right_of_way_macro_seed1": "Right of way, learned, seed 1",
     "right_of_way macro_level=right_of_way_macro_seed2": "Right of way, learned, seed 2",
-    "samarl": "SAMARL",
-    "samarl checkpoint=ablation_cross_modal": "SAMARL-Transformer without cross-modal attention",
-    "samarl checkpoint=ablation_graph": "SAMARL-Transformer without graph convolution",
-    "samarl checkpoint=ablation_history": "SAMARL-Transformer without history",
-    "samarl checkpoint=ablation_local_critics": "SAMARL-Transformer with local critics",
-    "samarl checkpoint=ablation_one_block": "SAMARL-Transformer with one block",
-    "samarl checkpoint=samarl_lookahead": "SAMARL-Lookahead",
-    "samarl waypoints=first": "SAMARL, first waypoint",
-    "samarl waypoints=random": "SAMARL, random waypoints",
-    "samarl waypoints=shuffled": "SAMARL, shuffled waypoints",
+    "samarl": "SAMARL, shielded",
+    "samarl checkpoint=ablation_cross_modal": (
+        "SAMARL-Transformer without cross-modal attention, shielded"
+    ),
+    "samarl checkpoint=ablation_graph": "SAMARL-Transformer without graph convolution, shielded",
+    "samarl checkpoint=ablation_history": "SAMARL-Transformer without history, shielded",
+    "samarl checkpoint=ablation_local_critics": "SAMARL-Transformer with local critics, shielded",
+    "samarl checkpoint=ablation_one_block": "SAMARL-Transformer with one block, shielded",
+    "samarl checkpoint=samarl_lookahead": "SAMARL-Lookahead, shielded",
+    "samarl waypoints=first": "SAMARL, first waypoint, shielded",
+    "samarl waypoints=random": "SAMARL, random waypoints, shielded",
+    "samarl waypoints=shuffled": "SAMARL, shuffled waypoints, shielded",
     "samarl_10p3r": "SAMARL-10p3r",
-    "samarl_flat": "One level",
-    "samarl_general": "SAMARL-General",
-    "samarl_places": "SAMARL-Places",
-    "samarl_places right_of_way=right_of_way_macro": "SAMARL-Places, learned right of way",
-    "samarl_places right_of_way=rule": "SAMARL-Places, right of way",
-    "samarl_places_flat": "SAMARL-Places, one level",
-    "samarl_planned": "SAMARL-Planned",
-    "samarl_ppo": "SAMARL-PPO",
-    "samarl_recorded": "SAMARL-Recorded",
-    "samarl_srnn": "SAMARL-SRNN",
-    "samarl_transformer": "SAMARL-Transformer",
-    "samarl_transformer track_velocity=true": "SAMARL, tracked",
+    "samarl_flat": "One level, shielded",
+    "samarl_general": "SAMARL-General, shielded",
+    "samarl_places": "SAMARL-Places, shielded",
+    "samarl_places right_of_way=right_of_way_macro": (
+        "SAMARL-Places, learned right of way, shielded"
+    ),
+    "samarl_places right_of_way=rule": "SAMARL-Places, right of way, shielded",
+    "samarl_places_flat": "SAMARL-Places, one level, shielded",
+    "samarl_planned": "SAMARL-Planned, shielded",
+    "samarl_ppo": "SAMARL-PPO, shielded",
+    "samarl_recorded": "SAMARL-Recorded, shielded",
+    "samarl_srnn": "SAMARL-SRNN, shielded",
+    "samarl_transformer": "SAMARL-Transformer, shielded",
+    "samarl_transformer track_velocity=true": "SAMARL, tracked, shielded",
     "sarl": "SARL",
     "social_force": "Social force",
     "social_force_places": "Social force for walled environments",
     "straight": "Straight",
 }
-_SHIELD = {" shield=true": ", shielded", " shield=false": ", no shield"}
+_SHIELDED = ", shielded"
 
 
 def method_name(entry: Any) -> tuple[str, str | None]:
@@ -113,9 +117,10 @@ def is_ablation(method: str) -> bool:
 
 def label_of(method: str) -> str:
     """Return the name of a method for readers; that of a custom agent is its own."""
-    for ending, words in _SHIELD.items():
-        if method.endswith(ending):
-            return label_of(method.removesuffix(ending)) + words
+    if method.endswith(" shield=true"):
+        return label_of(method.removesuffix(" shield=true") + " shield=false") + _SHIELDED
+    if method.endswith(" shield=false"):
+        return label_of(method.removesuffix(" shield=false")).removesuffix(_SHIELDED)
     return _LABELS.get(method, method)
 
 

@@ -12,6 +12,7 @@ from mrsan import ConfigurationError, Crowd, Kinematics, Observation, Scenario, 
 from mrsan.fields import required
 from samarl.agents import Agent, build_agent
 from samarl.configuration import available_agents, load_agent_config, scenario_of
+from samarl.evaluation.methods import label_of
 from samarl.evaluation.runner import run_cases
 from samarl.files import find_folder
 from samarl.policies.card import find_policy
@@ -32,6 +33,13 @@ def drives(name: str) -> list[Kinematics]:
         return list(Kinematics)
     card = find_policy(CONFIGS[name]["checkpoint"]).with_suffix(".json").read_text("utf-8")
     return [kinematics for kinematics in Kinematics if kinematics.name in card]
+
+
+def test_labels_say_which_agents_have_a_shield() -> None:
+    for name, config in CONFIGS.items():
+        shielded = [label_of(f"{name}{ending}") for ending in ("", " shield=false", " shield=true")]
+        has_shield = [label.endswith(", shielded") for label in shielded]
+        assert has_shield == [bool(config.get("shield")), False, True], name
 
 
 def agent_in(name: str, scenario: Scenario) -> Agent:

@@ -8,9 +8,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from mrsan import Observation, Scenario
+from mrsan import Observation
 from mrsan.features import GOAL
-from mrsan.fields import required
+from mrsan.fields import number, setting
 from mrsan.kernels.routes import CORNER_ROWS
 from mrsan.kernels.walls import PLACE_COLUMNS, WALL_ROWS
 from mrsan.observation import KnownMap
@@ -18,8 +18,6 @@ from mrsan.parameters import kernel_parameters
 from mrsan.passages import Passages, find_passages
 from mrsan.sensors.team import MESSAGE_FEATURES
 from samarl.agents.agent import Agent
-from samarl.agents.build import build_agent
-from samarl.configuration import load_method_config
 from samarl.macro_level.network import load_macro_level
 from samarl.observations.features import to_body
 from samarl.planning.passage_driving import direct, drive
@@ -27,7 +25,6 @@ from samarl.planning.passage_features import MATE, OWN, TRUTH, write_features
 from samarl.planning.right_of_way import BY_RULE, ENTER, QUEUE, Memory, Mouths, Settings
 from samarl.planning.team_beliefs import perceive
 from samarl.policies.explanation import Explanation
-from samarl.registry import needed
 
 RANDOM, ALL_ENTER = "random", "enter"  # of `RightOfWay.macro_level`, for ablations
 
@@ -40,26 +37,34 @@ class RightOfWay(Agent):
     (`Scenario.map_known`) and what team-mates tell (`Scenario.team_messages`).
     """
 
-    central: bool = needed(
-        help="privileged: robots know goals and plans of all team-mates, wherever they are"
+    central: bool = setting(
+        False,
+        help="privileged: robots know goals and plans of all team-mates, wherever they are",
     )
-    widest: float = required(
-        0.0, 10.0, unit="m", help="width from which a passage counts as open floor"
+    widest: float = number(
+        1.6, 0.0, 10.0, unit="m", help="width from which a passage counts as open floor"
     )
-    people_weight: float = required(0.0, 1e3, help="cost per metre too close to a person")
-    people_weight_inside: float = required(
-        0.0, 1e3, help="the same on the way through a passage, and of robots that are stuck"
+    people_weight: float = number(6.0, 0.0, 1e3, help="cost per metre too close to a person")
+    people_weight_inside: float = number(
+        0.5, 0.0, 1e3, help="the same on the way through a passage, and of robots that are stuck"
     )
-    robots_weight: float = required(0.0, 1e3, help="cost per metre too close to a team-mate")
-    gap: float = required(
-        0.0, 2.0, unit="m", help="surface distance to people that the next step keeps if possible"
+    robots_weight: float = number(8.0, 0.0, 1e3, help="cost per metre too close to a team-mate")
+    gap: float = number(
+        0.1,
+        0.0,
+        2.0,
+        unit="m",
+        help="surface distance to people that the next step keeps if possible",
     )
-    stuck_gap: float = required(0.0, 2.0, unit="m", help="the same of robots that are stuck")
-    macro_level: str | None = needed(
+    stuck_gap: float = number(0.03, 0.0, 2.0, unit="m", help="the same of robots that are stuck")
+    macro_level: str | None = setting(
+        None,
         help="who chooses who enters a passage: a trained macro level (a file, the folder of its "
-        "training, or the name of an included one), random, or enter: everybody; null: the rule"
+        "training, or the name of an included one), random, or enter: everybody; null: the rule",
     )
-    sampled: bool = needed(help="draw the choices of the macro level instead of the likeliest")
+    sampled: bool = setting(
+        False, help="draw the choices of the macro level instead of the likeliest"
+    )
 
     def __post_init__(self) -> None:
         """Start without memory.
@@ -275,18 +280,6 @@ class RightOfWay(Agent):
             memory.choice[e] = BY_RULE
         self._is_init[:] = False
         self._mouths = _mouths_of([passages for passages in self._passages if passages is not None])
-
-
-def right_of_way(scenario: Scenario, macro_level: str | None = None) -> RightOfWay:
-    """Return the agent of `conf/agent/right_of_way.yaml`, as a guide of policies.
-
-    Raises:
-        ConfigurationError: there is no such macro level, or robots cannot be guided.
-    """
-    method = "right_of_way" if macro_level is None else f"right_of_way macro_level={macro_level}"
-    guide = build_agent(load_method_config(method, "right_of_way"), scenario)
-    assert isinstance(guide, RightOfWay)
-    return guide
 
 
 def _empty_memory(e: int, n: int) -> Memory:
