@@ -10,11 +10,13 @@ import platform
 import subprocess
 import tempfile
 from collections.abc import Iterator
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-import samarl
 from mrsan import ConfigurationError
+
+_SOURCE = Path(__file__).parent  # of this package
 
 
 @contextlib.contextmanager
@@ -85,8 +87,8 @@ def read_json(path: Path) -> Any:
 
 def find_folder(name: str) -> Path:
     """Return `conf`, `examples` or `results`, in the installed package or next to the source."""
-    installed = Path(samarl.__file__).parent / name
-    return installed if installed.is_dir() else Path(samarl.__file__).parents[1] / name
+    installed = _SOURCE / name
+    return installed if installed.is_dir() else _SOURCE.parent / name
 
 
 def code_version() -> str:
@@ -94,18 +96,17 @@ def code_version() -> str:
 
     The version of the package is returned instead if the code is not in a git repository.
     """
-    source = Path(samarl.__file__).parent
     try:
-        commit = _git(source, "rev-parse", "--short=10", "HEAD")
-        tracked = _git(source, "ls-files", "--error-unmatch", "__init__.py")
-        changes = _git(source, "diff", "HEAD", "--", ":/", ":!/results", ":!/README.md", ":!/docs")
+        commit = _git(_SOURCE, "rev-parse", "--short=10", "HEAD")
+        tracked = _git(_SOURCE, "ls-files", "--error-unmatch", "__init__.py")
+        changes = _git(_SOURCE, "diff", "HEAD", "--", ":/", ":!/results", ":!/README.md", ":!/docs")
         untracked = _git(
-            source, "ls-files", "--others", "--exclude-standard", ":/samarl", ":/envs", ":/conf"
+            _SOURCE, "ls-files", "--others", "--exclude-standard", ":/samarl", ":/envs", ":/conf"
         )
     except (OSError, subprocess.CalledProcessError):
-        return samarl.__version__
+        return version("samarl")
     if not tracked:
-        return samarl.__version__
+        return version("samarl")
     if not changes + untracked:
         return commit
     return f"{commit}-dirty.{hashlib.sha256((changes + untracked).encode()).hexdigest()[:8]}"

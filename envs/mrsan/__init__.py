@@ -28,7 +28,7 @@ from mrsan.reactions import Reactions
 from mrsan.reward import Reward, RewardParts
 from mrsan.reward_terms import register_reward_term
 from mrsan.scenario import Scenario
-from mrsan.sensors import EntitySensor, ValueSensor, register_sensor
+from mrsan.sensors.sensor import EntitySensor, ValueSensor, register_sensor
 from mrsan.state import State
 from mrsan.tasks import TASKS, Task
 from mrsan.world import ActionError, Step, World

@@ -11,18 +11,24 @@ import pickle
 import subprocess
 import sys
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 from mrsan.compile_progress import compile_progress
 from mrsan.kernels import Version, replace_runs
 from mrsan.scenario import Scenario
 
-if TYPE_CHECKING:
-    from mrsan.world import World
+
+class CompiledWorld(Protocol):
+    """What is needed of a `World`: its scenario, and a call of each of its kernels."""
+
+    scenario: Scenario
+
+    def call_kernels(self) -> None:
+        """Call the kernels of an episode."""
 
 
 @contextlib.contextmanager
-def compile_ahead(world: World) -> Iterator[bool]:
+def compile_ahead(world: CompiledWorld) -> Iterator[bool]:
     """Compile the kernels of worlds in other processes while the body runs, unless they are cached.
 
     A line on stderr every few seconds tells how many are compiled. If a process fails, for example
@@ -40,7 +46,7 @@ def compile_ahead(world: World) -> Iterator[bool]:
         yield True
 
 
-def compile_missing(world: World) -> None:
+def compile_missing(world: CompiledWorld) -> None:
     """Compile the kernels of worlds, unless they are cached; likewise, and also in this process."""
     missing = _missing_versions(world)
     if not missing:
@@ -51,7 +57,7 @@ def compile_missing(world: World) -> None:
             version.load()
 
 
-def _missing_versions(world: World) -> list[Version]:
+def _missing_versions(world: CompiledWorld) -> list[Version]:
     """Return the versions of kernels that worlds use and that were never compiled."""
     missing: list[Version] = []
 

@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 from mrsan.case_file import read_case_file
 from mrsan.choices import Crowd, Layout
 from mrsan.fields import ConfigurationError
-
-if TYPE_CHECKING:
-    from mrsan.scenario import Scenario
+from mrsan.scenario_fields import ScenarioFields
 
 _MAX_COVERAGE = 0.35  # largest share of a walled floor that discs at starts and goals may cover
 
 
-def check_consistency(s: Scenario) -> None:
+def check_consistency(s: ScenarioFields) -> None:
     """Check the settings of a scenario, each of which is valid by itself, against each other.
 
     Raises:
@@ -38,7 +35,7 @@ def check_consistency(s: Scenario) -> None:
         _check_arena(s, s.arena_radius)
 
 
-def _check_social(s: Scenario) -> None:
+def _check_social(s: ScenarioFields) -> None:
     """Check the settings of people who react to robots or belong to groups."""
     if s.is_social and s.crowd in (Crowd.still, Crowd.recorded):
         raise ConfigurationError(
@@ -61,7 +58,7 @@ def _check_social(s: Scenario) -> None:
             )
 
 
-def _check_walls(s: Scenario) -> None:
+def _check_walls(s: ScenarioFields) -> None:
     """Check the settings of walled environments."""
     drawn = s.case_file is not None and bool(read_case_file(s.case_file).walls)
     if (s.map is not None or drawn) != (s.layout is Layout.map):
@@ -87,7 +84,7 @@ def _check_walls(s: Scenario) -> None:
         )
 
 
-def _layouts(s: Scenario) -> list[Layout]:
+def _layouts(s: ScenarioFields) -> list[Layout]:
     """Return the layouts that episodes of a scenario may have; none if people are recorded."""
     if s.crowd == Crowd.recorded:
         return []
@@ -95,7 +92,7 @@ def _layouts(s: Scenario) -> list[Layout]:
     return single if s.layout is Layout.mixed else [s.layout]
 
 
-def _check_order(s: Scenario) -> None:
+def _check_order(s: ScenarioFields) -> None:
     """Check that no smallest value exceeds the largest one, where both apply."""
     layouts, simulated = _layouts(s), s.crowd != Crowd.recorded
     circle = Layout.circle in layouts
@@ -119,7 +116,7 @@ def _check_order(s: Scenario) -> None:
             )
 
 
-def _check_arena(s: Scenario, arena_radius: float) -> None:
+def _check_arena(s: ScenarioFields, arena_radius: float) -> None:
     """Check that the wall leaves room for the starts and goals of all robots."""
     layouts = _layouts(s)
     invalid = f"scenario.arena_radius is {arena_radius}; "

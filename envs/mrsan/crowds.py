@@ -51,11 +51,12 @@ from mrsan.kernels.walled import (
 )
 from mrsan.kernels.walled_spawn import walled_begin
 from mrsan.reactions import reaction_parameters
+from mrsan.scenario_fields import ScenarioFields
 
 F = TypeVar("F", bound=Callable[..., Any])
 
 
-def _no_settings(scenario: Any) -> tuple[()]:
+def _no_settings(scenario: ScenarioFields) -> tuple[()]:
     return ()
 
 
@@ -69,7 +70,7 @@ class CrowdModel:
     crowd_velocity: Any = None  # of one person, which `walk_to_goals` calls
     crowd_velocity_past_walls: Any = None  # the same in places with walls, if it differs
     settings: type | None = None  # dataclass of `Scenario.crowd_settings`; None: it has none
-    kernel_settings: Callable[[Any], tuple[Any, ...]] = _no_settings
+    kernel_settings: Callable[[ScenarioFields], tuple[Any, ...]] = _no_settings
 
 
 CROWDS: dict[str, CrowdModel] = {}
@@ -131,7 +132,7 @@ def register_crowd(name: str, settings: type | None = None) -> Callable[[F], F]:
     return register
 
 
-def _conversion(schema: type) -> Callable[[Any], tuple[Any, ...]]:
+def _conversion(schema: type) -> Callable[[ScenarioFields], tuple[Any, ...]]:
     """Return the function from a scenario to the settings of its crowd model, a named tuple."""
     schema()  # raises TypeError if a setting has no default
     hints = get_type_hints(schema)
@@ -146,7 +147,7 @@ def _conversion(schema: type) -> Callable[[Any], tuple[Any, ...]]:
         forms[field.name] = form
     settings_tuple = __getattr__(_PREFIX + ":".join(forms))
 
-    def convert(scenario: Any) -> tuple[Any, ...]:
+    def convert(scenario: ScenarioFields) -> tuple[Any, ...]:
         settings = _checked_settings(schema, scenario.crowd_settings)
         values = (form(getattr(settings, name)) for name, form in forms.items())
         return cast(tuple[Any, ...], settings_tuple(*values))
@@ -178,11 +179,11 @@ def __getattr__(name: str) -> Any:
     return settings_tuple
 
 
-def _of_scenario(settings_tuple: Any) -> Callable[[Any], tuple[Any, ...]]:
+def _of_scenario(settings_tuple: Any) -> Callable[[ScenarioFields], tuple[Any, ...]]:
     """Return the function from a scenario to those of its fields that a named tuple lists."""
     types = get_type_hints(settings_tuple)
 
-    def convert(scenario: Any) -> tuple[Any, ...]:
+    def convert(scenario: ScenarioFields) -> tuple[Any, ...]:
         values = {name: kind(getattr(scenario, name)) for name, kind in types.items()}
         return cast(tuple[Any, ...], settings_tuple(**values))
 
@@ -263,7 +264,7 @@ def check_crowd(name: Any, settings: Any) -> None:
         _checked_settings(schema, settings)
 
 
-def social_settings(scenario: Any, crowd_settings: tuple[Any, ...]) -> tuple[Any, ...]:
+def social_settings(scenario: ScenarioFields, crowd_settings: tuple[Any, ...]) -> tuple[Any, ...]:
     """Return the settings of a crowd whose people react or form groups, else an empty tuple.
 
     They are those of the crowd model by their own names, and those of `Scenario.reactions` and
@@ -272,9 +273,10 @@ def social_settings(scenario: Any, crowd_settings: tuple[Any, ...]) -> tuple[Any
     if not scenario.is_social:
         return ()
     values = dict(zip(getattr(crowd_settings, "_fields", ()), crowd_settings, strict=True))
+    s = scenario
     for prefix, numbers in (
-        ("reaction", reaction_parameters(scenario)),
-        ("group", group_parameters(scenario)),
+        ("reaction", reaction_parameters(s.reactions, s.crowd_reaction, s.steps)),
+        ("group", group_parameters(s.groups, s.relaxation_time)),
     ):
         values |= {f"{prefix}_{name}": value for name, value in numbers.items()}
     return cast(tuple[Any, ...], __getattr__(_PREFIX + ":".join(values))(*values.values()))

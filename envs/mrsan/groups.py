@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from mrsan.fields import ConfigurationError, check_numbers, number, short_repr
-
-if TYPE_CHECKING:
-    from mrsan.scenario import Scenario
 
 
 @dataclass
@@ -69,13 +66,13 @@ def check_groups(groups: Groups) -> None:
         )
 
 
-def group_parameters(s: Scenario) -> dict[str, Any]:
-    """Return the numbers of the groups of a scenario in the form that kernels take.
+def group_parameters(g: Groups, relaxation_time: float) -> dict[str, Any]:
+    """Return the numbers of groups in the form that kernels take.
 
-    An acceleration `a` of the model is `a * relaxation_time` as a change of the preferred
+    An acceleration `a` of the model is `a * relaxation_time` (m/s) as a change of the preferred
     velocity, which the social-force crowd turns into `a` again.
     """
-    g, f = s.groups, np.float32
+    f = np.float32
     size = (g.size_min + g.size_max) / 2
     return {
         # That a person who follows no group begins one: of groups with probability q,
@@ -84,13 +81,13 @@ def group_parameters(s: Scenario) -> dict[str, Any]:
         "standing_share": f(g.standing_share),
         "size_min": g.size_min,
         "size_max": g.size_max,
-        "gaze": f(g.gaze * s.relaxation_time),  # per rad
+        "gaze": f(g.gaze * relaxation_time),  # per rad
         "half_gaze_fov": f(np.radians(g.gaze_fov_degrees / 2)),
-        "attraction": f(g.attraction * s.relaxation_time),  # m/s
+        "attraction": f(g.attraction * relaxation_time),  # m/s
         "spread": f(g.spread),
-        "repulsion": f(g.repulsion * s.relaxation_time),  # m/s
+        "repulsion": f(g.repulsion * relaxation_time),  # m/s
         "gap": f(g.gap),
         "talk_radius": f(g.talk_radius),
-        "relaxation_time": f(s.relaxation_time),
+        "relaxation_time": f(relaxation_time),
         "intrusion_distance": f(g.intrusion_width / 2),
     }

@@ -6,16 +6,14 @@ The kinds of reaction are those of HuNavSim (Perez-Higueras et al., 2023); the n
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from mrsan.choices import CrowdReaction, Reaction
 from mrsan.fields import ConfigurationError, check_numbers, number, short_repr
-
-if TYPE_CHECKING:
-    from mrsan.scenario import Scenario
 
 _ROUNDING = 1e-6  # by which the sum of the shares may exceed 1
 # The kinds that people draw.
@@ -96,24 +94,32 @@ def _shares(reactions: Reactions) -> list[float]:
     return [getattr(reactions, reaction.name) for reaction in DRAWN]
 
 
-def reaction_parameters(s: Scenario) -> dict[str, Any]:
-    """Return the numbers of the reactions of a scenario in the form that kernels take."""
-    r, f = s.reactions, np.float32
-    everybody = Reaction.regular if s.robots_avoided else Reaction.blind
+def reaction_parameters(
+    r: Reactions, kind: CrowdReaction, steps: Callable[[float], int]
+) -> dict[str, Any]:
+    """Return the numbers of reactions in the form that kernels take.
+
+    Args:
+        r: their numbers.
+        kind: how people react.
+        steps: converts seconds to steps.
+    """
+    f = np.float32
+    everybody = Reaction.regular if kind is CrowdReaction.reciprocal else Reaction.blind
     names = [reaction.name for reaction in DRAWN]
     up_to = dict(zip(names, map(f, np.cumsum(_shares(r))), strict=True))
     return up_to | {  # shares of the people with this reaction or one before
-        "everybody": -1 if s.crowd_reaction is CrowdReaction.mixed else everybody.value,
+        "everybody": -1 if kind is CrowdReaction.mixed else everybody.value,
         "notice_distance": f(r.notice_distance),
         "cos_half_fov": f(math.cos(math.radians(r.notice_fov_degrees / 2))),
-        "surprised_steps": s.steps(r.surprised_time),
-        "curious_steps": s.steps(r.curious_time),
+        "surprised_steps": steps(r.surprised_time),
+        "curious_steps": steps(r.curious_time),
         "curious_speed": f(r.curious_speed),
         "curious_gap": f(r.curious_gap),
         "scared_speed": f(r.scared_speed),
         "scared_push": f(r.scared_push),
         "scared_range": f(r.scared_range),
-        "threatening_steps": s.steps(r.threatening_time),
+        "threatening_steps": steps(r.threatening_time),
         "threatening_speed": f(r.threatening_speed),
         "threatening_gap": f(r.threatening_gap),
     }

@@ -1,15 +1,19 @@
 """The reward of a step and its terms (SAMARL, Eq. 10; MSA3C, Eq. 2-4)."""
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from mrsan.fields import number, setting, short_repr
+from mrsan.fields import ConfigurationError, check_numbers, number, setting, short_repr
 from mrsan.kernels import function
 
 _ZERO = np.float32(0.0)
+# Custom terms by name, as functions of a state and a scenario (`mrsan.register_reward_term`).
+REWARD_TERMS: dict[str, Callable[..., ArrayLike]] = {}
 
 
 @dataclass
@@ -48,6 +52,33 @@ class Reward:
         default_factory=dict,
         metadata={"help": "weights of registered terms: terms.name=weight"},
     )
+
+
+def check_reward(reward: Reward) -> None:
+    """Check the numbers of the reward and the weights of its terms.
+
+    Raises:
+        ConfigurationError: a number is out of range, there is no such term, or a weight is not a
+            finite number.
+    """
+    check_numbers(reward, "scenario.reward")
+    terms: Any = reward.terms
+    if not isinstance(terms, dict):
+        raise ConfigurationError(
+            f"scenario.reward.terms is {terms!r}; it must map names of terms to their weights"
+        )
+    for name, weight in terms.items():
+        if name not in REWARD_TERMS:
+            known = f"one of {', '.join(REWARD_TERMS)} or " if REWARD_TERMS else ""
+            raise ConfigurationError(
+                f"scenario.reward.terms has {name!r}; it must be {known}registered in this "
+                "process: import its module, in commands by plugins=[module]"
+            )
+        is_number = isinstance(weight, int | float) and not isinstance(weight, bool)
+        if not is_number or not math.isfinite(weight):
+            raise ConfigurationError(
+                f"scenario.reward.terms.{name} is {weight!r}; it must be a finite number"
+            )
 
 
 class RewardParts(NamedTuple):

@@ -6,23 +6,18 @@ with `plugins=[module]`. `Reward.terms` holds the weights of the terms.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mrsan.fields import ConfigurationError
 from mrsan.plugin_values import as_numbers, check_finite, check_shape
+from mrsan.reward import REWARD_TERMS
+from mrsan.scenario import Scenario
 from mrsan.state import Bools, Floats, State
 
-if TYPE_CHECKING:
-    from mrsan.scenario import Scenario
-
 F = TypeVar("F", bound="Callable[[State, Scenario], ArrayLike]")
-
-REWARD_TERMS: dict[str, Callable[[State, Scenario], ArrayLike]] = {}
 
 
 def register_reward_term(name: str) -> Callable[[F], F]:
@@ -53,30 +48,6 @@ def register_reward_term(name: str) -> Callable[[F], F]:
         return function
 
     return register
-
-
-def check_reward_terms(terms: Any) -> None:
-    """Check the weights of the terms of a scenario.
-
-    Raises:
-        ConfigurationError: there is no such term, or a weight is not a finite number.
-    """
-    if not isinstance(terms, dict):
-        raise ConfigurationError(
-            f"scenario.reward.terms is {terms!r}; it must map names of terms to their weights"
-        )
-    for name, weight in terms.items():
-        if name not in REWARD_TERMS:
-            known = f"one of {', '.join(REWARD_TERMS)} or " if REWARD_TERMS else ""
-            raise ConfigurationError(
-                f"scenario.reward.terms has {name!r}; it must be {known}registered in this "
-                "process: import its module, in commands by plugins=[module]"
-            )
-        is_number = isinstance(weight, int | float) and not isinstance(weight, bool)
-        if not is_number or not math.isfinite(weight):
-            raise ConfigurationError(
-                f"scenario.reward.terms.{name} is {weight!r}; it must be a finite number"
-            )
 
 
 def sum_of_terms(state: State, scenario: Scenario, driving: Bools) -> Floats:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -13,10 +13,8 @@ from mrsan.choices import Crowd
 from mrsan.fields import ConfigurationError
 from mrsan.kernels.scripted import Paths, find_routes
 from mrsan.kernels.structs import by_reference
+from mrsan.scenario import Scenario
 from mrsan.state import Bools, Floats, State
-
-if TYPE_CHECKING:
-    from mrsan.scenario import Scenario
 
 
 class Script:

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from mrsan import Kinematics, Reward, Scenario, State, World
-from mrsan.reward_terms import REWARD_TERMS, register_reward_term
+from mrsan.reward import REWARD_TERMS
+from mrsan.reward_terms import register_reward_term
 
 SCENARIO = Scenario(robots=2, humans=3, kinematics=Kinematics.holonomic, time_limit=2.0)
 

@@ -1,4 +1,4 @@
-"""Data flows one way: no import circle, deferred or not, and no room reaches back."""
+"""Data flows one way: no import circle, deferred, for types or not; no room reaches back."""
 
 import ast
 from pathlib import Path
@@ -47,21 +47,12 @@ def modules() -> dict[str, Path]:
 
 
 def imports() -> dict[str, set[str]]:
-    """What each module imports, at its top or inside its functions; types alone do not count."""
+    """What each module imports, at its top, inside its functions or for types alone."""
     known = modules()
     dependencies: dict[str, set[str]] = {}
     for name, path in known.items():
-        tree = ast.parse(path.read_text())
-        typing_only = {
-            inner
-            for node in ast.walk(tree)
-            if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
-            for inner in ast.walk(node)
-        }
         targets: set[str] = set()
-        for node in ast.walk(tree):
-            if node in typing_only:
-                continue
+        for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.ImportFrom) and node.module:
                 whole = [f"{node.module}.{alias.name}" for alias in node.names]
                 targets |= {target if target in known else node.module for target in whole}
@@ -78,8 +69,7 @@ def test_there_is_no_import_circle() -> None:
         assert name not in path, " -> ".join([*path[path.index(name) :], name])
         if name not in done:
             for target in sorted(graph[name]):
-                if not name.startswith(f"{target}."):  # a package is loaded before its modules
-                    visit(target, (*path, name))
+                visit(target, (*path, name))
             done.add(name)
 
     for name in sorted(graph):

@@ -19,8 +19,8 @@ from mrsan import (
     ValueSensor,
     register_sensor,
 )
-from mrsan.reward_terms import REWARD_TERMS
-from mrsan.sensors.sensor import SENSORS
+from mrsan.reward import REWARD_TERMS
+from mrsan.sensors.registry import SENSORS
 from samarl.agents import Agent
 from samarl.agents.shielded import Shielded
 from samarl.errors import TrainingError

@@ -25,7 +25,7 @@ from mrsan.fields import number, required
 from mrsan.gymnasium_env import GymnasiumEnv
 from mrsan.pettingzoo_env import PettingZooEnv
 from mrsan.se2 import unrotate_vectors
-from mrsan.sensors.sensor import SENSORS
+from mrsan.sensors.registry import SENSORS
 from mrsan.torchrl_env import TorchRLEnv
 from samarl.agents.learned import Learned
 from samarl.encoders import ENCODERS, Encoder

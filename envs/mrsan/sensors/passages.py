@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from mrsan.kernels.passages import Mouths, observe_passages
 from mrsan.kernels.structs import by_reference
+from mrsan.observation import Observation
 from mrsan.passages import Passages, find_passages, open_width
+from mrsan.scenario import Scenario
 from mrsan.sensors.team import MESSAGE_FEATURES
 from mrsan.state import Bools, State
-
-if TYPE_CHECKING:
-    from mrsan.observation import Observation
-    from mrsan.scenario import Scenario
 
 PASSAGE_FEATURES = (
     "mouth_x",  # in the body frame, where the route enters the passage, or leaves it, m

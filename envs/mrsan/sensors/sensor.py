@@ -8,17 +8,14 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
-from mrsan.fields import ConfigurationError, check_numbers
 from mrsan.plugin_values import PluginError
+from mrsan.scenario import Scenario
+from mrsan.sensors.registry import SENSORS, RegisteredSensor, sensor_settings
 from mrsan.state import Bools, Floats, State
-
-if TYPE_CHECKING:
-    from mrsan.scenario import Scenario
 
 S = TypeVar("S", bound="type[EntitySensor] | type[ValueSensor]")
 
@@ -87,17 +84,6 @@ class ValueSensor(ABC):
         """
 
 
-@dataclass(frozen=True)
-class RegisteredSensor:
-    """A sensor class and the dataclass of its settings."""
-
-    cls: type[EntitySensor] | type[ValueSensor]
-    settings: type | None
-
-
-SENSORS: dict[str, RegisteredSensor] = {}
-
-
 def register_sensor(name: str, settings: type | None = None) -> Callable[[S], S]:
     """Return a decorator that registers an `EntitySensor` or a `ValueSensor`.
 
@@ -127,20 +113,6 @@ def register_sensor(name: str, settings: type | None = None) -> Callable[[S], S]
     return register
 
 
-def check_sensors(sensors: Any) -> None:
-    """Check the names and the settings of the sensors of a scenario.
-
-    Raises:
-        ConfigurationError: there is no such sensor, or a setting is unknown or out of range.
-    """
-    if not isinstance(sensors, dict):
-        raise ConfigurationError(
-            f"scenario.sensors is {sensors!r}; it must map names of sensors to their settings"
-        )
-    for name, values in sensors.items():
-        _sensor_settings(name, values)
-
-
 def make_sensors(scenario: Scenario) -> dict[str, EntitySensor | ValueSensor]:
     """Return the sensors that a scenario adds, by name.
 
@@ -149,7 +121,7 @@ def make_sensors(scenario: Scenario) -> dict[str, EntitySensor | ValueSensor]:
     """
     sensors = {}
     for name, values in scenario.sensors.items():
-        sensor = SENSORS[name].cls(scenario, _sensor_settings(name, values))
+        sensor = SENSORS[name].cls(scenario, sensor_settings(name, values))
         is_group = isinstance(sensor, EntitySensor)
         for field in ("slots", "features") if is_group else ("shape",):
             size = getattr(sensor, field, None)
@@ -161,28 +133,3 @@ def make_sensors(scenario: Scenario) -> dict[str, EntitySensor | ValueSensor]:
                 raise PluginError(f"sensor {name} has {field} {size!r}; it must be {form}")
         sensors[name] = sensor
     return sensors
-
-
-def _sensor_settings(name: Any, values: Any) -> Any:
-    """Return the checked settings of a sensor; None if it has none."""
-    if name not in SENSORS:
-        known = f"one of {', '.join(SENSORS)} or " if SENSORS else ""
-        raise ConfigurationError(
-            f"scenario.sensors has {name!r}; it must be {known}registered in this process: import "
-            "its module, in commands by plugins=[module]"
-        )
-    schema, values = SENSORS[name].settings, {} if values is None else values
-    if not isinstance(values, dict):
-        raise ConfigurationError(
-            f"scenario.sensors.{name} is {values!r}; it must be a mapping from names to values"
-        )
-    names = [] if schema is None else [f.name for f in fields(schema)]
-    for key in values:
-        if key not in names:
-            permitted = f"have only {', '.join(names)}" if names else "be empty"
-            raise ConfigurationError(f"scenario.sensors.{name} has {key!r}; it must {permitted}")
-    if schema is None:
-        return None
-    settings = schema(**values)
-    check_numbers(settings, f"scenario.sensors.{name}")
-    return settings

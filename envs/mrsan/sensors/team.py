@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from mrsan.kernels.team import share_messages, write_priorities
 from mrsan.parameters import kernel_parameters
+from mrsan.scenario import Scenario
 from mrsan.sensors.sensor import EntitySensor, ValueSensor
 from mrsan.state import Bools, Floats, State
-
-if TYPE_CHECKING:
-    from mrsan.scenario import Scenario
 
 MESSAGE_FEATURES = (
     "x",  # of the team-mate in the body frame, m

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from mrsan.choices import LidarTargets
 from mrsan.kernels.lidar import observe_route, observe_walls, scan
 from mrsan.kernels.structs import by_reference
+from mrsan.scenario import Scenario
 from mrsan.se2 import unit_vectors
 from mrsan.sensors.sensor import EntitySensor, ValueSensor
 from mrsan.state import Bools, Floats, State
-
-if TYPE_CHECKING:
-    from mrsan.scenario import Scenario
 
 WALL_FEATURES = ("start_x", "start_y", "end_x", "end_y")  # in the body frame, m
 
