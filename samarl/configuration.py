@@ -259,13 +259,12 @@ def training_scenario(checkpoint: str) -> Scenario:
         raise ConfigurationError(f"{error}; name a scenario instead (scenario=NAME)") from error
 
 
-def composed(config_name: str, settings: Sequence[str], folder: Path | None = None) -> DictConfig:
+def composed(config_name: str, settings: Sequence[str]) -> DictConfig:
     """Compose a configuration, with Hydra's own part, within `hydra_tree`.
 
     Args:
         config_name: the primary file in `conf/`.
         settings: what is changed in it.
-        folder: of `--config-dir`, for error messages.
 
     Raises:
         ConfigurationError: a setting or a file is wrong.
@@ -273,7 +272,7 @@ def composed(config_name: str, settings: Sequence[str], folder: Path | None = No
     try:
         return compose(config_name, list(settings), return_hydra_config=True)
     except Exception as error:  # Hydra, OmegaConf and PyYAML raise whatever they come across
-        raise ConfigurationError(explain(error, folder)) from error
+        raise ConfigurationError(explain(error)) from error
 
 
 def in_quotes(text: str) -> str:

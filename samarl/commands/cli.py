@@ -32,7 +32,6 @@ from samarl.errors import TrainingError
 from samarl.files import find_folder
 from samarl.launch import launcher, let_rank_0_report, rank
 from samarl.messages import explain
-from samarl.user_files import reject_alias_bomb
 
 # Settings that a sweep may change when it is resumed: they do not affect results, or let runs grow.
 _SAME_SWEEP = ("evaluation.batch", "trainer.steps", "trainer.threads", "trainer.wandb")
@@ -68,7 +67,7 @@ def run_command(
         return
     _prepare_process(words)
     register_schemas(**schemas)
-    folder, in_hydra = None, False
+    in_hydra = False
 
     @functools.wraps(task)
     def run(config: DictConfig) -> Any:
@@ -89,10 +88,7 @@ def run_command(
 
     try:
         command = CommandLine.parse(words)
-        folder = command.folder
-        _check_folder(folder)
-        command = command.quoted()
-        if {"--help", "-h"} & set(words):
+        if command.is_help:
             from samarl.commands.help import help_text  # imports what is only described
 
             print(help_text(config_name, command))
@@ -111,7 +107,7 @@ def run_command(
         is_of_cell = type(error).__module__.startswith("submitit")
         if not (in_hydra or is_of_cell or isinstance(error, _USER_ERRORS)):
             raise
-        _fail(error, folder)
+        _fail(error)
 
 
 def _prepare_process(words: Sequence[str]) -> None:
@@ -123,19 +119,6 @@ def _prepare_process(words: Sequence[str]) -> None:
     if os.getcwd() not in sys.path:
         sys.path.append(os.getcwd())  # so that plugins in the current folder can be imported
     warnings.simplefilter("ignore", ScopeWarning)  # commands print a note instead
-
-
-def _check_folder(folder: Path | None) -> None:
-    """Check the folder of `--config-dir`, if there is one.
-
-    Raises:
-        ConfigurationError: it is not a folder, or a file in it has too many values.
-    """
-    if folder is not None:
-        if not folder.is_dir():
-            raise ConfigurationError(f"--config-dir is {str(folder)!r}; it must be a folder")
-        for path in sorted(folder.rglob("*.yaml")):
-            reject_alias_bomb(path)
 
 
 def _check_cells(config_name: str, command: CommandLine, check: Check | None) -> None:
@@ -165,7 +148,7 @@ def compose_cells(config_name: str, command: CommandLine) -> Iterator[DictConfig
     """
     with hydra_tree(command.folder) as loader:
         for cell in command.cells(loader):
-            config = composed(config_name, cell, command.folder)
+            config = composed(config_name, cell)
             config.hydra.mode = RunMode.MULTIRUN if command.is_sweep else RunMode.RUN
             HydraConfig.instance().set_config(config)
             cell_config = copy.deepcopy(config)
@@ -213,11 +196,11 @@ def _remove_empty_folder() -> None:
             os.rmdir(folder)
 
 
-def _fail(error: Exception, folder: Path | None = None) -> NoReturn:
+def _fail(error: Exception) -> NoReturn:
     """Print the error in one line and exit with code 2."""
     if isinstance(error, BrokenPipeError):  # the reader of the output, such as `head`, closed it
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
     let_rank_0_report()
-    print(f"error: {explain(error, folder)}", file=sys.stderr)
+    print(f"error: {explain(error)}", file=sys.stderr)
     sys.exit(2)

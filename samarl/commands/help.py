@@ -36,7 +36,7 @@ def help_text(config_name: str, command: CommandLine) -> str:
         command: the command line; its settings are composed, so that the help describes them.
     """
     with hydra_tree(command.folder) as loader:
-        config = composed(config_name, command.settings, command.folder)
+        config = composed(config_name, command.settings)
         chosen = config.hydra.runtime.choices.items()
         choices = {group: str(name) for group, name in chosen if not group.startswith("hydra/")}
         options = {group: loader.get_group_options(group) for group in choices}

@@ -6,13 +6,14 @@ paths. Values that Hydra could not parse are therefore quoted: they are taken as
 
 from __future__ import annotations
 
-import itertools
 import re
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import NoReturn
 
+from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
+from hydra._internal.utils import get_args_parser
 from hydra.core.config_loader import ConfigLoader
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
@@ -21,13 +22,8 @@ from hydra.errors import HydraException
 from mrsan import ConfigurationError
 from samarl.configuration import in_quotes
 from samarl.files import find_folder
+from samarl.user_files import reject_alias_bomb
 
-# fmt: off
-_FLAGS = {"--help", "-h", "--hydra-help", "--version", "--run", "-r", "--multirun", "-m",
-          "--resolve", "--shell-completion", "-sc"}
-_OPTIONS = {"--config-dir", "-cd", "--config-name", "-cn", "--config-path", "-cp", "--cfg", "-c",
-            "--package", "-p", "--info", "-i", "--experimental-rerun"}
-# fmt: on
 _EXCLUDED_FROM_NAMES = "hydra.job.config.override_dirname.exclude_keys"
 # One of several values, in quotes or up to the next comma.
 _ELEMENT = re.compile(r"""\s*('(?:[^'\\]|\\.)*'|"(?:[^"\\]|\\.)*"|[^,]*?)\s*,""", re.DOTALL)
@@ -35,84 +31,57 @@ _ELEMENT = re.compile(r"""\s*('(?:[^'\\]|\\.)*'|"(?:[^"\\]|\\.)*"|[^,]*?)\s*,"""
 
 @dataclass(frozen=True)
 class CommandLine:
-    """The options and settings of a command."""
+    """The options and settings of a command; values are quoted where Hydra requires it."""
 
     options: list[str]  # for example --config-dir=FOLDER
     settings: list[str]  # name=value
-    folder: Path | None = None  # of --config-dir
+    folder: Path | None  # of --config-dir
+    is_sweep: bool  # it runs every combination of several values
+    is_help: bool
 
     @classmethod
     def parse(cls, words: Sequence[str]) -> CommandLine:
         """Parse the words of a command line, without the program.
 
         Raises:
-            ConfigurationError: an option is unknown or has no value.
+            ConfigurationError: an option is unknown or has no value, a word is not a setting, or a
+                file in the folder has too many values.
         """
-        options: list[str] = []
-        settings: list[str] = []
-        folder = None
-        remaining = iter(words)
-        for word in remaining:
+        for word in words:
             if word != word.encode(errors="ignore").decode():  # bytes of another encoding
                 raise ConfigurationError(f"{word!r} is not UTF-8; rename its file or folder")
-            name, equals, value = word.partition("=")
-            if not word.startswith("-"):
-                settings.append(word)
-            elif word in _FLAGS:
-                options.append(word)
-            elif name in _OPTIONS:
-                value = value if equals else next(remaining, "")
-                if not value:
-                    raise ConfigurationError(f"{name} has no value; write {name}=VALUE")
-                options.append(f"{name}={value}")
-                if name in ("--config-dir", "-cd"):
-                    folder = Path(value)
-            else:
-                raise ConfigurationError(
-                    f"{word!r:.60} is not an option; settings are written without dashes, as in "
-                    "agent=orca (see --help)"
-                )
-        return cls(options, settings, folder)
-
-    @cached_property
-    def is_sweep(self) -> bool:
-        """Whether the command runs every combination of several values."""
-        return not {"-m", "--multirun"}.isdisjoint(self.options) or (
-            "hydra.mode=MULTIRUN" in self.settings
-        )
-
-    def quoted(self) -> CommandLine:
-        """Quote the values that Hydra could not parse otherwise.
-
-        Raises:
-            ConfigurationError: a word is not a setting.
-        """
+        options = get_args_parser()
+        options.error = _refuse
+        values = options.parse_intermixed_args(words)
+        folder = None if values.config_dir is None else Path(values.config_dir)
+        if folder is not None and not folder.is_dir():
+            raise ConfigurationError(f"--config-dir is {str(folder)!r}; it must be a folder")
+        for path in folder.rglob("*.yaml") if folder else ():
+            reject_alias_bomb(path)
+        is_sweep = values.multirun or "hydra.mode=MULTIRUN" in values.overrides
         parser = OverridesParser.create()
-        settings = [_quoted(word, self.is_sweep, parser) for word in self.settings]
-        if self.is_sweep:  # cells are named by the settings in which they differ
-            overrides = [parser.parse_override(word) for word in settings]
+        settings = [_quoted(word, is_sweep, parser) for word in values.overrides]
+        if is_sweep:  # cells are named by the settings in which they differ
+            overrides = parser.parse_overrides(settings)
             fixed = [o.key_or_group for o in overrides if not o.is_sweep_override()]
             settings.append(f"{_EXCLUDED_FROM_NAMES}=[{','.join(fixed)}]")
-        return replace(self, settings=settings)
+        others = [word for word in words if word not in values.overrides]
+        return cls(others, settings, folder, is_sweep, values.help)
 
     def words(self) -> list[str]:
         """Return the command line for Hydra, which requires options first."""
         return [*self.options, *self.settings]
 
-    def cells(self, loader: ConfigLoader) -> Iterator[list[str]]:
-        """Yield the settings of each cell of a sweep; `loader` lists the files matched by globs."""
+    def cells(self, loader: ConfigLoader) -> list[list[str]]:
+        """Return the settings of each cell of a sweep; `loader` lists the files of globs."""
+        if not self.is_sweep:
+            return [self.settings]
         overrides = OverridesParser.create(loader).parse_overrides(self.settings)
-        choices = {override.get_key_element(): _choices(override) for override in overrides}
-        for cell in itertools.product(*choices.values()):
-            yield list(cell)
+        return BasicSweeper.split_arguments(overrides, None)[0]
 
 
-def _choices(override: Override) -> list[str]:
-    """Return the single-valued settings that an override expands to."""
-    if override.is_sweep_override():
-        key = override.get_key_element()
-        return [f"{key}={value}" for value in override.sweep_string_iterator()]
-    return [str(override.input_line)]
+def _refuse(message: str) -> NoReturn:
+    raise ConfigurationError(f"{message} (see --help)")
 
 
 def _quoted(word: str, is_sweep: bool, parser: OverridesParser) -> str:

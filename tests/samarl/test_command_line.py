@@ -48,29 +48,29 @@ def value_of(word: str) -> Any:
 
 def test_a_path_is_everything_after_the_equals_sign() -> None:
     for field, text in itertools.product(("scenario.recording", "hydra.run.dir"), ODD):
-        (word,) = CommandLine.parse([f"{field}={text}"]).quoted().words()
+        (word,) = CommandLine.parse([f"{field}={text}"]).words()
         assert value_of(word) == text
         quoted = f"{field}={text}" if "," not in text else f'{field}="{text}"'
-        (cell,) = CommandLine.parse(["-m", quoted]).quoted().cells(None)  # type: ignore[arg-type]
+        (cell,) = CommandLine.parse(["-m", quoted]).cells(None)  # type: ignore[arg-type]
         assert value_of(cell[0]) == text.strip()
 
 
 @given(st.text(min_size=1).filter(lambda text: text == text.strip() and text.isprintable()))
 def test_any_text_is_a_value(text: str) -> None:
-    (word,) = CommandLine.parse([f"output={text}"]).quoted().words()
+    (word,) = CommandLine.parse([f"output={text}"]).words()
     value = value_of(word)
     assert not isinstance(value, str) or value in (text, text[1:-1]) or "\\" in text
 
 
 def test_a_sweep_accepts_paths_separated_by_commas() -> None:
     words = ["checkpoint=a (1).x, it's,'b,c'", "-m", "agent=orca,straight"]
-    command = CommandLine.parse(words).quoted()
+    command = CommandLine.parse(words)
     cells = [[value_of(word) for word in cell[:2]] for cell in command.cells(None)]  # type: ignore[arg-type]
     expected = [
         [path, agent] for path in ("a (1).x", "it's", "b,c") for agent in ("orca", "straight")
     ]
     assert cells == expected
-    (word,) = CommandLine.parse(["checkpoint=a,b"]).quoted().words()
+    (word,) = CommandLine.parse(["checkpoint=a,b"]).words()
     assert value_of(word) == "a,b"
 
 
@@ -147,8 +147,8 @@ def test_files_that_a_running_command_composes_are_named_in_one_line(
     (tmp_path / "own/agent").mkdir(parents=True)
     for content, message in (
         ("defaults: [nobody]\n", "agent/mine.yaml: agent is 'nobody', which does not exist"),
-        ("5\n", "Invalid loaded object type: int"),
-        ("a: [\n", "mine.yaml is not YAML: line 2: "),
+        ("5\n", "int"),
+        ("a: [\n", 'mine.yaml", line 2'),
     ):
         (tmp_path / "own/agent/mine.yaml").write_text(content)
         monkeypatch.setattr(sys, "argv", ["samarl-bench", "--config-dir=own", "agents=[mine]"])

@@ -87,7 +87,7 @@ def test_every_command_line_is_valid(my_conf: Path, monkeypatch: pytest.MonkeyPa
         program, *words = shlex.split(line)
         name = program.removeprefix("samarl-").replace("evaluate", "config")
         try:  # it fails if a group, a choice or a key is unknown
-            assert list(compose_cells(name, CommandLine.parse(words).quoted()))
+            assert list(compose_cells(name, CommandLine.parse(words)))
         except Exception as error:
             invalid.append(f"{page}: {line}: {error}")
     gc.enable()
