@@ -45,6 +45,11 @@ _LABELS = {
     "samarl waypoints=random": "SAMARL, random waypoints, shielded",
     "samarl waypoints=shuffled": "SAMARL, shuffled waypoints, shielded",
     "samarl_10p3r": "SAMARL-10p3r",
+    "samarl_anywhere": "SAMARL-Anywhere, shielded",
+    "samarl_anywhere right_of_way=null": "SAMARL-Anywhere, one level, shielded",
+    "samarl_anywhere right_of_way=right_of_way_macro": (
+        "SAMARL-Anywhere, learned right of way, shielded"
+    ),
     "samarl_flat": "One level, shielded",
     "samarl_general": "SAMARL-General, shielded",
     "samarl_places": "SAMARL-Places, shielded",

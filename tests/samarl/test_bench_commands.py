@@ -93,7 +93,7 @@ def test_a_page_is_written_again_with_its_figure(
     assert path.read_bytes() == before
     page = path.with_suffix(".md").read_text()
     assert "](table1_improvement.png)" in page
-    assert "| One level (3 seeds) |" in page
+    assert "| One level, shielded (3 seeds) |" in page
     with Image.open(tmp_path / "mine/table1_improvement.png") as image:
         assert 900 < image.width < 1100  # pixels, which fit in a page
     (success, _) = draw_improvements(improvements(rows, ["samarl"])).axes[:2]
