@@ -2,7 +2,8 @@
 
 On one core, with observations from episodes that the agent itself drives: one robot among ten
 people, the same robot with the exported policy (`samarl.runtime`), and a batch of 512 such robots.
-Agents for holonomic robots are measured in the scenario `10p3r`.
+Agents for holonomic robots are measured in the scenario `10p3r`. Last comes one decision of the
+exported macro level of the right of way.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from benchmarks.workload import add_output, interruptible, positive_number, provenance
 from mrsan import ConfigurationError, Scenario, World
@@ -27,13 +29,18 @@ from samarl.evaluation.table import markdown_table
 from samarl.export import export_agent
 from samarl.files import machine, write_json
 from samarl.progress import progress_bar
-from samarl.runtime import Driver
+from samarl.runtime import Detection, Driver, KnownMap, Message, OwnState, RightOfWayDriver
 from samarl.runtime.simulation import as_seen
 
 BATCH = 512
 SCENARIOS = (
     Scenario(robots=1, humans=10, fov_degrees=90.0),
     replace(load_scenario("10p3r"), robots=1),  # for agents that drive holonomic robots
+)
+_TWO_ROOMS = (  # with a door between them
+    np.array([(-6.0, -4.0), (-6.0, 4.0), (6.0, 4.0), (6.0, -4.0)]),
+    np.array([(0.0, -4.0), (0.0, -0.7)]),
+    np.array([(0.0, 0.7), (0.0, 4.0)]),
 )
 _WARM_UP = 20
 _MEASURED = ("one_robot_ms", "exported_ms", f"batch_of_{BATCH}_ms")
@@ -63,8 +70,11 @@ def main() -> None:
     )
     lines = [[row["agent"], *(_cell(row[key]) for key in _MEASURED)] for row in rows]
     print(markdown_table(header, lines))
+    decision = _summary(macro_decision_times(arguments.seconds))
+    print(f"\na decision of the exported macro level, ms: {_cell(decision)}")
     result = {
         "agents": rows,
+        "macro_decision_ms": decision,
         **provenance("latency"),
         "threads": 1,
     }
@@ -131,6 +141,39 @@ def exported_times(config: dict[str, Any], name: str, seconds: float) -> dict[st
             times.clear()
             end = time.perf_counter() + seconds
     return _summary(times)
+
+
+def macro_decision_times(seconds: float) -> list[float]:
+    """Return the times in which an exported macro level decides for one robot, in ms.
+
+    The robot is before a door, with three team-mates and five people. A decision is made of the
+    features and the network.
+    """
+    scenario = Scenario(robots=4, team_messages=True)
+    method = "right_of_way macro_level=right_of_way_macro"
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "macro_level.onnx"
+        export_agent(path, build_agent(load_method_config(method), scenario), method)
+        driver = RightOfWayDriver(KnownMap(_TWO_ROOMS), "0", scenario, path)
+    mates = [
+        Message(str(k), 0.0, 2.0, k - 2.0, 0.0, 0.0, 0.2 * k, False, 0, driver.passages)
+        for k in range(1, 4)
+    ]
+    people = [Detection(k - 2.0, 1.0, 0.5, 0.0) for k in range(5)]
+    times: list[float] = []
+    choose = driver._choose
+
+    def timed(*features: NDArray[Any]) -> None:
+        start = time.perf_counter()
+        choose(*features)
+        times.append(1e3 * (time.perf_counter() - start))
+
+    driver._choose = timed  # type: ignore[assignment, method-assign]
+    end = time.perf_counter() + seconds
+    while time.perf_counter() < end or len(times) <= _WARM_UP:
+        driver.reset()
+        driver.step(OwnState(-2.0, 0.5, 0.0, 0.0, 0.0, 4.0, 0.0), people, 0.0, mates)
+    return times[_WARM_UP:]
 
 
 def _summary(times: list[float]) -> dict[str, float]:

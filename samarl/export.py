@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 import os
 import warnings
 from dataclasses import asdict, replace
@@ -18,17 +19,28 @@ from mrsan import ConfigurationError, Observation, Scenario
 from mrsan.scenario import DEFAULT_NEAREST_WALLS
 from samarl.agents import Agent
 from samarl.agents.learned import Learned
+from samarl.agents.planners.right_of_way import ALL_ENTER, RANDOM, RightOfWay
 from samarl.agents.shielded import Shielded
 from samarl.files import atomic_write
+from samarl.macro_level.network import load_macro_level
 from samarl.observations.features import empty_tracks
 from samarl.planning.one_step import command_set
+from samarl.planning.passage_features import MATE, OWN
 from samarl.planning.shield import Shield
 from samarl.planning.track_predictor import CONSTANT_VELOCITY
+from samarl.policies.card import find_policy, read_card
 from samarl.policies.lookahead import LookaheadPolicy
 from samarl.policies.macro_actions import Waypoints
 from samarl.policies.policy import Policy, PolicyState
 from samarl.policies.stochastic import StochasticPolicy
-from samarl.runtime.description import KEY, MEMORY, NEXT_MEMORY, Description, robot_fields
+from samarl.runtime.description import (
+    KEY,
+    MACRO_LEVEL_KEY,
+    MEMORY,
+    NEXT_MEMORY,
+    Description,
+    robot_fields,
+)
 
 TOLERANCE = 1e-4  # largest difference between file and policy, relative to the largest output
 OPSET = 18  # the first with a minimum over scattered elements, which CADRL needs
@@ -91,10 +103,13 @@ def export_agent(path: Path, agent: Agent, name: str) -> None:
     shield: Shield | None = None
     if isinstance(agent, Shielded):
         shield, agent = agent.shield, agent.agent
+    if isinstance(agent, RightOfWay):
+        _export_macro_level(path, agent, shield, name)
+        return
     if not isinstance(agent, Learned):
         raise ConfigurationError(
-            f"agent is {name}; it must be a trained one, such as samarl_flat: only policies are "
-            "exported"
+            f"agent is {name}; it must be a trained one, such as samarl_flat: only policies and "
+            "macro levels are exported"
         )
     _check_exportable(agent, shield, name)
     policy, scenario = agent.policy, agent.scenario
@@ -126,7 +141,31 @@ def export_agent(path: Path, agent: Agent, name: str) -> None:
         _slots(policy, scenario, memory),
         policy.observes_route,
     )
-    _write(path, content, description)
+    _write(path, content, KEY, description.to_json())
+
+
+def _export_macro_level(path: Path, agent: RightOfWay, shield: Shield | None, name: str) -> None:
+    """Write the macro level of the planner for `samarl.runtime.RightOfWayDriver`.
+
+    Raises:
+        ConfigurationError: the planner has none, or has parts that the runtime does not have.
+    """
+    if agent.macro_level in (None, RANDOM, ALL_ENTER):
+        raise ConfigurationError(
+            f"agent.macro_level is {agent.macro_level or 'null'}; it must be a trained "
+            "macro level to be exported; samarl.runtime.RightOfWayDriver needs no file for the rule"
+        )
+    if shield is not None:
+        raise ConfigurationError("agent.shield is set; it must be false to export a macro level")
+    field = "agent.macro_level"
+    network = load_macro_level(agent.macro_level, field).eval()
+    inputs = {"own": torch.zeros(1, OWN), "mates": torch.zeros(1, 2, MATE)}
+    content = _onnx_bytes(network, inputs, ["logits"], {"mates": {1: "team_mates"}})
+    for mates in (1, 2, 5):
+        _check_equivalence(content, network, inputs | {"mates": torch.zeros(1, mates, MATE)})
+    card = asdict(read_card(find_policy(agent.macro_level, field)))
+    text = json.dumps({"agent": name, "opset": OPSET, "card": card})
+    _write(path, content, MACRO_LEVEL_KEY, text)
 
 
 def _check_exportable(agent: Learned, shield: Shield | None, name: str) -> None:
@@ -138,6 +177,10 @@ def _check_exportable(agent: Learned, shield: Shield | None, name: str) -> None:
     if agent.waypoints is not Waypoints.learned:
         raise ConfigurationError(
             f"agent.waypoints is {agent.waypoints.name}; it must be learned to be exported"
+        )
+    if agent.right_of_way is not None:
+        raise ConfigurationError(
+            f"agent.right_of_way is {agent.right_of_way}; it must be null to be exported"
         )
     if shield is not None and shield.predictor != CONSTANT_VELOCITY:
         raise ConfigurationError(
@@ -209,8 +252,13 @@ def _slots(
     return slots
 
 
-def _onnx_bytes(network: nn.Module, inputs: dict[str, Tensor], outputs: list[str]) -> bytes:
-    """Return the content of the ONNX file."""
+def _onnx_bytes(
+    network: nn.Module,
+    inputs: dict[str, Tensor],
+    outputs: list[str],
+    dynamic_axes: dict[str, dict[int, str]] | None = None,
+) -> bytes:
+    """Return the content of the ONNX file; the dynamic axes of inputs may have any size."""
     file = io.BytesIO()
     # The TorchScript exporter is ten times as fast as that of torch.export for the same graph, and
     # it supports nonzero. It warns about every size that it takes for constant; they are.
@@ -226,6 +274,7 @@ def _onnx_bytes(network: nn.Module, inputs: dict[str, Tensor], outputs: list[str
                 input_names=list(inputs),
                 output_names=outputs,
                 opset_version=OPSET,
+                dynamic_axes=dynamic_axes,
                 dynamo=False,
             )
     finally:
@@ -263,9 +312,9 @@ def _check_equivalence(content: bytes, network: nn.Module, inputs: dict[str, Ten
                 values[f"{MEMORY}{output.name.removeprefix(NEXT_MEMORY)}"] = right
 
 
-def _write(path: Path, content: bytes, description: Description) -> None:
+def _write(path: Path, content: bytes, key: str, description: str) -> None:
     model = onnx.load_model_from_string(content)
-    onnx.helper.set_model_props(model, {KEY: description.to_json()})
+    onnx.helper.set_model_props(model, {key: description})
     onnx.checker.check_model(model)
     with atomic_write(path) as part, part.open("wb") as file:
         file.write(model.SerializeToString())

@@ -86,14 +86,14 @@ class Memory(NamedTuple):
 
 
 class Settings(NamedTuple):
-    """Numbers of the planner."""
+    """Numbers of the planner; the defaults are those of the agent `right_of_way`."""
 
-    central: bool
-    people: float  # cost per metre of a discomfort
-    people_inside: float  # the same on the way through a passage
-    robots: float
-    gap: float  # m, kept from people in the next step if possible
-    stuck_gap: float  # m, the same of robots that have stood for long
+    central: bool = False
+    people: float = 6.0  # cost per metre of a discomfort
+    people_inside: float = 0.5  # the same on the way through a passage
+    robots: float = 8.0
+    gap: float = 0.1  # m, kept from people in the next step if possible
+    stuck_gap: float = 0.03  # m, the same of robots that have stood for long
 
 
 @function

@@ -11,6 +11,7 @@ from mrsan import ConfigurationError, Reward, Scenario
 from samarl.planning.shield import Shield
 
 KEY = "samarl"  # of the metadata
+MACRO_LEVEL_KEY = "samarl.macro_level"  # of those of a macro level: JSON, `agent`, `opset`, `card`
 FORMAT = 3
 MEMORY, NEXT_MEMORY = "state.", "next."  # prefixes of inputs and outputs
 
@@ -69,6 +70,8 @@ class Description:
         Raises:
             ConfigurationError: it has none, or one of another format.
         """
+        if MACRO_LEVEL_KEY in metadata:
+            raise ConfigurationError("it is a macro level, for RightOfWayDriver")
         if KEY not in metadata:
             raise ConfigurationError("it was not written by samarl-export")
         content = json.loads(metadata[KEY])

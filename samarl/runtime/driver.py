@@ -11,9 +11,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mrsan import EGO_FEATURES, ConfigurationError, Entities, Observation
+from mrsan import ConfigurationError, Entities, Observation, Scenario
 from mrsan.features import GOAL
-from mrsan.parameters import kernel_parameters
+from mrsan.parameters import Parameters, kernel_parameters
 from mrsan.se2 import unrotate
 from samarl.observations.route import heading_for_route, next_point, route
 from samarl.planning.one_step import Commands, command_set, predict_outcomes
@@ -175,7 +175,7 @@ class Driver:
             action, reason = self._shield.check(
                 chosen, observation, own, agents, list(all_walls.values()), time, elapsed
             )
-        return self._command(observation.ego, action, own.heading, reason)
+        return command_for(action, observation.ego, own.heading, self._parameters, reason)
 
     def _policy_centre(self, own: OwnState) -> tuple[float, float]:
         """Return where the policy takes the origin to be, m in the frame of the first step."""
@@ -196,22 +196,8 @@ class Driver:
         """Return the robot's observation as in the simulator, each agent in a slot of its own."""
         assert self._centre is not None
         assert self._start_time is not None
-        s, cos, sin = self.scenario, math.cos(own.heading), math.sin(own.heading)
-
-        def to_body(dx: float, dy: float) -> tuple[float, float]:
-            return unrotate(cos, sin, dx, dy)
-
-        ego = np.empty((1, 1, len(EGO_FEATURES)), np.float32)
-        ego[0, 0] = (
-            *to_body(own.goal_x - own.x, own.goal_y - own.y),
-            *to_body(own.velocity_x, own.velocity_y),
-            *to_body(self._centre[0] - own.x, self._centre[1] - own.y),
-            cos,
-            sin,
-            s.robot_radius,
-            s.robot_speed,
-            min((time - self._start_time) / s.time_limit, 1.0),
-        )
+        time_share = min((time - self._start_time) / self.scenario.time_limit, 1.0)
+        ego = ego_features(own, self._centre, self.scenario, time_share)[None, None]
         entities, reassigned = self._agents.observe(own, detections, time)
         for kind, slots in reassigned.items():
             self._network.clear_slots(kind, slots)
@@ -222,7 +208,8 @@ class Driver:
         if self.description.observes_route or (own.next_x, own.next_y) != (own.goal_x, own.goal_y):
             assert own.next_x is not None
             assert own.next_y is not None
-            next_point = to_body(own.next_x - own.x, own.next_y - own.y)
+            cos, sin = math.cos(own.heading), math.sin(own.heading)
+            next_point = unrotate(cos, sin, own.next_x - own.x, own.next_y - own.y)
             values["route"] = np.array([[next_point]], np.float32)
         return Observation(ego, entities, values)
 
@@ -252,24 +239,51 @@ class Driver:
         best = (outcomes.reward[:, 0] + np.float32(policy["discount"]) * value).argmax()
         return self._commands[best][None, None].copy()
 
-    def _command(
-        self,
-        ego: NDArray[np.float32],
-        action: NDArray[np.float32],
-        heading: float,
-        reason: ShieldReason | None,
-    ) -> Command:
-        speed, turn, acceleration, lateral = action_to_motion(ego, action, self._parameters)
-        return Command(
-            action[0, 0],
-            acceleration,
-            lateral,
-            math.remainder(heading + turn, 2.0 * math.pi),
-            speed,
-            turn / self.scenario.time_step,
-            reason is not None,
-            reason,
-        )
+
+def ego_features(
+    own: OwnState, centre: tuple[float, float], scenario: Scenario, time_share: float
+) -> NDArray[np.float32]:
+    """Return what a robot observes of itself [11], see `mrsan.EGO_FEATURES`.
+
+    Args:
+        own: the robot.
+        centre: of the area that it takes for the origin, m.
+        scenario: its radius and speed.
+        time_share: the share of the time limit that has passed.
+    """
+    cos, sin = math.cos(own.heading), math.sin(own.heading)
+    features = (
+        *unrotate(cos, sin, own.goal_x - own.x, own.goal_y - own.y),
+        *unrotate(cos, sin, own.velocity_x, own.velocity_y),
+        *unrotate(cos, sin, centre[0] - own.x, centre[1] - own.y),
+        cos,
+        sin,
+        scenario.robot_radius,
+        scenario.robot_speed,
+        time_share,
+    )
+    return np.array(features, np.float32)
+
+
+def command_for(
+    action: NDArray[np.float32],
+    ego: NDArray[np.float32],
+    heading: float,
+    parameters: Parameters,
+    reason: ShieldReason | None = None,
+) -> Command:
+    """Return the command of an action [1, 1, A] of a robot [1, 1, 11] with this heading, rad."""
+    speed, turn, acceleration, lateral = action_to_motion(ego, action, parameters)
+    return Command(
+        action[0, 0],
+        acceleration,
+        lateral,
+        math.remainder(heading + turn, 2.0 * math.pi),
+        speed,
+        turn / float(parameters.time_step),
+        reason is not None,
+        reason,
+    )
 
 
 def _is_among_walls(tracks: Observation) -> bool:

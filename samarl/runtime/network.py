@@ -26,6 +26,13 @@ _ALWAYS_PRESENT = (
 )
 
 
+def open_session(content: bytes) -> onnxruntime.InferenceSession:
+    """Return a session of onnxruntime that uses one core, because the networks are small."""
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    return onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
+
+
 class Network:
     """An ONNX file and its memory from step to step."""
 
@@ -52,11 +59,7 @@ class Network:
 
     def _load(self, content: bytes) -> None:
         self._content = content
-        options = onnxruntime.SessionOptions()
-        options.intra_op_num_threads = options.inter_op_num_threads = 1  # the network is small
-        self._session = onnxruntime.InferenceSession(
-            content, options, providers=["CPUExecutionProvider"]
-        )
+        self._session = open_session(content)
         metadata = self._session.get_modelmeta().custom_metadata_map
         self.description = Description.of_metadata(metadata)
         self._inputs = {tensor.name: tensor for tensor in self._session.get_inputs()}

@@ -31,8 +31,8 @@ class KnownMap:
             clearance: that routes keep from walls, m; not less than the radius of the robot.
         """
         # The route graph is in single precision, which is coarse far away from the origin.
-        self._centre = centre_of(polygons)
-        self._map = map_of_polygons([p - self._centre for p in polygons], clearance)
+        self.centre = centre_of(polygons)
+        self.local = map_of_polygons([p - self.centre for p in polygons], clearance)
         pieces = [np.hstack([p, np.roll(p, -1, 0)]) for p in polygons]
         self.walls: NDArray[np.float64] = np.concatenate(pieces)  # [K, 4], floor to their right
 
@@ -70,9 +70,9 @@ class KnownMap:
 
     def with_route(self, own: OwnState) -> OwnState:
         """Return the state with the next corner of the shortest route to its goal."""
-        x, y = (float(number) for number in self._centre)
+        x, y = (float(number) for number in self.centre)
         goal = own.goal_x - x, own.goal_y - y
-        corner = next_corner(self._map, (own.x - x, own.y - y), goal)
+        corner = next_corner(self.local, (own.x - x, own.y - y), goal)
         if corner == goal:
             return own._replace(next_x=own.goal_x, next_y=own.goal_y)
         return own._replace(next_x=x + corner[0], next_y=y + corner[1])

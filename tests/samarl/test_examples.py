@@ -69,6 +69,13 @@ def test_a_crowd_of_ones_own(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+def test_two_robots_agree_over_udp(tmp_path: Path) -> None:
+    said = run("two_robots_udp.py", "--loss", "0.2", "--delay", "0.25", cwd=tmp_path)
+    assert said.splitlines()[0] == "arrived: ada, bob"
+    assert 0.0 < float(said.split()[-2]) < 3.0  # m between them
+
+
+@pytest.mark.slow
 @pytest.mark.skipif(
     find_spec("benchmarl") is None,
     reason=f"BenchMARL needs torchrl below 0.12; this is {version('torchrl')}",

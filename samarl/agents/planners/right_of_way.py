@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from mrsan import Observation
 from mrsan.features import GOAL
 from mrsan.fields import number, setting
-from mrsan.kernels.routes import CORNER_ROWS
-from mrsan.kernels.walls import PLACE_COLUMNS, WALL_ROWS
 from mrsan.observation import KnownMap
 from mrsan.parameters import kernel_parameters
 from mrsan.passages import Passages, find_passages
@@ -22,7 +20,8 @@ from samarl.macro_level.network import load_macro_level
 from samarl.observations.features import to_body
 from samarl.planning.passage_driving import direct, drive
 from samarl.planning.passage_features import MATE, OWN, TRUTH, write_features
-from samarl.planning.right_of_way import BY_RULE, ENTER, QUEUE, Memory, Mouths, Settings
+from samarl.planning.passage_memory import empty_memory, mouths_of_worlds, open_floor
+from samarl.planning.right_of_way import BY_RULE, ENTER, QUEUE, Memory, Settings
 from samarl.planning.team_beliefs import perceive
 from samarl.policies.explanation import Explanation
 
@@ -90,7 +89,7 @@ class RightOfWay(Agent):
         if len(self._is_init) != len(worlds):
             self._is_init = np.ones(len(worlds), np.bool_)
             self._passages = [None] * len(worlds)
-            self._memory = _empty_memory(len(worlds), self.scenario.robots)
+            self._memory = empty_memory(len(worlds), self.scenario.robots)
         self._is_init |= worlds
 
     def act(self, observation: Observation) -> NDArray[np.float32]:
@@ -127,7 +126,7 @@ class RightOfWay(Agent):
         e, n = observation.ego.shape[:2]
         if len(self._is_init) != e:
             self.reset(np.ones(e, np.bool_))
-        self._map = observation.map or _open_floor(e)
+        self._map = observation.map or open_floor(e)
         if self._is_init.any():
             self._begin(self._map)
         self._observation = observation
@@ -253,7 +252,7 @@ class RightOfWay(Agent):
         """Continue with a copy of an earlier `memory`, in the same places."""
         worlds = len(observation.ego)
         self.reset(np.ones(worlds, np.bool_))
-        self._begin(observation.map or _open_floor(worlds))
+        self._begin(observation.map or open_floor(worlds))
         for array, saved in zip(self._memory, memory, strict=True):
             array[:] = saved
 
@@ -279,58 +278,4 @@ class RightOfWay(Agent):
             memory.event[e], memory.age[e], memory.yields[e] = -1, 0, 0
             memory.choice[e] = BY_RULE
         self._is_init[:] = False
-        self._mouths = _mouths_of([passages for passages in self._passages if passages is not None])
-
-
-def _empty_memory(e: int, n: int) -> Memory:
-    """Return the memory of E worlds of N robots before their episodes begin."""
-    integers, booleans = np.zeros((e, n), np.int64), np.zeros((e, n), np.bool_)
-    return Memory(
-        pose=np.zeros((e, n, 5)),
-        goal=np.zeros((e, n, 2)),
-        arrived=booleans.copy(),
-        is_new=booleans | True,
-        mode=integers.copy(),
-        entry=integers - 1,
-        exit=integers - 1,
-        inside=booleans.copy(),
-        ahead=integers.copy(),
-        queued=integers - 1,
-        place=np.zeros((e, n, 2)),
-        stuck=integers.copy(),
-        yields=integers.copy(),
-        macro_action=np.zeros((e, n), np.int32),
-        known=np.zeros((e, n, n), np.bool_),
-        belief=np.zeros((e, n, n, len(MESSAGE_FEATURES))),
-        choice=integers + BY_RULE,
-        due=booleans.copy(),
-        age=integers.copy(),
-        event=integers - 1,
-    )
-
-
-def _mouths_of(worlds: list[Passages]) -> tuple[Mouths, NDArray[np.int64]]:
-    """Return the mouths of all worlds, and the first of each world, [E + 1]."""
-    places = [points for passages in worlds for points in passages.places]
-    first_place = np.cumsum([0, *map(len, places)])
-    mouths = Mouths(
-        position=np.concatenate([passages.mouth for passages in worlds]),
-        outward=np.concatenate([passages.outward for passages in worlds]),
-        width=np.concatenate([passages.width for passages in worlds]),
-        passage=np.concatenate([passages.passage for passages in worlds]),
-        length=np.concatenate([passages.length[passages.passage] for passages in worlds]),
-        first_place=first_place[:-1],
-        last_place=first_place[1:],
-        places=np.concatenate([np.zeros((0, 2)), *places]),
-    )
-    return mouths, np.cumsum([0, *(len(passages.mouth) for passages in worlds)])
-
-
-def _open_floor(e: int) -> KnownMap:
-    """Return the map of worlds without walls."""
-    return KnownMap(
-        np.zeros((e, PLACE_COLUMNS), np.float32),
-        np.zeros((e, WALL_ROWS, 0), np.float32),
-        np.zeros((e, CORNER_ROWS, 0), np.float32),
-        np.zeros((e, 0, 0), np.float32),
-    )
+        self._mouths = mouths_of_worlds([p for p in self._passages if p is not None])
