@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from statistics import fmean
@@ -31,6 +32,8 @@ METHODS = (
     "samarl_ppo",
     "samarl shield=false",
     "samarl",
+    "samarl_anywhere shield=false",
+    "samarl_anywhere",
 )
 ONE_LEVEL = ("samarl_flat shield=false", "samarl_flat")  # also in the README, no policy for 90°
 # What the settings of table `robustness` change, in words.
@@ -138,6 +141,7 @@ def recorded() -> str:
         "samarl_general",
         "samarl_planned",
         "samarl_recorded",
+        "samarl_anywhere",
     )
     rows = [row for row in result_rows("transfer") if row.get("recording")]
     return _grid(rows, lambda row: Path(row["recording"]).stem.replace("_", " "), methods)
@@ -154,6 +158,7 @@ def places() -> str:
         "samarl_flat",
         "samarl_places_flat",
         "samarl_places",
+        "samarl_anywhere right_of_way=null",
         "right_of_way central=true",
     )
     return _grid(result_rows("places"), lambda row: row["layout"], methods)
@@ -166,6 +171,9 @@ def right_of_way() -> str:
         "samarl_places",
         "samarl_places right_of_way=rule",
         "samarl_places right_of_way=right_of_way_macro",
+        "samarl_anywhere right_of_way=null",
+        "samarl_anywhere",
+        "samarl_anywhere right_of_way=right_of_way_macro",
         "right_of_way",
         "right_of_way macro_level=right_of_way_macro",
         "right_of_way macro_level=right_of_way_macro_seed1",
@@ -177,6 +185,22 @@ def right_of_way() -> str:
         return f"{'narrow ' if row['robots'] == 4 else ''}{row['layout']}"
 
     return _grid(result_rows("right_of_way"), heading, methods)
+
+
+@table
+def passages() -> str:
+    """Return success in passages by width, as means over the numbers of robots and people."""
+    rates: dict[str, dict[str, list[float]]] = {}
+    for row in result_rows("passages"):
+        width = re.findall(r"width_max=([\d.]+)", row["changes"])
+        heading = f"{row['layout']} {width[0] if width else '2.0'} m"
+        rates.setdefault(row["method"], {}).setdefault(heading, []).append(row["success_rate"])
+    headings = list(dict.fromkeys(heading for cells in rates.values() for heading in cells))
+    lines = [
+        [label_of(method), *(f"{fmean(cells[heading]):.1f}" for heading in headings)]
+        for method, cells in rates.items()
+    ]
+    return markdown_table(["success %", *headings], lines)
 
 
 @table
@@ -194,6 +218,7 @@ def robustness() -> str:
         "samarl",
         "samarl_general",
         "samarl_planned",
+        "samarl_anywhere",
         "cadrl",
         "model_predictive",
         "perimeter shield=true",
