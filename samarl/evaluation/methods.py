@@ -29,6 +29,8 @@ _LABELS = {
     "perimeter": "Around the crowd",
     "right_of_way": "Right of way",
     "right_of_way central=true": "Right of way, central (privileged)",
+    "right_of_way macro_level=enter": "Right of way, everybody enters",
+    "right_of_way macro_level=random": "Right of way, random",
     "right_of_way macro_level=right_of_way_macro": "Right of way, learned",
     "right_of_way macro_level=right_of_way_macro_seed1": "Right of way, learned, seed 1",
     "right_of_way macro_level=right_of_way_macro_seed2": "Right of way, learned, seed 2",
