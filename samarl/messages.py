@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from pathlib import Path
 
 from hydra.errors import HydraException, MissingConfigException
 from omegaconf import DictConfig
@@ -66,6 +67,8 @@ def explain(error: BaseException) -> str:
         for cause in _causes(error):
             if isinstance(cause, OmegaConfBaseException) and cause.full_key:
                 return describe(cause, where)
+    if isinstance(error, OSError) and error.errno and error.filename is None:  # from Hydra, say
+        return f"a file below {Path.cwd()} cannot be written ({error.strerror})"
     texts = [str(error)]
     if error.__cause__ and not isinstance(error, ConfigurationError):
         texts.append(str(error.__cause__))

@@ -295,7 +295,8 @@ def test_a_run_learns_goes_on_and_its_policy_drives(tmp_path: Path) -> None:
     for of in (first, again):
         of.algorithm.set_progress(of.steps_done / of.config.steps)
         torch.set_rng_state(random)
-        actions.append(of.collect()[0].steps["agents", "action"])
+        (rollout,) = of.collect().values()
+        actions.append(rollout.steps["agents", "action"])
     assert torch.equal(*actions)
     again.run_dir.release()
     trainer(tmp_path).run()
