@@ -97,13 +97,13 @@ def test_it_drives_as_the_planner_does(learned: bool, macro_level: Path) -> None
                 own, seen = as_seen(observation, robot)
                 seen = [d._replace(id=name_of(d.id, robot) if d.robot else None) for d in seen]
                 messages = heard(observation, robot, own, time, driver.passages)
-                command, told = driver.step(own, seen, time, messages)
+                command, own_message = driver.step(own, seen, time, messages)
                 if agent.memory.arrived[0, robot]:
                     assert command.speed <= math.hypot(own.velocity_x, own.velocity_y)
                     continue
                 steps += 1
                 different += not np.allclose(command.action, action[0, robot], atol=1e-3)
-                assert told.macro_action == agent.macro_actions()[0, robot]
+                assert own_message.macro_action == agent.macro_actions()[0, robot]
             world.tell(agent.macro_actions())
             observation = world.step(action).observation
             if world.state.done.all():
@@ -172,9 +172,14 @@ def test_messages_of_others_are_checked(office: KnownMap) -> None:
     ):
         with pytest.raises(InputError, match=rf"messages\[1\]\.{name} is "):
             driver.step(own, [], 5.0, [valid, wrong])
-    _, told = driver.step(own, [], 5.0, [valid])  # the refused steps have changed nothing
-    assert told.passages == driver.passages
-    assert (told.robot, told.time, told.x, told.y) == ("ada", 5.0, -4.0, 4.2)
+    _, own_message = driver.step(own, [], 5.0, [valid])  # the refused steps have changed nothing
+    assert own_message.passages == driver.passages
+    assert (own_message.robot, own_message.time, own_message.x, own_message.y) == (
+        "ada",
+        5.0,
+        -4.0,
+        4.2,
+    )
     with pytest.raises(InputError, match="priority is 1"):
         driver.reset(priority=1)
 
@@ -187,16 +192,16 @@ def test_a_robot_waits_for_one_that_goes_until_it_is_forgotten(office: KnownMap)
     for name, start, goal in (("in", (-5.5, 0.2), (-4.2, 3.6)), ("out", (-5.5, 1.9), (-6.5, -1.5))):
         driver.reset(priority=0.5)
         for step in range(2):
-            _, told = driver.step(OwnState(*start, 0.0, 0.0, 0.0, *goal), [], 0.25 * step)
-        entries[name] = told.macro_action
-        assert told.macro_action % 4 == 2  # it goes
+            _, own_message = driver.step(OwnState(*start, 0.0, 0.0, 0.0, *goal), [], 0.25 * step)
+        entries[name] = own_message.macro_action
+        assert own_message.macro_action % 4 == 2  # it goes
     assert entries["in"] != entries["out"]
     driver.reset(priority=0.9)
     other = MESSAGE._replace(x=-5.5, y=0.6, macro_action=entries["in"], passages=driver.passages)
     waits = []
     for step in range(32):
-        _, told = driver.step(own, [], 0.25 * step, [other] if step == 0 else [])
-        waits.append(told.macro_action % 4 == 1)
+        _, own_message = driver.step(own, [], 0.25 * step, [other] if step == 0 else [])
+        waits.append(own_message.macro_action % 4 == 1)
     assert all(waits[:17])
     assert not any(waits[18:])
 
@@ -217,9 +222,9 @@ def test_a_detected_robot_is_the_team_mate_that_is_expected_there(office: KnownM
     """A robot that has not spoken is a person; one that has is not counted twice."""
     driver = RightOfWayDriver(office, "ada")
     robot = Detection(1.2, 2.0, 0.0, 0.0, robot=True)
-    told = MESSAGE._replace(passages=driver.passages)
+    own_message = MESSAGE._replace(passages=driver.passages)
     assert driver._team.update([], [robot], 0.0) == [robot]
-    assert driver._team.update([told], [robot], 0.0) == []
+    assert driver._team.update([own_message], [robot], 0.0) == []
     assert driver._team.mates["bob"].position(1.0) == (1.2, 2.0)
     far = robot._replace(x=3.0)
     assert driver._team.update([], [far], 1.0) == [far]
