@@ -106,7 +106,7 @@ class Network:
         self._is_init = False
         for name in self._memory:
             self._memory[name] = outputs[f"{NEXT_MEMORY}{name.removeprefix(MEMORY)}"]
-        return outputs["action"][None]
+        return outputs["action"][None].clip(-1.0, 1.0)  # the tanh of ONNX may round beyond
 
     def values(self, tracks: Observation) -> NDArray[np.float32]:
         """Return the values of C predicted outcomes, [C]."""
