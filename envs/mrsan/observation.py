@@ -138,8 +138,8 @@ class Observation(NamedTuple, Generic[A]):
         """Return some rows of every array, without the map."""
         return self.apply(lambda array: array[rows])  # type: ignore[index]
 
-    def of_worlds(self, worlds: Ints | Bools) -> Observation[A]:
-        """Return a copy of the rows of some worlds, with the map."""
+    def of_worlds(self, worlds: Ints | Bools | slice) -> Observation[A]:
+        """Return the rows of some worlds, with the map; not copied for a slice."""
         copied = [array[worlds] for array in self.map]
         return self.select(worlds)._replace(map=KnownMap(*copied) if copied else ())
 

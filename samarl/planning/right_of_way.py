@@ -86,7 +86,7 @@ class Memory(NamedTuple):
 
 
 class Settings(NamedTuple):
-    """Numbers of the planner; the defaults are those of the agent `right_of_way`."""
+    """Numbers of the planner, and the defaults of the agent `right_of_way`."""
 
     central: bool = False
     people: float = 6.0  # cost per metre of a discomfort

@@ -68,11 +68,9 @@ class RolloutCollector:
         self.uses_global_state = uses_global_state
         self.shield = Shield() if uses_shield_targets else None
         self.teacher = teacher
-        self.teacher_worlds = np.arange(stage.worlds) < max(
-            round(stage.teacher_share * stage.worlds), 1
-        )
+        self.teacher_worlds = slice(max(round(stage.teacher_share * stage.worlds), 1))
         if teacher is not None:
-            teacher.reset(self.teacher_worlds[self.teacher_worlds])
+            teacher.reset(np.ones(stage.worlds, np.bool_)[self.teacher_worlds])
         self.guide = guide
         if guide is not None:
             guide.reset(np.ones(stage.worlds, np.bool_))
@@ -225,7 +223,9 @@ class RolloutCollector:
             column["agents", "safe_action"] = safe
             column["agents", "unsafe"] = ((safe - mean).abs().amax(-1) > UNSAFE) & active
         if self.imitates:
-            has_teacher = self.active & self.teacher_worlds[:, None] & (self.teacher is not None)
+            has_teacher = np.zeros_like(self.active)
+            if self.teacher is not None:
+                has_teacher[self.teacher_worlds] = self.active[self.teacher_worlds]
             column["agents", "has_teacher"] = torch.from_numpy(has_teacher)
             column["agents", "teacher_action"] = self.teacher_action.clone()
         for name, level in decision.levels.items():

@@ -25,6 +25,7 @@ from samarl.planning.right_of_way import BY_RULE, ENTER, QUEUE, Memory, Settings
 from samarl.planning.team_beliefs import perceive
 from samarl.policies.explanation import Explanation
 
+_NUMBERS = Settings()  # the defaults
 RANDOM, ALL_ENTER = "random", "enter"  # of `RightOfWay.macro_level`, for ablations
 
 
@@ -43,19 +44,28 @@ class RightOfWay(Agent):
     widest: float = number(
         1.6, 0.0, 10.0, unit="m", help="width from which a passage counts as open floor"
     )
-    people_weight: float = number(6.0, 0.0, 1e3, help="cost per metre too close to a person")
-    people_weight_inside: float = number(
-        0.5, 0.0, 1e3, help="the same on the way through a passage, and of robots that are stuck"
+    people_weight: float = number(
+        _NUMBERS.people, 0.0, 1e3, help="cost per metre too close to a person"
     )
-    robots_weight: float = number(8.0, 0.0, 1e3, help="cost per metre too close to a team-mate")
+    people_weight_inside: float = number(
+        _NUMBERS.people_inside,
+        0.0,
+        1e3,
+        help="the same on the way through a passage, and of robots that are stuck",
+    )
+    robots_weight: float = number(
+        _NUMBERS.robots, 0.0, 1e3, help="cost per metre too close to a team-mate"
+    )
     gap: float = number(
-        0.1,
+        _NUMBERS.gap,
         0.0,
         2.0,
         unit="m",
         help="surface distance to people that the next step keeps if possible",
     )
-    stuck_gap: float = number(0.03, 0.0, 2.0, unit="m", help="the same of robots that are stuck")
+    stuck_gap: float = number(
+        _NUMBERS.stuck_gap, 0.0, 2.0, unit="m", help="the same of robots that are stuck"
+    )
     macro_level: str | None = setting(
         None,
         help="who chooses who enters a passage: a trained macro level (a file, the folder of its "
