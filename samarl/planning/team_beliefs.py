@@ -122,19 +122,22 @@ def _believe(
                     out[f] = pose[j, f]
                 out[THROUGH] = 1.0 if memory.arrived[e, j] else 0.0
                 out[MACRO_ACTION] = number_of_mode(e, j, mouths, memory)
-            elif slot < received.shape[2] and received[e, i, slot]:
-                memory.known[e, i, j] = True
-                write_track(ego[e, i], pose[i], messages[e, i, slot], out)
-                for f in range(PRIORITY, MACRO_ACTION + 1):
-                    out[f] = messages[e, i, slot, f]
-            elif robots_visible[e, i, slot]:
-                if not memory.known[e, i, j]:
-                    out[PRIORITY], out[THROUGH], out[MACRO_ACTION] = 0.0, 1.0, 0.0
-                memory.known[e, i, j] = True
+                continue
+            told = slot < received.shape[2] and received[e, i, slot]
+            seen = robots_visible[e, i, slot]
+            if seen:  # as messages may be late
                 write_track(ego[e, i], pose[i], robots[e, i, slot], out)
+            elif told:
+                write_track(ego[e, i], pose[i], messages[e, i, slot], out)
             elif memory.known[e, i, j]:
                 out[0] += out[2] * dt
                 out[1] += out[3] * dt
+            if told:
+                for f in range(PRIORITY, MACRO_ACTION + 1):
+                    out[f] = messages[e, i, slot, f]
+            elif seen and not memory.known[e, i, j]:
+                out[PRIORITY], out[THROUGH], out[MACRO_ACTION] = 0.0, 1.0, 0.0
+            memory.known[e, i, j] |= told or seen
 
 
 @function

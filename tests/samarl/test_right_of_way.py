@@ -9,6 +9,7 @@ from mrsan import Split, World
 from mrsan.passages import find_passages
 from samarl import load_agent, load_scenario
 from samarl.agents.agent import act_and_tell
+from samarl.agents.planners.right_of_way import RightOfWay
 from samarl.evaluation.trajectory import record_episode
 from samarl.policies.explanation import ACTIVITIES
 from samarl.report.replays import as_replay
@@ -55,6 +56,24 @@ def test_robots_wait_beside_a_door_and_tell_so() -> None:
             assert ahead > 0.0
             waited += aside > 0.8
     assert waited > 50
+
+
+def test_late_messages_do_not_move_a_robot_that_is_seen() -> None:
+    scenario = load_scenario("doorway", humans=0, robots=2, team_messages=True, team_delay=1.0)
+    agent, world = load_agent("right_of_way", scenario), World(scenario, 8)
+    assert isinstance(agent, RightOfWay)
+    observation = world.reset(Split.validation.case(0) + np.arange(8))
+    seen = 0
+    for _ in range(40):
+        action = act_and_tell(agent, observation, world)
+        visible = observation.agents[4][..., 0]
+        other = agent.memory.belief[:, [0, 1], [1, 0], :2]
+        truth = world.state.robot_position[:, [1, 0]]
+        error = np.hypot(*np.moveaxis(other - truth, -1, 0))
+        assert (error[visible] < 0.01).all()
+        seen += visible.sum()
+        observation = world.step(action).observation
+    assert seen > 50
 
 
 def test_without_messages_it_says_so() -> None:
