@@ -54,8 +54,6 @@ def macro(config: DictConfig) -> None:
     scenarios = {str(name): scenario_of(s, "scenarios") for name, s in config.scenarios.items()}
     if not scenarios:
         raise ConfigurationError("scenarios is empty; it must name at least one")
-    if len({scenario.robots for scenario in scenarios.values()}) > 1:
-        raise ConfigurationError("scenarios have different numbers of robots; they must have one")
     output = Path(config.output)
     check_writable(output / BEST, "output")
     agents: dict[str, RightOfWay] = {

@@ -145,6 +145,11 @@ class Learner:
         for group in self.optimiser.param_groups:
             group["lr"] = t.learning_rate * (1.0 - (1.0 - _LAST_RATE) * progress)
         parts = [self._batch(collector.decisions) for collector in self.collectors.values()]
+        mates = max(part.mates.shape[1] for part in parts)
+        parts = [
+            part._replace(mates=_pad(part.mates, mates), truth=_pad(part.truth, mates))
+            for part in parts
+        ]
         batch = _Batch(*(torch.cat(part) for part in zip(*parts, strict=True)))
         if len(batch.choice) < 2:
             return 0.0
@@ -214,6 +219,11 @@ class Learner:
             ConfigurationError: the file is damaged, or belongs to another training run.
         """
         self.steps = restore_learner(self.path, self._networks, self.optimiser, self._run, "steps")
+
+
+def _pad(mates: Tensor, number: int) -> Tensor:
+    """Return `mates` [B, K, F] with absent ones, which are zeros, up to [B, `number`, F]."""
+    return nn.functional.pad(mates, (0, 0, 0, number - mates.shape[1]))
 
 
 def advantages(

@@ -155,6 +155,17 @@ def test_training_is_resumed_and_belongs_to_one_configuration(tmp_path: Path) ->
         Learner(training(seed=1), {"doorway": planner()}, state)
 
 
+def test_teams_of_different_sizes_train_one_network(tmp_path: Path) -> None:
+    pair = load_agent("right_of_way", replace(NARROW, robots=2))
+    assert isinstance(pair, RightOfWay)
+    learner = Learner(training(), {"two": pair, "four": planner()}, tmp_path / "t.safetensors")
+    learner.learn()
+    assert learner.steps == training().steps
+    own, mates = torch.rand(5, OWN), torch.rand(5, 3, MATE)
+    absent = torch.cat([mates, torch.zeros(5, 2, MATE)], 1)
+    torch.testing.assert_close(learner.actor(own, mates), learner.actor(own, absent))
+
+
 def test_a_network_drives_and_what_it_must_not_know_has_no_effect(tmp_path: Path) -> None:
     network = PassageNetwork(NetworkConfig(hidden=16, priorities=False, intents=False))
     own, mates = torch.rand(5, OWN), torch.rand(5, 3, MATE)
