@@ -170,6 +170,11 @@ class Learned(Agent):
         self._deployed = DeployedPolicy(self.policy, self._policy_scenario, self.waypoints, guide)
 
     @property
+    def guide(self) -> RightOfWay | None:
+        """What tells robots who goes first, if anything does."""
+        return self._deployed.guide
+
+    @property
     def kinematics_mismatch(self) -> bool:
         """Whether the robots have other kinematics than those the policy was trained with."""
         return self._policy_scenario is not self.scenario
@@ -177,8 +182,7 @@ class Learned(Agent):
     def version(self) -> str:
         """Return a digest of the code and of the weights."""
         version = f"{super().version()}.{self.card.sha256[:16]}"
-        guide = self._deployed.guide
-        return version if guide is None else f"{version}.{guide.version()}"
+        return version if self.guide is None else f"{version}.{self.guide.version()}"
 
     def scope_warning(self) -> str | None:
         """Return one line about how the scenario differs from those of the training, or None.

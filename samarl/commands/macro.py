@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import json
 import time
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from omegaconf import MISSING, DictConfig
@@ -14,13 +14,10 @@ from omegaconf import MISSING, DictConfig
 from mrsan import ConfigurationError, Scenario, Split
 from mrsan.fields import check_numbers, number
 from samarl.commands.cli import command_line, run_command
-from samarl.configuration import open_mapping, scenario_of
+from samarl.configuration import load_method_config, open_mapping, scenario_of
 from samarl.files import check_writable, code_version, write_json
 from samarl.policies.card import BEST
 from samarl.registry import checked_fields
-
-if TYPE_CHECKING:
-    from samarl.agents.planners.right_of_way import RightOfWay
 
 
 @dataclass
@@ -28,6 +25,7 @@ class Macro:
     """Schema of `conf/macro.yaml`."""
 
     training: Any = MISSING
+    agent: str = MISSING
     scenarios: dict[str, Any] = open_mapping()
     validation_cases: int = number(MISSING, 1, 10**6, help="validation cases per scenario")
     output: str = MISSING
@@ -41,7 +39,7 @@ def main() -> None:
 
 def macro(config: DictConfig) -> None:
     """Train a macro level, measure it beside the rule, and write the results."""
-    from samarl.api import load_agent
+    from samarl.agents.build import build_agent
     from samarl.macro_level.learner import Learner
     from samarl.macro_level.network import NetworkConfig, save_macro_level
     from samarl.macro_level.settings import MacroRewards, MacroTraining
@@ -56,10 +54,8 @@ def macro(config: DictConfig) -> None:
         raise ConfigurationError("scenarios is empty; it must name at least one")
     output = Path(config.output)
     check_writable(output / BEST, "output")
-    agents: dict[str, RightOfWay] = {
-        name: load_agent("right_of_way", scenario)  # type: ignore[misc]
-        for name, scenario in scenarios.items()
-    }
+    method = load_method_config(config.agent, "agent")
+    agents = {name: build_agent(method, scenario) for name, scenario in scenarios.items()}
     learner = Learner(training, agents, output / "training.safetensors")
     if learner.steps:
         print(f"resuming at step {learner.steps} of {training.steps}")
@@ -76,7 +72,7 @@ def macro(config: DictConfig) -> None:
         },
     }
     save_macro_level(output / BEST, learner.actor, provenance)
-    rows = _compare(agents, output, config.validation_cases)
+    rows = _compare(method, scenarios, output, config.validation_cases)
     write_json(output / "macro.json", provenance | {"validation": rows, "curve": learner.curve})
     print(f"written to {output}")
 
@@ -86,19 +82,23 @@ def _stage(scenario: Scenario) -> dict[str, Any]:
     return {"scenario": json.loads(json.dumps(asdict(scenario), default=str))}
 
 
-def _compare(agents: dict[str, RightOfWay], output: Path, cases: int) -> dict[str, Any]:
+def _compare(
+    method: dict[str, Any], scenarios: dict[str, Scenario], output: Path, cases: int
+) -> dict[str, Any]:
     """Measure the macro level beside the rule; return and print success and makespan."""
+    from samarl.agents.build import build_agent
     from samarl.evaluation.runner import run_cases
+    from samarl.macro_level.decisions import guide_of
 
     numbers = Split.validation.case(0) + np.arange(cases, dtype=np.int64)
     rows: dict[str, Any] = {}
-    for name, agent in agents.items():
-        for kind, measured in {
-            "rule": agent,
-            "learned": replace(agent, macro_level=str(output)),
-            "learned, sampled": replace(agent, macro_level=str(output), sampled=True),
-        }.items():
-            episodes = run_cases(measured, agent.scenario, numbers, batch=256)
+    for name, scenario in scenarios.items():
+        for kind in ("rule", "learned", "learned, sampled"):
+            agent = build_agent(method, scenario)
+            guide = guide_of(agent)
+            if kind != "rule":
+                guide.use(str(output), sampled=kind == "learned, sampled")
+            episodes = run_cases(agent, scenario, numbers, batch=256)
             success = episodes.success
             makespan = float(episodes.time.max(1)[success].mean()) if success.any() else np.nan
             row = {"success": float(success.mean()), "makespan": makespan}

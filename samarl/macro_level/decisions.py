@@ -13,9 +13,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mrsan import Split, World
+from mrsan import ConfigurationError, Split, World
 from mrsan.metrics import Episodes, episodes_of
-from samarl.agents.planners.right_of_way import RightOfWay
+from samarl.agents.agent import Agent, act_and_tell
+from samarl.agents.learned import Learned
+from samarl.agents.planners.right_of_way import RightOfWay, Robots
+from samarl.agents.shielded import Shielded
 from samarl.macro_level.settings import MacroRewards
 from samarl.planning.passage_features import MATE, OWN, TRUTH
 
@@ -23,6 +26,22 @@ Floats = NDArray[np.float32]
 Choose = Callable[[Floats, Floats], tuple[NDArray[np.int64], Floats]]
 
 _LONGEST_PROGRESS = 0.5  # m, per step and robot
+
+
+def guide_of(agent: Agent) -> RightOfWay:
+    """Return what tells the robots of an agent who goes first.
+
+    Raises:
+        ConfigurationError: nobody does, or there are no walls.
+    """
+    inner = agent.agent if isinstance(agent, Shielded) else agent
+    guide = inner.guide if isinstance(inner, Learned) else inner
+    if not isinstance(guide, RightOfWay):
+        raise ConfigurationError(
+            "agent has no right of way here; it must be right_of_way, or a policy with "
+            "right_of_way=rule among walls"
+        )
+    return guide
 
 
 class Decisions(NamedTuple):
@@ -52,19 +71,25 @@ class Decisions(NamedTuple):
 
 
 class Collector:
-    """Drives a team by `right_of_way` in worlds of one scenario and records its decisions."""
+    """Drives a team in worlds of one scenario and records its decisions before passages."""
 
     def __init__(
         self,
-        agent: RightOfWay,
+        agent: Agent,
         worlds: int,
         rollout: int,
         first_case: int,
         rewards: MacroRewards,
         discount: float,
     ) -> None:
-        """Begin episodes in `worlds` worlds, from a training case on."""
+        """Begin episodes in `worlds` worlds, from a training case on.
+
+        Raises:
+            ConfigurationError: nobody tells robots of `agent` who goes first.
+        """
         self.agent, self.scenario, self.rewards = agent, agent.scenario, rewards
+        self.guide = guide_of(agent)
+        self.guide.chooser = self._decide
         self.rollout, self.discount = rollout, discount
         self.world = World(self.scenario, worlds)
         cases = Split.training.case(first_case) + np.arange(worlds, dtype=np.int64)
@@ -91,15 +116,13 @@ class Collector:
             choose: returns choices [B] and their log-probabilities for own numbers [B, OWN] and
                 those of mates [B, N - 1, MATE].
         """
+        self._choose = choose
         self._keep_open_decisions()
         finished = []
         for _ in range(self.rollout):
             if self._is_init.any():
                 self.agent.reset(self._is_init)
-            self.agent.perceive(self._observation)
-            self._decide(choose)
-            action = self.agent.drive()
-            self.world.tell(self.agent.macro_actions())
+            action = act_and_tell(self.agent, self._observation, self.world)
             ended = self._step(action)
             self._is_init = ended
             if ended.any():
@@ -110,20 +133,17 @@ class Collector:
                 self._observation = self.world.reset(cases, ended)
         return finished
 
-    def _decide(self, choose: Choose) -> None:
+    def _decide(self, due: Robots) -> NDArray[np.int64]:
         """Choose for the robots that have to, and begin their records."""
-        due = np.nonzero(self.agent.due)
-        if not len(due[0]):
-            return
-        own, mates, truth = self.agent.features()
-        choice, log_prob = choose(own[due], mates[due])
-        self.agent.choose(due, choice)
+        own, mates, truth = self.guide.features()
+        choice, log_prob = self._choose(own[due], mates[due])
         d = self.decisions
         slot = (*due, d.number[due])
         d.own[slot], d.mates[slot], d.truth[slot] = own[due], mates[due], truth[due]
         d.choice[slot], d.log_prob[slot] = choice, log_prob
         d.reward[slot], d.duration[slot], d.ended[slot] = 0.0, 0, False
         d.number[due] += 1
+        return choice
 
     def _step(self, action: Floats) -> NDArray[np.bool_]:
         """Advance the worlds, and add the team's reward to the decisions that go on."""

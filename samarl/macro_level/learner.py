@@ -15,7 +15,7 @@ from torch import Tensor, nn
 
 from mrsan import ConfigurationError
 from mrsan.metrics import Episodes
-from samarl.agents.planners.right_of_way import RightOfWay
+from samarl.agents.agent import Agent
 from samarl.errors import TrainingError
 from samarl.macro_level.decisions import Collector, Decisions
 from samarl.macro_level.network import PassageNetwork
@@ -45,14 +45,12 @@ class _Batch(NamedTuple):
 class Learner:
     """Trains a macro level; its state is saved to a file, from which training can be resumed."""
 
-    def __init__(
-        self, training: MacroTraining, agents: Mapping[str, RightOfWay], state: Path
-    ) -> None:
+    def __init__(self, training: MacroTraining, agents: Mapping[str, Agent], state: Path) -> None:
         """Start a training run, or resume it from the file `state`.
 
         Args:
             training: its configuration.
-            agents: the planner in each scenario.
+            agents: one for each scenario; the macro level decides who enters for its robots.
             state: file.
 
         Raises:
@@ -65,7 +63,7 @@ class Learner:
                 "number of scenarios"
             )
         self.training, self.path, self.steps = training, state, 0
-        settings = {name: asdict(agent.scenario) for name, agent in agents.items()}
+        settings = {name: (asdict(a.scenario), repr(a)) for name, a in agents.items()}
         self._run = hashlib.sha256(repr((asdict(training), settings)).encode()).hexdigest()
         torch.manual_seed(training.seed)
         self.actor = PassageNetwork(training.network)

@@ -119,7 +119,7 @@ def test_features_are_those_of_the_door() -> None:
     for _ in range(30):
         agent.perceive(observation)
         own, mates, truth = agent.features()
-        for e, i in np.argwhere(agent.due):
+        for e, i in np.argwhere(agent.memory.due):
             passages = find_passages(world.state.walls[e], world.state.place[e], 1.6)
             here = world.state.robot_position[e, i]
             mouth = agent.memory.entry[e, i]
@@ -132,7 +132,7 @@ def test_features_are_those_of_the_door() -> None:
             beliefs = mates[e, i][knows][:, positions]
             np.testing.assert_allclose(beliefs, truth[e, i][knows][:, positions], atol=2e-3)
             seen += int(knows.sum())
-        agent.choose(np.nonzero(agent.due), np.full(int(agent.due.sum()), QUEUE))
+        agent.memory.choice[agent.memory.due] = QUEUE
         action = agent.drive()
         world.tell(agent.macro_actions())
         observation = world.step(action).observation
@@ -166,6 +166,18 @@ def test_teams_of_different_sizes_train_one_network(tmp_path: Path) -> None:
     torch.testing.assert_close(learner.actor(own, mates), learner.actor(own, absent))
 
 
+def test_a_macro_level_is_trained_over_a_policy_too() -> None:
+    with pytest.raises(ConfigurationError, match="no right of way"):
+        Collector(load_agent("samarl_places", NARROW), WORLDS, 16, 0, REWARDS, 0.9)
+    driven = load_agent("samarl_places", NARROW, right_of_way="rule")
+    collector = Collector(driven, WORLDS, 60, 0, REWARDS, 0.9)
+    collector.collect(all_enter)
+    d = collector.decisions
+    assert d.is_over.sum() > WORLDS
+    assert set(d.choice[d.is_filled]) == {ENTER}
+    assert (d.reward[d.is_over] > 0.0).any()  # they come nearer to their goals
+
+
 def test_a_network_drives_and_what_it_must_not_know_has_no_effect(tmp_path: Path) -> None:
     network = PassageNetwork(NetworkConfig(hidden=16, priorities=False, intents=False))
     own, mates = torch.rand(5, OWN), torch.rand(5, 3, MATE)
@@ -193,7 +205,7 @@ def test_ablations_choose_without_a_network(level: str, expected: float) -> None
     entered = []
     for _ in range(60):
         observation = world.step(act_and_tell(agent, observation, world)).observation
-        entered.append((agent.memory.choice == ENTER)[agent.due])
+        entered.append((agent.memory.choice == ENTER)[agent.memory.due])
     share = np.concatenate(entered).mean()
     assert abs(share - expected) < 0.2
     assert (share == 1.0) == (level == "enter")
@@ -204,7 +216,7 @@ def test_a_choice_ends_with_its_episode() -> None:
     agent = planner()
     world, observation = begin(agent)
     agent.perceive(observation)
-    agent.choose(np.nonzero(np.ones((WORLDS, 4))), np.full(4 * WORLDS, ENTER))
+    agent.memory.choice[:] = ENTER
     ended = np.arange(WORLDS) < 3
     agent.reset(ended)
     agent.perceive(world.reset(worlds=ended))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,12 +30,20 @@ _NUMBERS = Settings()  # the defaults
 RANDOM, ALL_ENTER = "random", "enter"  # of `RightOfWay.macro_level`, for ablations
 
 
+Robots = tuple[NDArray[np.int64], ...]  # worlds and numbers of robots, [B] each
+Chooser = Callable[[Robots], NDArray[np.int64]]  # returns `QUEUE` or `ENTER` for each
+
+
 @dataclass
 class RightOfWay(Agent):
     """Follows routes by rollouts, passes doors in one direction at a time, and queues beside them.
 
     The rule is that of `samarl.planning.right_of_way`. Robots know the map
     (`Scenario.map_known`) and what team-mates tell (`Scenario.team_messages`).
+
+    Attributes:
+        chooser: called for the robots that have to choose whether they enter a passage or queue;
+            None: they follow the rule.
     """
 
     central: bool = setting(
@@ -82,11 +91,21 @@ class RightOfWay(Agent):
             ConfigurationError: a number is out of range.
         """
         super().__post_init__()
-        self._network, self._random = None, np.random.default_rng(0)
-        if self.macro_level not in (None, RANDOM, ALL_ENTER):
-            self._network = load_macro_level(self.macro_level, "agent.macro_level")
+        self._random = np.random.default_rng(0)
+        self.use(self.macro_level, self.sampled)
         self._passages: list[Passages | None] = []  # of each world
         self._is_init = np.zeros(0, np.bool_)
+
+    def use(self, macro_level: str | None, sampled: bool = False) -> None:
+        """Let a macro level choose; the arguments are the fields of these names.
+
+        Raises:
+            ConfigurationError: there is no such macro level.
+        """
+        self.macro_level, self.sampled, self._network = macro_level, sampled, None
+        self.chooser: Chooser | None = None if macro_level is None else self._choices
+        if macro_level not in (None, RANDOM, ALL_ENTER):
+            self._network = load_macro_level(macro_level, "agent.macro_level")
 
     def scope_warning(self) -> str | None:
         """Return whether robots do not hear of each other."""
@@ -110,11 +129,11 @@ class RightOfWay(Agent):
     def decide(self, observation: Observation) -> None:
         """Choose who goes first, by the rule or the macro level; then call `drive` or `direct`."""
         self.perceive(observation)
-        if self.macro_level is not None and self.due.any():
-            due = np.nonzero(self.due)
-            self.choose(due, self._choices(due))
+        if self.chooser is not None and self._memory.due.any():
+            due = np.nonzero(self._memory.due)
+            self._memory.choice[due] = self.chooser(due)
 
-    def _choices(self, due: tuple[NDArray[np.int64], ...]) -> NDArray[np.int64]:
+    def _choices(self, due: Robots) -> NDArray[np.int64]:
         """Return whether robots (world and number [B]) queue or enter, `QUEUE` or `ENTER` [B]."""
         if self._network is None:
             chance = np.full(len(due[0]), 1.0 if self.macro_level == ALL_ENTER else 0.5)
@@ -162,12 +181,6 @@ class RightOfWay(Agent):
             kernel_parameters(self.scenario),
         )
 
-    @property
-    def due(self) -> NDArray[np.bool_]:
-        """Which robots [E, N] have to choose now whether they enter a passage or queue."""
-        due: NDArray[np.bool_] = self._memory.due
-        return due
-
     def features(self) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
         """Return what robots whose choice is due know, as `write_features` describes it.
 
@@ -184,10 +197,6 @@ class RightOfWay(Agent):
             e, ego, humans, humans_visible, *self._mouths, self._memory, own, mates, truth
         )
         return own, mates, truth
-
-    def choose(self, robots: tuple[NDArray[np.int64], ...], choice: NDArray[np.int64]) -> None:
-        """Let robots (world and number [B]) queue or enter: `QUEUE` or `ENTER` [B]."""
-        self._memory.choice[robots] = choice
 
     def drive(self) -> NDArray[np.float32]:
         """Return the actions of rollouts along the path, after `decide`."""
