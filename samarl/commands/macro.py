@@ -25,7 +25,7 @@ class Macro:
     """Schema of `conf/macro.yaml`."""
 
     training: Any = MISSING
-    agent: str = MISSING
+    driver: str = MISSING
     scenarios: dict[str, Any] = open_mapping()
     validation_cases: int = number(MISSING, 1, 10**6, help="validation cases per scenario")
     output: str = MISSING
@@ -54,7 +54,7 @@ def macro(config: DictConfig) -> None:
         raise ConfigurationError("scenarios is empty; it must name at least one")
     output = Path(config.output)
     check_writable(output / BEST, "output")
-    method = load_method_config(config.agent, "agent")
+    method = load_method_config(config.driver, "driver")
     agents = {name: build_agent(method, scenario) for name, scenario in scenarios.items()}
     learner = Learner(training, agents, output / "training.safetensors")
     if learner.steps:

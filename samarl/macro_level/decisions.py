@@ -38,7 +38,7 @@ def guide_of(agent: Agent) -> RightOfWay:
     guide = inner.guide if isinstance(inner, Learned) else inner
     if not isinstance(guide, RightOfWay):
         raise ConfigurationError(
-            "agent has no right of way here; it must be right_of_way, or a policy with "
+            "the driver has no right of way here; it must be right_of_way, or a policy with "
             "right_of_way=rule among walls"
         )
     return guide
