@@ -104,7 +104,7 @@ class PPOConfig:
         0.0, 100.0, help="initial weight of imitating the teacher; falls linearly to 0"
     )
     teacher_end: float = required(
-        0.001, 1.0, help="share of the training after which the teacher is not imitated any more"
+        0.001, 1.0, help="training progress after which the teacher is not imitated any more"
     )
     std_start: float = required(0.01, 10.0, help="initial upper bound of the exploration noise")
     std_end: float = required(

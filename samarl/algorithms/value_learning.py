@@ -35,13 +35,13 @@ class ValueLearningConfig:
     """Hyperparameters of the update; the discount is the policy's."""
 
     learning_rate: float = required(0.0, 1.0, help="initial learning rate; falls linearly to 0")
-    imitation: float = required(0.0, 1.0, help="initial share of the training in which ORCA drives")
+    imitation: float = required(0.0, 1.0, help="training progress until which ORCA drives")
     epsilon_start: float = required(
         0.0, 1.0, help="probability of a random command after imitation"
     )
     epsilon_end: float = required(0.0, 1.0, help="final probability of a random command")
     epsilon_share: float = required(
-        0.0, 1.0, help="share of the training over which the probability falls linearly"
+        0.0, 1.0, help="training progress over which the probability falls linearly"
     )
     replay: int = required(1, 10**8, help="capacity of the replay buffer, steps of one robot")
     learning_starts: int = required(
