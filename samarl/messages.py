@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from io import TextIOWrapper
 from pathlib import Path
+from traceback import walk_tb
 
 from hydra.errors import HydraException, MissingConfigException
 from omegaconf import DictConfig
@@ -62,7 +64,7 @@ def explain(error: BaseException) -> str:
         names = [option for option in error.options or () if not option.endswith("schema")]
         return f"{where}{group} is {name!r}, which does not exist; {choice_hint(name, names)}"
     if isinstance(error, UnicodeDecodeError):
-        return f"a configuration file is not UTF-8 text ({error})"
+        return f"{_file_read(error) or 'a configuration file'} is not UTF-8 text ({error})"
     if isinstance(error, HydraException | OmegaConfBaseException):
         for cause in _causes(error):
             if isinstance(cause, OmegaConfBaseException) and cause.full_key:
@@ -74,6 +76,12 @@ def explain(error: BaseException) -> str:
         texts.append(str(error.__cause__))
     lines = [line.strip() for line in "\n".join(texts).splitlines()]
     return "; ".join(filter(None, lines)) or type(error).__name__
+
+
+def _file_read(error: UnicodeDecodeError) -> str | None:
+    """Return the name of the file that could not be decoded, which the error does not have."""
+    files = [frame.f_locals.get("f") for frame, _ in walk_tb(error.__traceback__)]
+    return next((file.name for file in files if isinstance(file, TextIOWrapper)), None)
 
 
 def _causes(error: BaseException | None) -> Iterator[BaseException]:

@@ -73,7 +73,7 @@ def test_the_message_names_the_file_of_the_user(
     bare: None, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for name, content, message in (
-        ("agent/a.yaml", "# Zürich\n".encode("latin-1"), "a configuration file is not UTF-8"),
+        ("agent/a.yaml", "# Zürich\n".encode("latin-1"), "agent/a.yaml is not UTF-8 text ("),
         ("agent/b.yaml", b"a: [1", 'agent/b.yaml", line 1'),
         ("scenario/c.yaml", b"robotz: 3", "scenario/c.yaml: scenario.robotz is not known; did"),
     ):  # the others are malformed as well, but not read
@@ -85,6 +85,8 @@ def test_the_message_names_the_file_of_the_user(
         said = capsys.readouterr().err
         assert message in said
         assert said.count("\n") == 1
+    assert run(["agent=my conf (1)/agent/a.yaml"], monkeypatch) == 2
+    assert "agent/a.yaml is not UTF-8 text (" in capsys.readouterr().err
 
 
 def test_every_cell_of_a_sweep_is_checked_before_the_first_is_run(
