@@ -27,6 +27,7 @@ _HALF = np.float32(0.5)
 _ONE = np.float32(1.0)
 _TWO = np.float32(2.0)
 CREEP_SPEED = np.float32(1e-3)  # of a holonomic robot that imitates a turn in place, m/s
+LOOK_SPEED = 1e-4  # of one that looks round, which must stay where it is, m/s
 TURN_IN_PLACE_ANGLE = np.float32(math.pi / 3)  # for larger turns the robot stops first, rad
 
 
@@ -127,6 +128,17 @@ def _action_to_motion(first, last, ego, action, p, out):
         out[2], out[3] = forward * scale, leftward * scale
     else:
         out[2], out[3] = (speed - math.sqrt(vx * vx + vy * vy)) / p.time_step, _ZERO
+
+
+def turning_action(turn: float, p: Parameters) -> NDArray[np.float32]:
+    """Return the action [1, 1, A] by which a standing robot turns on the spot, rad."""
+    if p.kinematics == HOLONOMIC:
+        creep = LOOK_SPEED / float(p.robot_speed)
+        action = [creep * math.cos(turn), creep * math.sin(turn)]
+    else:
+        share = float(np.clip(turn / float(p.max_turn), -1.0, 1.0))
+        action = [0.0, 0.0, share] if p.kinematics == ACCELERATION_HEADING else [-1.0, share]
+    return np.array([[action]], np.float32)
 
 
 def retarget_actions(

@@ -27,7 +27,7 @@ class MacroLevel:
                 f"macro_level is {str(path)!r}; there is no such file, samarl-export writes one"
             )
         try:
-            self._session = open_session(Path(path).read_bytes())
+            self._load(Path(path).read_bytes())
         except Exception as error:  # a damaged file may lead to any
             reason = (str(error).splitlines() or [type(error).__name__])[0]
             raise ConfigurationError(f"{path} cannot be used: {reason:.300}") from error
@@ -35,6 +35,17 @@ class MacroLevel:
             raise ConfigurationError(
                 f"macro_level is {str(path)!r}; it must be an exported macro level"
             )
+
+    def __getstate__(self) -> bytes:
+        """Return the file's content; onnxruntime's session cannot be pickled."""
+        return self._content
+
+    def __setstate__(self, content: bytes) -> None:
+        """Open the network of a pickled or copied macro level."""
+        self._load(content)
+
+    def _load(self, content: bytes) -> None:
+        self._content, self._session = content, open_session(content)
 
     def choose(self, own: NDArray[np.float32], mates: NDArray[np.float32]) -> int:
         """Return `QUEUE` or `ENTER` for a robot's own numbers [OWN] and its team-mates' [K, MATE].

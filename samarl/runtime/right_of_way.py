@@ -24,7 +24,15 @@ from samarl.planning.passage_memory import empty_memory, mouths_of_worlds
 from samarl.planning.right_of_way import Settings
 from samarl.planning.team_beliefs import perceive
 from samarl.runtime.driver import Command, command_for, ego_features
-from samarl.runtime.inputs import Detection, InputError, OwnState, validated
+from samarl.runtime.inputs import (
+    Detection,
+    InputError,
+    OwnState,
+    number_above,
+    shown,
+    validated,
+    validated_number,
+)
 from samarl.runtime.macro_level import MacroLevel
 from samarl.runtime.team import Message, Team, validated_messages
 from samarl.runtime.walls import KnownMap
@@ -64,11 +72,14 @@ class RightOfWayDriver:
 
         Raises:
             ConfigurationError: the file cannot be used.
+            InputError: the name is not a string, or the time is not positive.
         """
+        if not isinstance(robot, str):
+            raise InputError(f"robot is {shown(robot)}; it must be a string")
         self.robot, self.scenario = robot, scenario or Scenario()
         self._known_map, self._settings = known_map, settings or Settings()
         self._macro_level = None if macro_level is None else MacroLevel(macro_level)
-        self._forget_after = forget_after
+        self._forget_after = number_above("forget_after", forget_after, 0.0)
         self._parameters = kernel_parameters(self.scenario)
         local = known_map.local
         self._map = MapArrays(
@@ -102,9 +113,10 @@ class RightOfWayDriver:
             InputError: the priority lies outside.
         """
         drawn = float(self._random.random(dtype=np.float32))
-        self.priority = drawn if priority is None else float(priority)
-        if not 0.0 <= self.priority < 1.0:
+        chosen = drawn if priority is None else validated_number("priority", priority)
+        if not 0.0 <= chosen < 1.0:
             raise InputError(f"priority is {priority}; it must lie in [0, 1)")
+        self.priority = chosen
         self._team = Team(self._forget_after)
         self._memory = empty_memory(1, 1)
         self._last_time: float | None = None

@@ -15,14 +15,14 @@ from mrsan.features import OTHER_RADIUS, OTHER_X, OTHER_Y
 from mrsan.parameters import Parameters
 from samarl.observations.tracker import AGE
 from samarl.planning.shield import SUFFICIENT_GAP, Shield, apply_shield
+from samarl.planning.velocity_control import turning_action
 from samarl.runtime.agents import AgentTracks
+from samarl.runtime.clear_area import ClearArea
 from samarl.runtime.inputs import Detection, OwnState
+from samarl.runtime.scan import SCAN_MARGIN
 from samarl.runtime.scan_memory import ScanMemory
 from samarl.runtime.walls import seen_from
 
-# Kept from what a scan shows, for its noise, besides what may bulge between two rays. Walls within
-# the margin must only not come closer. m
-SCAN_MARGIN = 0.05
 _MOST_AGENTS = 256  # people, and team-mates, that it knows at once
 _ROUNDING = 1e-3  # that single precision and a segment instead of returns may be wrong by, m
 
@@ -34,6 +34,7 @@ class ShieldReason(StrEnum):
     robot = "robot"  # a team-mate that is detected now
     wall = "wall"  # of the map, or seen now
     stale_data = "stale data"  # a person, a team-mate or a scan's return that is only remembered
+    unseen = "unseen"  # what may stand between the rays of a scan
 
 
 class _Walls(NamedTuple):
@@ -42,6 +43,7 @@ class _Walls(NamedTuple):
     entities: Entities  # [1, 1, K, 4]
     distance: NDArray[np.float64]  # [K] m
     is_remembered: NDArray[np.bool_]  # [K] seen by an earlier scan only
+    is_edge: NDArray[np.bool_]  # [K] of the area in which everything has been seen
 
 
 class RobotShield:
@@ -57,7 +59,7 @@ class RobotShield:
         self._agents = AgentTracks(
             _MOST_AGENTS, _MOST_AGENTS, self._shield.track_time, self._scenario.time_step
         )
-        self._scans = ScanMemory()
+        self._scans, self._clear = ScanMemory(), ClearArea(self._scenario)
 
     def check(
         self,
@@ -97,7 +99,10 @@ class RobotShield:
         def rejects(fewer: Observation) -> bool:
             return bool((checked(fewer) != action).any())
 
-        return safe_action, _reason(tracks, known, rejects)
+        reason = _reason(tracks, known, rejects)
+        if reason is ShieldReason.unseen and (turn := self._clear.turn_to_see(own)):
+            return turning_action(turn, self._parameters), reason
+        return safe_action, reason
 
     def _known_walls(
         self,
@@ -108,26 +113,27 @@ class RobotShield:
     ) -> _Walls:
         """Return all walls that the robot could touch within the horizon of the shield."""
         scans = [getattr(array, "scan", None) for array in walls]
-        remembered = self._scans.update([s for s in scans if s is not None], detections, time)
-        sources = [*map(np.asarray, walls), np.hstack([remembered, remembered])]
-        lengths = [len(array) for array in sources]
+        new_scans = [scan for scan in scans if scan is not None]
+        remembered = self._scans.update(new_scans, detections, time)
+        edges = self._clear.update(new_scans, own)
+        sources = [*map(np.asarray, walls), np.hstack([remembered, remembered]), edges]
         widest = max((scan.ray_width for scan in scans if scan), default=0.0)
-        ray_width = np.repeat(
-            [*(scan.ray_width if scan else 0.0 for scan in scans), widest], lengths
-        )
-        is_scanned = np.repeat([*(scan is not None for scan in scans), True], lengths)
-        is_remembered = np.arange(len(is_scanned)) >= len(is_scanned) - len(remembered)
+        ray_width = np.array([*(scan.ray_width if scan else 0.0 for scan in scans), widest, 0.0])
+        is_scanned = np.array([*(scan is not None for scan in scans), True, True])
         s = self._scenario
         speed = max(s.robot_speed, math.hypot(own.velocity_x, own.velocity_y))
         reach = s.robot_radius + self._shield.horizon * speed + float(SUFFICIENT_GAP) + SCAN_MARGIN
         near = seen_from(own, np.concatenate(sources), reach / (1.0 - widest / 2.0))
-        margin = SCAN_MARGIN + near.distance * ray_width[near.order] / 2.0
+        kind = np.repeat(np.arange(len(sources)), [len(array) for array in sources])[near.order]
+        is_remembered, is_edge = kind == len(sources) - 2, kind == len(sources) - 1
+        margin = SCAN_MARGIN + near.distance * ray_width[kind] / 2.0
+        margin = np.where(is_edge, self._clear.margin, margin)
         margin = np.minimum(margin, near.distance - s.robot_radius - _ROUNDING)
-        nearer = np.where(is_scanned[near.order], np.maximum(margin, 0.0), 0.0)
+        nearer = np.where(is_scanned[kind], np.maximum(margin, 0.0), 0.0)
         shift = near.nearest * (nearer / np.maximum(near.distance, 1e-9))[:, None]
         segments = (near.segments - np.hstack([shift, shift])).astype(np.float32)
         entities = Entities(segments[None, None], np.ones((1, 1, len(segments)), np.bool_))
-        return _Walls(entities, near.distance, is_remembered[near.order])
+        return _Walls(entities, near.distance, is_remembered, is_edge)
 
 
 def _reason(
@@ -173,12 +179,13 @@ def _members(
 ) -> dict[ShieldReason, dict[str, NDArray[np.bool_]]]:
     """Return who belongs to each reason, by group of entities, [1, 1, ...]."""
     is_old = {name: tracks.entities[name].features[..., AGE] > 0.0 for name in ("humans", "robots")}
-    is_old["walls"] = walls.is_remembered[None, None]
+    is_old["walls"], is_edge = walls.is_remembered[None, None], walls.is_edge[None, None]
     mask = {name: tracks.entities[name].mask for name in is_old}
     return {
         ShieldReason.person: {"humans": mask["humans"] & ~is_old["humans"]},
         ShieldReason.robot: {"robots": mask["robots"] & ~is_old["robots"]},
-        ShieldReason.wall: {"walls": mask["walls"] & ~is_old["walls"]},
+        ShieldReason.wall: {"walls": mask["walls"] & ~is_old["walls"] & ~is_edge},
+        ShieldReason.unseen: {"walls": is_edge},
         ShieldReason.stale_data: {name: mask[name] & is_old[name] for name in is_old},
     }
 

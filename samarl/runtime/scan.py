@@ -12,8 +12,15 @@ from numpy.typing import NDArray
 from mrsan.se2 import unit_vectors
 from samarl.runtime.inputs import InputError, OwnState, number_above, validated_own
 
+# Kept from what a scan shows, for its noise, besides what may bulge between two rays. Walls within
+# the margin must only not come closer. m
+SCAN_MARGIN = 0.05
+SMALLEST_OBSTACLE = 0.02  # diameter of the thinnest pole that is kept clear of, m
 _ROUNDING = 1e-6  # share of a range: messages hold it in single precision
+_OTHER_UNIT = 10.0  # ranges that many times the largest range are no measurements in metres,
+_MOST_FAR = 3  # except for these few numbers, by which drivers mark rays without a return
 _LARGEST_ANGLE = 4.0 * math.pi  # larger ones are degrees, rad
+_SAME_ANGLE = 1e-5  # rays closer to each other than this are one, rad
 _LARGEST_GAP = 0.5  # between neighbouring returns of the same wall, m
 _DEVIATION = 0.05  # of returns from the segment that replaces them, m
 _WIDEST = math.pi / 4  # angle that the segment between two rays may cover, rad
@@ -29,12 +36,19 @@ class Scan(NamedTuple):
     angle: NDArray[np.float64]  # [L] to the x axis, rising, in [0, 2 pi), rad
     distance: NDArray[np.float64]  # [L] inf for no return, 0 for something too close, m
     largest_range: float  # m
+    smallest_obstacle: float  # diameter of the thinnest pole that must be kept clear of, m
+
+    @property
+    def gap(self) -> float:
+        """Return the usual angle between neighbouring rays, rad."""
+        steps = np.diff(self.angle)
+        steps = steps[steps > _SAME_ANGLE]
+        return float(np.median(steps)) if len(steps) else math.pi
 
     @property
     def ray_width(self) -> float:
         """Return the angle that a ray stands for: that between neighbours, up to a limit, rad."""
-        steps = np.diff(self.angle)
-        return min(float(np.median(steps)), _WIDEST_RAY) if len(steps) else _WIDEST_RAY
+        return min(self.gap, _WIDEST_RAY)
 
     @property
     def is_hit(self) -> NDArray[np.bool_]:
@@ -51,10 +65,25 @@ class Scan(NamedTuple):
 class ScanWalls(np.ndarray[Any, np.dtype[np.float64]]):
     """Wall segments [K, 4] of a scan, with the scan, which tells where nothing stands.
 
-    Copies and parts of it are plain segments.
+    Parts of it and results of arithmetic are plain segments; pickles and deep copies have the scan.
     """
 
     scan: Scan
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Keep the scan in a pickle."""
+        return _with_scan, (np.asarray(self), getattr(self, "scan", None))
+
+    def __deepcopy__(self, memo: Any) -> ScanWalls:
+        """Keep the scan in a deep copy."""
+        return _with_scan(np.array(self), getattr(self, "scan", None))
+
+
+def _with_scan(segments: NDArray[np.float64], scan: Scan | None) -> ScanWalls:
+    walls = segments.view(ScanWalls)
+    if scan is not None:
+        walls.scan = scan
+    return walls
 
 
 def measured_ranges(
@@ -88,13 +117,24 @@ def measured_ranges(
     if not is_angle.all():
         k = int(is_angle.argmin())
         raise InputError(f"angles[{k}] is {angle[k]}; it must be in radians, within +-4 pi")
+    far = distance[np.isfinite(distance) & (distance > _OTHER_UNIT * largest)]
+    if (values := len(set(far.tolist()))) > _MOST_FAR:
+        raise InputError(
+            f"ranges has {values} different values up to {far.max():g}; they must be in metres, "
+            f"like largest_range ({largest:g})"
+        )
     is_return = (distance > 0.0) & (distance < largest * (1.0 - _ROUNDING))
     is_close = is_return & (distance < least * (1.0 - _ROUNDING)) | (distance == -np.inf)
     return np.where(is_close, 0.0, np.where(is_return, distance, np.inf)), angle
 
 
 def walls_of_scan(
-    ranges: Any, angles: Any, own: OwnState, largest_range: float, least_range: float = 0.0
+    ranges: Any,
+    angles: Any,
+    own: OwnState,
+    largest_range: float,
+    least_range: float = 0.0,
+    smallest_obstacle: float = SMALLEST_OBSTACLE,
 ) -> ScanWalls:
     """Return wall segments [K, 4] for `Driver.step` from the ranges of a lidar.
 
@@ -109,6 +149,10 @@ def walls_of_scan(
         own: the robot, whose position is that of the lidar.
         largest_range: of the lidar, m.
         least_range: of the lidar, m.
+        smallest_obstacle: diameter of the thinnest pole that the robot must not touch, m. What lies
+            between two rays may be one. Fewer rays or thinner poles therefore make the robot
+            slower, until it stops and looks round (`samarl.runtime.clear_area`). Thinner poles are
+            kept clear of only once a ray has hit them; infinity switches the limit off.
 
     Raises:
         InputError: names the argument that cannot be used.
@@ -118,10 +162,9 @@ def walls_of_scan(
     angle = (angle + own.heading) % (2.0 * math.pi)
     order = np.argsort(angle, kind="stable")
     distance, angle = distance[order], angle[order]
-    scan = Scan(own.x, own.y, angle, distance, float(largest_range))
-    walls = (_segments(scan) + np.array([own.x, own.y, own.x, own.y])).view(ScanWalls)
-    walls.scan = scan
-    return walls
+    smallest = number_above("smallest_obstacle", smallest_obstacle, 0.0)
+    scan = Scan(own.x, own.y, angle, distance, float(largest_range), smallest)
+    return _with_scan(_segments(scan) + np.array([own.x, own.y, own.x, own.y]), scan)
 
 
 def _segments(scan: Scan) -> NDArray[np.float64]:

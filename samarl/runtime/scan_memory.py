@@ -9,14 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from samarl.runtime.inputs import Detection
-from samarl.runtime.scan import Scan
+from samarl.runtime.scan import SMALLEST_OBSTACLE, Scan
 
 _LONGEST_TIME = 30.0  # for which a return is remembered, s
 _LARGEST_DISTANCE = 5.0  # from the lidar at which a return is remembered, m
 _CELL = 0.02  # of the returns in the same one, the latest is remembered, m
 _BEHIND = 0.05  # a ray has passed a place if it ends at least this far behind it, m
 _TOUCHING = 0.003  # a ray that passes a place at this distance shows that nothing is there, m
-_THINNEST = 0.03  # and so do two that pass it on both sides, this far from each other, m
+_THINNEST = 0.98 * SMALLEST_OBSTACLE  # and so do two that pass on both sides, this far apart, m
 _AGENT_SURFACE = 0.3  # returns this near to the surface of an agent are its own, m
 
 

@@ -1,7 +1,9 @@
 """The right of way on a robot: as in the simulator, and over links that lose and delay messages."""
 
+import copy
 import json
 import math
+import pickle
 from importlib import import_module
 from pathlib import Path
 
@@ -180,8 +182,28 @@ def test_messages_of_others_are_checked(office: KnownMap) -> None:
         -4.0,
         4.2,
     )
-    with pytest.raises(InputError, match="priority is 1"):
-        driver.reset(priority=1)
+    for priority in (1, -0.1, math.nan, "high"):
+        with pytest.raises(InputError, match=rf"^priority is '?{priority}"):
+            driver.reset(priority=priority)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match=r"^robot is 3;"):
+        RightOfWayDriver(office, 3)  # type: ignore[arg-type]
+    for seconds in (0.0, math.nan, "ten"):
+        with pytest.raises(InputError, match=r"^forget_after is"):
+            RightOfWayDriver(office, "ada", forget_after=seconds)  # type: ignore[arg-type]
+
+
+def test_a_driver_continues_identically_from_a_pickle(office: KnownMap, macro_level: Path) -> None:
+    driver = RightOfWayDriver(office, "ada", macro_level=macro_level)
+    other = MESSAGE._replace(x=-5.5, y=0.6, passages=driver.passages)
+    own = OwnState(-5.5, 2.4, -1.6, 0.0, 0.0, -6.5, -1.5)
+    driver.step(own, [], 0.0, [other])
+    twins = copy.deepcopy(driver), pickle.loads(pickle.dumps(driver))
+    for step in range(1, 5):
+        command, message = driver.step(own, [], 0.25 * step)
+        for twin in twins:
+            twin_command, twin_message = twin.step(own, [], 0.25 * step)
+            assert (twin_command.action == command.action).all()
+            assert twin_message == message
 
 
 def test_a_robot_waits_for_one_that_goes_until_it_is_forgotten(office: KnownMap) -> None:

@@ -1,6 +1,8 @@
 """Scans as drivers of lidars publish them: nothing that was measured is taken for free space."""
 
+import copy
 import math
+import pickle
 from array import array
 from typing import Any
 
@@ -103,6 +105,7 @@ def test_a_scan_that_cannot_be_used_is_named() -> None:
         (np.ones(4), None, "None.*4|4.*None"),
         (["1.0"], [0.0], "length 1.*angles"),
         (np.ma.masked_invalid([1.0, NAN]), np.zeros(2), "MaskedArray of length 2.*masks"),
+        (1000 + np.arange(360), CIRCLE, "ranges has 360 .*1359.*metres"),
         (np.ones(2), [0.0, 90.0], r"angles\[1\] is 90.*radians"),
     ]
     for ranges, angles, words in cases:
@@ -111,6 +114,9 @@ def test_a_scan_that_cannot_be_used_is_named() -> None:
         assert "\n" not in str(error.value)
     with pytest.raises(InputError, match=r"^largest_range "):
         walls_of_scan([1.0], [0.0], OWN, 1.0, 1.0)
+    for size in (0.0, -0.1, NAN, "thin"):
+        with pytest.raises(InputError, match=r"^smallest_obstacle "):
+            walls_of_scan([1.0], [0.0], OWN, 8.0, smallest_obstacle=size)  # type: ignore[arg-type]
 
 
 @pytest.fixture(scope="module")
@@ -186,6 +192,68 @@ def test_what_was_seen_is_kept_clear_of(driver: Driver, rays: int) -> None:
                 assert min(gaps) >= driver.scenario.robot_radius, (name, offset, step)
 
 
+@pytest.mark.parametrize(
+    ("rays", "start", "scene"), [(16, 1.0, "pole"), (64, 0.0, "needle"), (180, 1.0, "needle")]
+)
+def test_what_stands_between_two_rays_is_kept_clear_of(
+    driver: Driver, rays: int, start: float, scene: str
+) -> None:
+    """No ray hits the pole straight ahead until the robot drives slowly or looks round."""
+    walls, poles = SCENES[scene]
+    own, reasons = OWN._replace(velocity_x=start), set()
+    angles = (np.arange(rays) - rays // 2 + 0.5) * 2.0 * math.pi / rays
+    for step in range(100):
+        seen = walls_of_scan(hits(own, angles, walls, poles), angles, own, 8.0)
+        command = driver.step(own, [], 0.25 * step, walls=seen)
+        reasons.add(command.reason)
+        own, way = moved(own, command)
+        gaps = [math.hypot(x - px, y - py) - r for x, y in way for px, py, r in poles]
+        assert min(gaps) >= driver.scenario.robot_radius, step
+        if own.x > 2.0:
+            break
+    assert own.x > 0.6  # it did not just stand
+    assert ShieldReason.unseen in reasons
+
+
+def test_what_has_left_is_no_longer_in_the_way(driver: Driver) -> None:
+    """A pole right in front while the robot looks round, which is then taken away."""
+    angles = (np.arange(40) - 20 + 0.3) * 2.0 * math.pi / 40
+    own, poles = OWN, np.array([[0.7, 0.0, 0.2]])
+    for step in range(160):
+        if step == 40:
+            assert own.x < 0.25
+            poles = poles[:0]
+        seen = walls_of_scan(hits(own, angles, NOTHING[0], poles), angles, own, 8.0)
+        own, _ = moved(own, driver.step(own, [], 0.25 * step, walls=seen))
+    assert own.x > 1.5
+
+
+def arrival_time(driver: Driver, rays: int, smallest_obstacle: float) -> float:
+    """Of a robot in empty space with its goal 4 m ahead, s."""
+    angles = (np.arange(rays) - rays // 2 + 0.3) * 2.0 * math.pi / rays
+    own, radius = OWN, driver.scenario.robot_radius
+    for step in range(240):
+        if math.hypot(own.goal_x - own.x, own.goal_y - own.y) < radius:
+            return 0.25 * step
+        nothing = walls_of_scan(np.full(rays, INF), angles, own, 8.0, 0.1, smallest_obstacle)
+        own, _ = moved(own, driver.step(own, [], 0.25 * step, walls=nothing))
+    return INF
+
+
+def test_fewer_rays_and_thinner_obstacles_take_longer(driver: Driver) -> None:
+    full_speed = 4.0
+    for rays, smallest_obstacle, shortest, longest in (
+        (360, 0.02, full_speed, full_speed),
+        (40, 0.2, full_speed, full_speed),
+        (180, 0.02, 5.0, 10.0),
+        (40, 0.1, 5.0, 10.0),
+        (16, 0.02, 30.0, 45.0),
+    ):
+        driver.reset()
+        time = arrival_time(driver, rays, smallest_obstacle)
+        assert shortest <= time <= longest, (rays, smallest_obstacle)
+
+
 def test_what_is_too_close_stops_the_robot_and_no_return_does_not(driver: Driver) -> None:
     own = OWN._replace(velocity_x=0.8)
     stops, drives = ((-INF, 0.0), (0.05, 0.0)), ((0.0, 1.0), (NAN, 1.0), (INF, 1.0), (-1.0, 1.0))
@@ -219,6 +287,26 @@ def test_a_place_is_remembered_until_a_ray_passes_it() -> None:
     assert memory.update([aside.scan], [], 41.25).tolist() == []  # it was the person's
 
 
+def test_a_driver_that_remembers_scans_continues_identically_from_a_pickle(
+    loaded: Driver,
+) -> None:
+    """As does a scan that another process sends."""
+    loaded.reset()
+    own = OWN._replace(velocity_x=0.5)
+    angles = np.linspace(-math.pi, math.pi, 16, endpoint=False)
+    walls = walls_of_scan(np.where(np.abs(angles) < 0.1, 0.8, INF), angles, own, 8.0)
+    loaded.step(own, [], 0.0, walls=walls)
+    twins = copy.deepcopy(loaded), pickle.loads(pickle.dumps(loaded))
+    later = walls_of_scan(np.full(16, INF), angles + 0.1, own, 8.0)
+    received = copy.deepcopy(later), pickle.loads(pickle.dumps(later))
+    expected = loaded.step(own, [], 0.25, walls=later)
+    assert expected.shielded
+    for twin, copied in zip(twins, received, strict=True):
+        command = twin.step(own, [], 0.25, walls=copied)
+        assert (command.action == expected.action).all()
+        assert command.reason is expected.reason
+
+
 def test_why_the_shield_replaced_an_action(driver: Driver) -> None:
     own = OWN._replace(velocity_x=1.0)
     front = [(0.75 * math.cos(a), 0.75 * math.sin(a)) for a in (-0.9, 0.0, 0.9)]
@@ -241,7 +329,10 @@ def test_why_the_shield_replaced_an_action(driver: Driver) -> None:
     driver.step(own._replace(x=-2.0), people, 0.0)
     assert driver.step(own, [], 0.25).reason == "stale data"  # nobody sees them now
     driver.reset()
-    seen_before = walls_of_scan([0.5], [0.0], own, 8.0)
+    seen_before = walls_of_scan([0.5], [0.0], own, 8.0, smallest_obstacle=INF)
     driver.step(own, [], 0.0, walls=seen_before)
-    between = walls_of_scan([INF, INF], [-0.2, 0.2], own, 8.0)
+    between = walls_of_scan([INF, INF], [-0.2, 0.2], own, 8.0, smallest_obstacle=INF)
     assert driver.step(own, [], 0.25, walls=between).reason == "stale data"
+    driver.reset()
+    between = walls_of_scan([INF, INF], [-0.2, 0.2], own, 8.0)
+    assert driver.step(own, [], 0.0, walls=between).reason == "unseen"

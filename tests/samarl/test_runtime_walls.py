@@ -112,7 +112,7 @@ def test_commands_do_not_depend_on_the_origin_of_the_frame(
     driver: Driver, offset: tuple[float, float]
 ) -> None:
     """With people, a map, a scan and routes; surveyed sites have coordinates of such sizes."""
-    (x, y), angles = offset, np.linspace(-2.0, 2.0, 40)
+    (x, y), angles = offset, np.linspace(-2.0, 2.0, 400)
 
     def drive(x: float, y: float) -> np.ndarray:
         known = KnownMap([polygon + np.array([x, y]) for polygon in (BOUNDS, PARTITION)])
