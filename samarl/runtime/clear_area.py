@@ -38,10 +38,14 @@ class ClearArea:
         self._least = 1.003 * scenario.robot_radius + 0.005  # it may stand anyway, m
         self.margin = 0.0  # that the robot keeps from the edges, m
         self._is_needed = False
-        self._centre, self._sight = np.zeros(2), -math.inf  # where it was seen from, and how far, m
-        self._radii = np.zeros(_SECTORS)  # of the area, m
-        self._place = np.full(2, math.inf)  # of the scans whose rays are looked at together, m
-        self._angle, self._distance = np.zeros(0), np.zeros(0)
+        # Where the area was seen from, how far, and its radii, m.
+        self._centre: NDArray[np.float64] = np.zeros(2)
+        self._sight = -math.inf
+        self._radii: NDArray[np.float64] = np.zeros(_SECTORS)
+        # The rays of all scans from one place.
+        self._place: NDArray[np.float64] = np.full(2, math.inf)
+        self._angle: NDArray[np.float64] = np.zeros(0)
+        self._distance: NDArray[np.float64] = np.zeros(0)
         self._turn, self._is_looking, self._has_looked = 0.0, False, False
 
     def update(self, scans: Sequence[Scan], own: OwnState) -> NDArray[np.float64]:
