@@ -10,6 +10,7 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
+from matplotlib.collections import QuadMesh
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import EngFormatter
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 from mrsan import Scenario
 from samarl.evaluation.summary import Column, Row, column_of
 from samarl.evaluation.table import column_name, column_title, grid_of, row_settings
-from samarl.report.leaderboard import ranked
+from samarl.report.leaderboard import Line, ranked
 from samarl.report.style import COLOURS, INK, MUTED, STYLE
 from samarl.training.learning_curve import Curve, Points, number_in
 
@@ -36,6 +37,9 @@ _UNITS = {  # of fields of the scenario that sweeps vary
 _POINTS = 200  # drawn per curve
 _DASHES = ("-", "--", ":", "-.")  # the next style once all colours are used
 _PANELS = 5  # of a table, per line
+_EQUAL_BOUNDS = re.compile(r"(\S+)_min=(\S+) \1_max=\2")  # `a.x_min=1 a.x_max=1`, or `a.x=1`
+_FIELD = re.compile(r"(?:\w+\.)*(\w+)=(\S+)")  # `a.x=1`, or `x 1`
+_MOST_PANELS = 30  # of a table
 _CURVE_PANELS = 3  # per line
 _LIGHT_TEXT, _DARK_TEXT = "#FDFDFD", "#111111"  # on a heat map, in light and dark mode
 
@@ -132,28 +136,31 @@ def draw_heat_map(rows: Sequence[Row], title: str) -> Figure:
     with rc_context(STYLE):
         figure = Figure(figsize=(4.6, 1.5 + 0.3 * len(crowds)), layout="constrained")
         axes = figure.add_subplot()
-        axes.grid(visible=False)
-        axes.spines[:].set_visible(False)
-        axes.tick_params(length=0)
-        mesh = axes.pcolormesh(success, cmap="cividis", vmin=0, vmax=100, edgecolors="face")
-        for (y, x), value in np.ndenumerate(success):
-            if not math.isnan(value):
-                axes.text(
-                    x + 0.5,
-                    y + 0.5,
-                    f"{value:.0f}",
-                    ha="center",
-                    va="center",
-                    fontsize=10,
-                    color=_LIGHT_TEXT if value < 55 else _DARK_TEXT,
-                )
-        axes.set_xticks(np.arange(len(views)) + 0.5, [f"{view:g}°" for view in views])
-        axes.set_yticks(np.arange(len(crowds)) + 0.5, [f"{h}h {r}r" for h, r in crowds])
+        views_shown = [f"{view:g}°" for view in views]
+        mesh = _draw_mesh(axes, success, views_shown, [f"{h}h {r}r" for h, r in crowds])
         axes.set_xlabel("field of view, degrees")
         axes.set_ylabel("humans (h), robots (r)")
         axes.set_title(title, loc="left")
         figure.colorbar(mesh, label="success %", pad=0.02).outline.set_visible(False)
     return figure
+
+
+def _draw_mesh(
+    axes: Axes, success: NDArray[np.float64], x_labels: Sequence[str], y_labels: Sequence[str]
+) -> QuadMesh:
+    """Draw success in % [Y, X] as coloured cells with numbers; NaN cells stay empty."""
+    axes.grid(visible=False)
+    axes.spines[:].set_visible(False)
+    axes.tick_params(length=0)
+    mesh = axes.pcolormesh(success, cmap="cividis", vmin=0, vmax=100, edgecolors="face")
+    for (y, x), value in np.ndenumerate(success):
+        if not math.isnan(value):
+            colour = _LIGHT_TEXT if value < 55 else _DARK_TEXT
+            text = f"{value:.0f}"
+            axes.text(x + 0.5, y + 0.5, text, ha="center", va="center", fontsize=10, color=colour)
+    axes.set_xticks(np.arange(len(x_labels)) + 0.5, x_labels)
+    axes.set_yticks(np.arange(len(y_labels)) + 0.5, y_labels)
+    return mesh
 
 
 def draw_lines(
@@ -218,9 +225,14 @@ def draw_bars(rows: Sequence[Row], title: str) -> Figure:
 
 
 def draw_table(rows: Sequence[Row]) -> Figure:
-    """Draw success with its interval and the social score of all methods, one panel per column."""
+    """Draw success with its interval and the social score of all methods, one panel per column.
+
+    A table of very many columns is drawn as heat maps of success, one panel per method.
+    """
     grid = grid_of(rows)
     lines = ranked(rows)
+    if len(grid.columns) > _MOST_PANELS:
+        return _draw_methods(grid.columns, lines)
     y = np.arange(len(lines))
     with rc_context({**STYLE, "axes.grid.axis": "x"}):
         height = math.ceil(len(grid.columns) / _PANELS)
@@ -265,6 +277,40 @@ def draw_table(rows: Sequence[Row]) -> Figure:
             ncols=2,
             fontsize=10,
         )
+    return figure
+
+
+def _draw_methods(columns: Sequence[Column], lines: Sequence[Line]) -> Figure:
+    """Draw success of each method over its settings, and the numbers of people and robots."""
+    settings = [[c.layout, *_EQUAL_BOUNDS.sub(r"\1=\2", c.changes).split()] for c in columns]
+    shared = set.intersection(*map(set, settings))
+    varied = [" ".join(word for word in words if word not in shared) for words in settings]
+    y_labels = [_FIELD.sub(r"\1 \2", words).replace("_", " ") for words in varied]
+    views = {column.fov_degrees for column in columns}
+    x_labels = [
+        (f"{column.fov_degrees:g}° " if len(views) > 1 else "")
+        + f"{column.humans}h {column.robots}r"
+        for column in columns
+    ]
+    ys, xs = list(dict.fromkeys(y_labels)), list(dict.fromkeys(x_labels))
+    with rc_context(STYLE):
+        width = min(len(lines), _CURVE_PANELS)
+        height = math.ceil(len(lines) / width)
+        size = (2.4 + 0.5 * len(xs) * width, 0.8 + (0.6 + 0.3 * len(ys)) * height)
+        figure = Figure(figsize=size, layout="constrained")
+        panels = figure.subplots(height, width, sharey=True, squeeze=False).ravel()
+        for axes, line in zip(panels, lines, strict=False):
+            success = np.full((len(ys), len(xs)), np.nan)
+            for x, y, row in zip(x_labels, y_labels, line.rows, strict=True):
+                if row is not None:
+                    success[ys.index(y), xs.index(x)] = row["success_rate"]
+            mesh = _draw_mesh(axes, success, xs, ys)
+            axes.set_title(textwrap.fill(line.label, 5 * len(xs)), loc="left", fontsize=10)
+        panels[0].invert_yaxis()  # of all
+        for unused in panels[len(lines) :]:
+            unused.set_visible(False)
+        label = "success %; humans (h), robots (r)"
+        figure.colorbar(mesh, ax=panels, label=label, pad=0.02).outline.set_visible(False)
     return figure
 
 

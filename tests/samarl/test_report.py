@@ -97,6 +97,18 @@ def test_every_row_is_drawn(site: Path) -> None:
     assert "position noise" in (site / "figures/noise-90-10h-3r.svg").read_text()
 
 
+def test_a_table_of_many_columns_is_drawn_as_heat_maps() -> None:
+    rows = json.loads((find_folder("results") / "passages.json").read_text())
+    lines = ranked(rows)
+    axes = [panel for panel in draw_table(rows).axes if panel.get_visible()]
+    for panel, line in zip(axes[:-1], lines, strict=True):  # the last is the colour bar
+        drawn = sorted(int(text.get_text()) for text in panel.texts)
+        assert drawn == sorted(round(row["success_rate"]) for row in line.rows if row)
+    labels = [label.get_text() for label in axes[0].get_yticklabels()]
+    assert labels[:2] == ["doorway door width max 0.9", "doorway door width 1.2"]
+    assert len(set(labels)) == 8
+
+
 def test_methods_are_in_groups_best_first() -> None:
     rows = json.loads((find_folder("results") / "table1.json").read_text())
     ranking = ranked(rows)
