@@ -26,7 +26,7 @@ REFUSED: dict[str, tuple[str, dict[str, float]]] = {
     "pixels_four_columns.txt": ("scenario.recording_scale to about 0.04", {"scale": 0.037}),
     "sdd_annotations.txt": ("pixels; set scenario.recording_scale", {"scale": 0.037}),
     "renumbered_2_5_fps.txt": ("scenario.frame_seconds to about 0.4", {"frame_seconds": 0.4}),
-    "seconds.txt": ("scenario.frame_seconds to about 0.9", {"frame_seconds": 1.0}),
+    "seconds.txt": ("scenario.frame_seconds to 1 s", {"frame_seconds": 1.0}),
     "only_once_each.txt": ("must have the same id in every frame", {}),
     "five_seconds.txt": ("lasts 4.4 s; it must last at least 6 s", {}),
 }

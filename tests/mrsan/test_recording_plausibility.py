@@ -37,7 +37,7 @@ def moved(rows: np.ndarray, index: int, x: float) -> np.ndarray:
 LINE = np.array([(10 * k, person, 0.4 * k, 5.0) for k in range(30) for person in (1, 2)])
 CROWD = np.array([(10 * k, i, 0.4 * k + 0.01 * i, 1e-4 * i) for k in range(30) for i in range(800)])
 IMPLAUSIBLE = {
-    "seconds": (scaled(frame=0.04), "fixy", r"30 m/s.*frame_seconds to about 0\.9 s"),
+    "seconds": (scaled(frame=0.04), "fixy", r"30 m/s.*frame_seconds to 1 s"),
     "frames renumbered": (scaled(frame=0.1), "fixy", r"12 m/s.*frame_seconds to about 0\.4 s"),
     "centimetres": (scaled(position=100), "fixy", r"recording_scale to about 0\.01 m"),
     "pixels": (scaled(position=27), "fixy", r"recording_scale to about 0\.04 m"),

@@ -158,8 +158,12 @@ def _remedy(people: People, s: Summary) -> str:
     factor = (s.speed_median or s.speed_95) / _USUAL_SPEED
     if not factor:
         return "nobody moves"
+    frame_seconds = people.frame_seconds * factor
+    clock = f"about {frame_seconds:.1g} s"
+    if (people.rows.frame % 1.0).any() and 0.5 < frame_seconds < 2.0:
+        clock = "1 s (frame numbers with fractions are seconds)"
     return (
-        f"set scenario.frame_seconds to about {people.frame_seconds * factor:.1g} s, or "
+        f"set scenario.frame_seconds to {clock}, or "
         f"scenario.recording_scale to about {people.metres / factor:.1g} m per unit, or name the "
         "columns in a first line such as 'id frame x y'"
     )
