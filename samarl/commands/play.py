@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from hydra.core.hydra_config import HydraConfig
 from omegaconf import MISSING, DictConfig
 
 from mrsan import ConfigurationError, Split
@@ -52,9 +53,10 @@ def play(config: DictConfig) -> None:
     from samarl.play.session import Session
 
     scenario, case = scenario_in(config), Split.test.case(config.case)
+    name = None if scenario.case_file else HydraConfig.get().runtime.choices.scenario
 
     def create_session(folder: Path) -> Session:
-        return Session(folder, scenario, agents, case)
+        return Session(folder, scenario, agents, case, name=name)
 
     with (
         _listen(HOST, config.port) as server,

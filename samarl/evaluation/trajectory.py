@@ -60,6 +60,7 @@ class Trajectory:
     lidar: Floats | None  # [T + 1, N, L] ranges, m
     shielded: Bools | None  # [T, N] the safety shield replaced the action
     activity: NDArray[np.int8] | None  # [T, N] index in `ACTIVITIES` of what each robot does
+    value: Floats | None  # [T, N] discounted reward that each robot expects
     episodes: Episodes  # the record of this one episode
 
 
@@ -80,7 +81,8 @@ class Playback:
         self._passages = find_passages(state.walls[0], state.place[0], width)
         self.snapshots = [_snapshot(state, self.observation)]
         self.explanations: list[Explanation] = []
-        self.decided_on = self.observation  # what the agent last acted on
+        # What the agent last acted on, and how [1, N, A]
+        self.decided_on, self.action = self.observation, np.zeros(0, np.float32)
 
     @property
     def is_over(self) -> bool:
@@ -89,10 +91,10 @@ class Playback:
 
     def step(self) -> None:
         """Let the agent act once."""
-        action = act_and_tell(self.agent, self.observation, self.world)
+        self.action = act_and_tell(self.agent, self.observation, self.world)
         self.explanations.append(self.agent.explain() or Explanation())
         self.decided_on = self.observation
-        self.observation = self.world.step(action).observation
+        self.observation = self.world.step(self.action).observation
         self.snapshots.append(_snapshot(self.world.state, self.observation))
 
     def observe_again(self) -> None:
@@ -112,9 +114,9 @@ class Playback:
         humans, human_velocity, human_goal, present, *masks = people_and_masks
         humans_visible, robots_visible, humans_reported, robots_reported = masks
         ever_present = present.any(0) | everybody
-        waypoint, human_attention, robot_attention, shielded, activity = (
+        waypoint, human_attention, robot_attention, shielded, activity, value = (
             None if values[0] is None else np.concatenate(values)
-            for values in list(zip(*self.explanations or [Explanation()], strict=True))[:5]
+            for values in list(zip(*self.explanations or [Explanation()], strict=True))[:6]
         )
         groups, reactions = _social(scenario, state.human_social[0, ever_present])
         return Trajectory(
@@ -144,6 +146,7 @@ class Playback:
             lidar=lidar if lidar.size else None,
             shielded=shielded,
             activity=activity,
+            value=value,
             episodes=episodes_of(state, scenario, np.ones(1, np.bool_)),
         )
 

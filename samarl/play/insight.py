@@ -36,10 +36,13 @@ def insight(side: Playback) -> list[dict[str, Any]]:
         tracks = None
         if explanation.tracks is not None:
             tracks = explanation.tracks[0, i]
-        if explanation.proposed is not None:
+        action = _action(side.action[0, i], scenario)
+        if explanation.shielded is not None and explanation.shielded[0, i]:
+            assert explanation.proposed is not None
             words.append(f"The policy wants to {_action(explanation.proposed[0, i], scenario)}.")
-            if explanation.shielded is not None and explanation.shielded[0, i]:
-                words.append(f"The shield replaces that{_reason(tracks, scenario)}.")
+            words.append(f"The shield makes it {action}{_reason(tracks, scenario)}.")
+        else:
+            words.append(f"The policy wants to {action}.")
         insights.append(
             {
                 "route": _route(state, scenario, i),

@@ -66,6 +66,7 @@ class Session:
         agents: Sequence[str],
         case: int,
         save_to: Path = Path(),
+        name: str | None = None,
     ) -> None:
         """Begin a case.
 
@@ -75,12 +76,15 @@ class Session:
             agents: the names of one or two agents.
             case: its number.
             save_to: where scenes are saved.
+            name: of the scenario in the menu, as in `load_scenario`; None: that of the scenario.
 
         Raises:
             ConfigurationError: an agent or the scenario cannot be used.
         """
         self._folder, self._save_to, self._files = folder, save_to, 0
         self._permitted = {*available_agents(), *agents}
+        self._scenario = scenario.name if name is None else name
+        self._scenarios = {*available_scenarios(), self._scenario}
         self._undo: list[_Moment] = []
         self._walk_to: tuple[float, float] | None = None
         self._driven: _Driven | None = None
@@ -142,7 +146,7 @@ class Session:
             ],
             "clock": self._clock,
             "case": _case_text(self.scene.case),
-            "scenario": s.name,
+            "scenario": self._scenario,
             "layout": s.layout.name,
             "robots": s.robots,
             "humans": s.humans,
@@ -205,7 +209,7 @@ class Session:
             self._walk_to = self._driven = None
             return
         name = message.get("scenario")
-        if name is not None and (not isinstance(name, str) or name not in available_scenarios()):
+        if name is not None and (not isinstance(name, str) or name not in self._scenarios):
             raise MessageError(f"scenario is {name!r:.60}; it must be the name of a scenario")
         scenario = self.scene.scenario if name is None else load_scenario(name)
         if self.scene.walls and name is None and "layout" not in message:
@@ -227,6 +231,7 @@ class Session:
             case = _whole(message, "case", 0, CASES_PER_SPLIT - 1)
         self._begin(Scene(scenario, Split.test.number(case)), agents)
         self._open_layout = scenario.layout
+        self._scenario = name or self._scenario
         self.walker = self._walk_to = self._driven = None
         self._undo.clear()
 
@@ -311,7 +316,7 @@ class Session:
                     script.paths.copy(),
                     dict(script.edits),
                     copy.deepcopy(side.agent),
-                    side.observation,
+                    (side.observation, side.decided_on, side.action),
                     list(side.snapshots),
                     list(side.explanations),
                 )
@@ -324,14 +329,15 @@ class Session:
         if not self._undo:
             raise MessageError("nothing was changed that could be undone")
         self.scene, self.sides, states, self.walker = self._undo.pop()
-        for side, (snapshot, paths, edits, agent, observation, *lists) in zip(
+        for side, (snapshot, paths, edits, agent, decision, *lists) in zip(
             self.sides, states, strict=True
         ):
             script = side.world.script
             assert script is not None
             side.world.restore(snapshot)
             script.paths[:], script.edits = paths, edits
-            side.agent, side.observation = agent, observation
+            side.agent = agent
+            side.observation, side.decided_on, side.action = decision
             side.snapshots, side.explanations = lists
         self._walk_to = self._driven = None
 

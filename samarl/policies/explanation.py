@@ -21,5 +21,6 @@ class Explanation(NamedTuple):
     # [E, N] index in ACTIVITIES of the macro action: it waits for its turn at a passage, passes it,
     # or holds off its goal
     activity: NDArray[np.int8] | None = None
+    value: NDArray[np.float32] | None = None  # [E, N] discounted reward expected from here on
     proposed: NDArray[np.float32] | None = None  # [E, N, A] action that the shield checked
     tracks: NDArray[np.float32] | None = None  # [E, N, M, 6] people known, `TRACK_FEATURES`

@@ -22,6 +22,7 @@ from samarl.observations.frames import FeatureSizes, Frames, split
 from samarl.observations.route import heading_for_route
 from samarl.planning.one_step import Commands, command_set, predict_outcomes
 from samarl.planning.orca import OrcaParameters, orca_actions
+from samarl.policies.explanation import Explanation
 from samarl.policies.policy import (
     LOCAL,
     POLICIES,
@@ -117,21 +118,33 @@ class LookaheadPolicy(Policy):
             seen = tracks.of_robots(active)
         features = self.extract_features(seen, scenario)
         decided = torch.from_numpy(active)
-        action = torch.zeros(*shape, self.action_size)
+        action, value = torch.zeros(*shape, self.action_size), torch.zeros(shape)
         if explore and self.imitating:
             avoiding = orca_actions(ORCA, observation, scenario)
             action[decided] = torch.from_numpy(avoiding)[decided]
         else:
             epsilon = self.epsilon if explore else 0.0
-            action[decided] = self._best(tracks, active, scenario, epsilon)
+            action[decided], value[decided] = self._best(tracks, active, scenario, epsilon)
         local = LevelStep(action, torch.zeros(shape), decided)
         step = PolicyStep(action.clamp(-1.0, 1.0), action, {LOCAL: local})
-        return Decision(step, tracks, features, self._scene(features) if explained else None)
+        if not explained:
+            return Decision(step, tracks, features)
+        return Decision(step, tracks, features, self._scene(features), value)
+
+    def explain(self, decision: Decision) -> Explanation:
+        """See `Policy.explain`; with the value of the command that was chosen."""
+        assert decision.value is not None
+        explanation = super().explain(decision) or Explanation()
+        return explanation._replace(value=decision.value.numpy())
 
     def _best(
         self, tracks: Observation, active: NDArray[np.bool_], scenario: Scenario, epsilon: float
-    ) -> Tensor:
-        """Return the best command [R, A] of the R active robots, or any with chance `epsilon`."""
+    ) -> tuple[Tensor, Tensor]:
+        """Return the best command of the R active robots, or any with chance `epsilon`.
+
+        Returns:
+            The command [R, A], and its expected discounted reward [R].
+        """
         commands = command_set(self.config, scenario.kinematics)
         target = self.route(tracks, scenario)
         tracks = tracks._replace(ego=heading_for_route(tracks))  # outcomes have no route
@@ -147,7 +160,7 @@ class LookaheadPolicy(Policy):
         if epsilon > 0.0:
             random = torch.randint(len(commands), chosen.shape)
             chosen = torch.where(torch.rand(chosen.shape) < epsilon, random, chosen)
-        return torch.from_numpy(commands)[chosen]
+        return torch.from_numpy(commands)[chosen], score.gather(0, chosen[None])[0]
 
     def _scene(self, frames: Frames) -> Any:
         """Return the scenes of the encoders, [B, ...]."""

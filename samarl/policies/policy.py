@@ -99,6 +99,7 @@ class Decision(NamedTuple):
     tracks: Observation  # [E, N, ...]
     features: Frames  # [B, 1, ...] the network's view of the tracks, perhaps of active robots only
     scene: Any = None  # [B, ...]; None while exploring
+    value: Tensor | None = None  # [E, N] expected discounted reward, of a policy that decides by it
 
     @property
     def action(self) -> NDArray[np.float32]:

@@ -138,6 +138,28 @@ def test_walls_can_be_drawn_and_erased(tmp_path: Path) -> None:
     assert doorway.sides[0].world.state.place[0, 0] == count
 
 
+def test_the_menu_names_the_task(tmp_path: Path) -> None:
+    task = load_scenario("doorway", team_messages=True)
+    visitor = Session(tmp_path, task, ["orca"], CASE, name="doorway")
+    assert visitor.view()["scenario"] == "doorway"
+    assert send(visitor, "choose", humans=2)["scenario"] == "doorway"
+    assert visitor.sides[0].scenario.team_messages
+    assert send(visitor, "choose", scenario="crossing")["scenario"] == "crossing"
+
+
+def test_it_says_what_is_decided_and_what_it_is_worth(tmp_path: Path) -> None:
+    visitor = session(tmp_path, TASK, "cadrl", "orca")
+    cadrl, orca = send(visitor, "step")["sides"]
+    assert orca["insight"][0]["words"].startswith("The policy wants to ")
+    assert orca["episode"]["values"] is None
+    assert np.shape(cadrl["episode"]["values"]) == (2, 1)
+    steps(visitor, 2)
+    before = visitor.view()["sides"]
+    send(visitor, "move", what="robot", number=0, position=[3.0, 3.0])
+    steps(visitor, 2)
+    assert send(visitor, "undo")["sides"] == before
+
+
 def test_bad_messages_change_nothing(tmp_path: Path) -> None:
     visitor = session(tmp_path)
     steps(visitor, 2)

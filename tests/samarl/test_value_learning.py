@@ -62,8 +62,22 @@ def test_without_a_value_it_takes_the_step_that_is_paid_best() -> None:
     for aside, expected in ((3.0, [1.0, 0.0, 0.0]), (0.0, [-1.0, 0.0])):
         # Somebody stands 0.9 m ahead, and 3 m to the left or not: full speed, or none.
         tracks = scene_of([[0.9, aside, -0.2, 0.0, 0.3]], (4.0, 0.0), 0.2, scenario)
-        chosen = policy._best(tracks, np.ones((1, 1), np.bool_), scenario, 0.0)
+        chosen, _ = policy._best(tracks, np.ones((1, 1), np.bool_), scenario, 0.0)
         assert chosen[0, : len(expected)].tolist() == expected
+
+
+def test_it_explains_the_value_of_what_it_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    scenario = Scenario(robots=1, humans=0)
+    policy = lookahead()
+    # The reward of the step, which is known without people, and 7 afterwards.
+    monkeypatch.setattr(policy, "value", lambda frames, rows: torch.full((len(rows),), 7.0))
+    world = World(scenario)
+    observation, state = world.reset([3]), policy.initial_state(1, scenario)
+    decision = policy.act(observation, state, np.ones(1, np.bool_), scenario)
+    value = policy.explain(decision).value
+    assert value is not None
+    reward = world.step(decision.action).reward
+    np.testing.assert_allclose(value, reward + policy.config.discount * 7.0, atol=1e-4)
 
 
 def test_it_drives_to_what_is_worth_more_and_only_who_is_on_the_way() -> None:

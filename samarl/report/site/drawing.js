@@ -375,6 +375,7 @@ function drawStrip() {
     pen.setLineDash(side ? [4, 3] : []);
     pen.stroke();
     pen.setLineDash([]);
+    drawValues(pen, episode, x, side ? [4, 3] : [], height);
     (episode.shielded?.[state.robot] || []).forEach((t) => {
       pen.fillStyle = colours.contact;
       pen.fillRect(x(t) - 1, side ? height - 5 : 0, 2, 5);
@@ -390,6 +391,24 @@ function drawStrip() {
   pen.fillStyle = colours.ink;
   pen.fillRect(x(state.time) - 0.75, 0, 1.5, height);
 }
+
+// The value of the selected robot at each of its decisions, from its lowest to its highest.
+function drawValues(pen, episode, x, dash, height) {
+  const values = episode.values?.[state.robot].slice(0, episode.drivingSteps[state.robot]);
+  if (!values?.length) return;
+  const low = Math.min(...values), range = Math.max(...values) - low || 1;
+  pen.beginPath();
+  values.forEach((value, t) => pen.lineTo(x(t), (height - 4) * (1 - (value - low) / range) + 2));
+  pen.strokeStyle = colours.attention;
+  pen.lineWidth = 1.2;
+  pen.setLineDash(dash);
+  pen.stroke();
+  pen.setLineDash([]);
+}
+
+// The value of the decision that leads to the next step; undefined without one.
+const valueOf = (episode, robot, k) => (k < episode.drivingSteps[robot]
+  ? episode.values?.[robot][Math.min(k, episode.last - 1)] : undefined);
 
 const seconds = (episode, steps) => `${(steps * episode.step).toFixed(2)} s`;
 
@@ -419,9 +438,11 @@ function describe({ episode, outcome, sight, canvas, name }) {
   const attention = episode.humanAttention
     ? ` Attends to ${attended.slice(0, 3).map((o) => `${o.kind} ${o.number} ${o.percent} %`).join(", ") || "nobody"}.`
     : "";
+  const expected = valueOf(episode, state.robot, k);
+  const value = expected === undefined ? "" : ` It expects a return of ${expected.toFixed(1)}.`;
   const texts = [
     [outcome, `${ended}Robots: ${robots.join(", ")}.`],
-    [sight, `Robot ${state.robot} sees ${count("human")}, ${count("robot")}.${shield}${attention}${reasons}`],
+    [sight, `Robot ${state.robot} sees ${count("human")}, ${count("robot")}.${shield}${attention}${value}${reasons}`],
   ];
   for (const [where, text] of texts) if (where.textContent !== text) where.textContent = text;
   if (!state.playing) {
