@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mrsan import Crowd, Scenario, Split
+from mrsan import Crowd, Scenario, Split, State
 from mrsan.case_file import Edit, read_case_file
 from mrsan.cases import CASES_PER_SPLIT
 from samarl.api import load_agent, load_scenario
@@ -45,6 +45,7 @@ class _Moment(NamedTuple):
     """All that a change may change."""
 
     scene: Scene
+    starts: State
     sides: list[Playback]
     states: list[Any]  # of each side
     walker: int | None
@@ -245,7 +246,10 @@ class Session:
         path = self._save_to / f"{name}.yaml"
         if path.exists():
             raise MessageError(f"name is {name!r}; {path} exists, choose another name")
-        self.scene.with_starts(self._starts).write(path)
+        try:
+            self.scene.with_starts(self._starts).write(path)
+        except OSError as error:
+            raise MessageError(f"{path} cannot be written ({error.strerror})") from None
         return {"type": "saved", "path": str(path)}
 
     # ------------------------------------------------------------------ time
@@ -280,6 +284,7 @@ class Session:
         path = person.setdefault("path", [])
         path[:] = [point for point in path if point[0] <= self._now]
         path.append([round(self._now + s.time_step, 6), x, y])
+        self._search = None  # it attacked another scene
         for side in running:
             assert side.world.script is not None
             side.world.script.paths[0, j, self._clock + 1 :] = np.nan
@@ -303,6 +308,7 @@ class Session:
                 script.carry_out(world.state, 0, edit)
                 side.observe_again()
         self.scene.edits = [*filter(remains, self.scene.edits), edit]
+        self._search = None  # it attacked another scene
 
     def _remember(self) -> None:
         """Keep the present moment, to which undoing the next change returns."""
@@ -321,14 +327,15 @@ class Session:
                     list(side.explanations),
                 )
             )
-        self._undo.append(_Moment(self.scene.copy(), list(self.sides), states, self.walker))
+        moment = _Moment(self.scene.copy(), self._starts, list(self.sides), states, self.walker)
+        self._undo.append(moment)
         del self._undo[:-_MOST_UNDO]
 
     def _take_back(self, message: dict[str, Any]) -> None:
         """Return to the moment before the last change."""
         if not self._undo:
             raise MessageError("nothing was changed that could be undone")
-        self.scene, self.sides, states, self.walker = self._undo.pop()
+        self.scene, self._starts, self.sides, states, self.walker = self._undo.pop()
         for side, (snapshot, paths, edits, agent, decision, *lists) in zip(
             self.sides, states, strict=True
         ):
@@ -339,14 +346,14 @@ class Session:
             side.agent = agent
             side.observation, side.decided_on, side.action = decision
             side.snapshots, side.explanations = lists
-        self._walk_to = self._driven = None
+        self._walk_to = self._driven = self._search = None
 
     def _move(self, message: dict[str, Any]) -> None:
         """Move a person, a robot or the goal of a robot; a drag is many of these."""
         what, position = message.get("what"), _point(message, "position")
         s = self.sides[0].scenario
         counts = {"person": s.humans, "robot": s.robots, "goal": s.robots}
-        if what not in counts:
+        if not isinstance(what, str) or what not in counts:
             raise MessageError(f"what is {what!r:.60}; it must be person, robot or goal")
         number = _whole(message, "number", 0, counts[what] - 1)
         if what == "person" and s.crowd == Crowd.recorded:

@@ -94,6 +94,9 @@ def test_a_walking_person_and_a_wall_are_saved(tmp_path: Path) -> None:
     assert_same(visitor, "walled", tmp_path)
     undone = send(visitor, "undo")  # the wall
     assert (undone["clock"], undone["layout"], undone["walker"]) == (4, "circle", 3)
+    finish(visitor)
+    send(visitor, "save", name="undone")
+    assert_same(visitor, "undone", tmp_path)
 
 
 def test_undoing_returns_to_the_moment_before(tmp_path: Path) -> None:
@@ -176,6 +179,7 @@ def test_bad_messages_change_nothing(tmp_path: Path) -> None:
         ('{"type": "move", "what": "dog", "number": 0, "position": [0, 0]}', "dog"),
         ('{"type": "move", "what": "robot", "number": 0, "position": [0, 1e9]}', "position"),
         ('{"type": "move", "what": "robot", "number": 0, "position": "00"}', "position"),
+        ('{"type": "move", "what": ["robot"], "number": 0, "position": [0, 0]}', "what"),
         ('{"type": "wall", "start": [0, 0]}', "end"),
         ('{"type": "walk", "position": [0, 0]}', "add a person"),
         ('{"type": "drive", "robot": 0, "keys": ["jump"]}', "jump"),
@@ -229,11 +233,21 @@ def test_keys_drive_robots_of_every_kind() -> None:
 
 def test_an_attack_finds_a_path_that_makes_an_agent_fail(tmp_path: Path) -> None:
     visitor = session(tmp_path, Scenario(robots=1, humans=2), "orca")
-    for _ in range(20):
-        reply = send(visitor, "attack")
-        if reply["change"] is not None:
-            break
-    assert 0.0 < reply["change"] < 5.0
+
+    def search() -> float:
+        for _ in range(20):
+            change = send(visitor, "attack")["change"]
+            if change is not None:
+                break
+        return float(change)
+
+    change = search()
+    assert 0.0 < change < 5.0
+    send(visitor, "move", what="goal", number=0, position=[3.0, 3.0])
+    with pytest.raises(MessageError, match="no path"):  # that was for another goal
+        send(visitor, "attack", play=True)
+    send(visitor, "undo")
+    assert search() == change
     view = send(visitor, "attack", play=True)
     assert (view["clock"], view["undo"]) == (0, 1)
     finish(visitor)
