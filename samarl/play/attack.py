@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mrsan import ConfigurationError, Crowd, Outcome, World
+from mrsan import ConfigurationError, Crowd, World
 from mrsan.metrics import episodes_of
 from samarl.agents import Agent
 from samarl.agents.agent import act_and_tell
@@ -29,6 +29,13 @@ _SPREAD = 1.5  # m, of the first offsets
 _PEOPLE = 3  # who are tried, those who come closest to a robot
 _HARMLESS = 100.0  # cost of a path that does not make the policy fail, m
 _PATIENCE = 5  # generations without improvement after which the search ends
+_FAILURES = {  # the properties of `Episodes` in words
+    "robot_on_person": "a robot runs into a person",
+    "person_on_robot": "a person runs into a robot",
+    "hit_robot": "two robots collide",
+    "hit_wall": "a robot hits a wall",
+    "timeout": "a robot does not arrive in time",
+}
 Floats = NDArray[np.float64]
 
 
@@ -38,7 +45,7 @@ class Attempt(NamedTuple):
     cost: float
     person: int
     path: Floats  # [T + 1, 2] m
-    outcomes: list[str]  # of the robots
+    failure: str  # in words; empty if there is none
 
     @property
     def fails(self) -> bool:
@@ -150,7 +157,7 @@ class Attack:
             [np.interp(step, knots, [0.0, *offset[:, axis]]) for axis in range(2)], -1
         )
         path = [nominal[0]]
-        reach = WALKING_SPEED * self._scenario.time_step
+        reach = WALKING_SPEED * self._scenario.time_step - 0.0015  # below: rounded to millimetres
         for target in changed[1:]:
             way = target - path[-1]
             path.append(path[-1] + way * min(1.0, reach / max(float(np.hypot(*way)), 1e-9)))
@@ -169,12 +176,13 @@ class Attack:
             agent.focus(~world.state.done[:, None] & ~world.state.arrived)
             observation = world.step(act_and_tell(agent, observation, world)).observation
         episodes = episodes_of(world.state, self._scenario, np.ones(POPULATION, np.bool_))
+        kinds = {kind: getattr(episodes, kind) for kind in _FAILURES}
         attempts = []
         for e, (j, path) in enumerate(zip(people, paths, strict=True)):
             change = path - self._nominal[: len(path), j]
             cost = float(np.linalg.norm(change, axis=1).max())
             if episodes.success[e]:
                 cost = _HARMLESS + float(episodes.closest_human[e].min())
-            outcomes = [Outcome(value).name for value in episodes.outcome[e]]
-            attempts.append(Attempt(cost, int(j), path, outcomes))
+            failure = next((words for kind, words in _FAILURES.items() if kinds[kind][e]), "")
+            attempts.append(Attempt(cost, int(j), path, failure))
         return attempts

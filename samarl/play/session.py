@@ -422,6 +422,7 @@ class Session:
             "tried": self._search.tried,
             "seconds": round(self._search.seconds, 1),
             "change": round(best.cost, 2) if best.fails else None,
+            "failure": best.failure,
             "over": self._search.is_over or self._search.seconds > LONGEST_ATTACK,
         }
 

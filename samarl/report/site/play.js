@@ -115,8 +115,8 @@ function choose(event) {
 
 let attacking = false;
 
-function showAttack({ tried, seconds, change, over }) {
-  const found = change === null ? "none makes the agent fail yet" : `a change of ${change.toFixed(2)} m makes it fail`;
+function showAttack({ tried, seconds, change, failure, over }) {
+  const found = change === null ? "none makes the agent fail yet" : `a change of ${change.toFixed(2)} m makes it fail: ${failure}`;
   say(`Attack: ${tried} paths of people tried in ${seconds} s of computing; ${found}.`);
   if (attacking && !over) { send({ type: "attack" }); return; }
   stopAttack();
