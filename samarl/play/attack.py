@@ -26,7 +26,7 @@ POPULATION = 24  # paths of a generation, simulated together
 _ELITE = 6
 _KNOTS = 4  # of a path, between which its offset is interpolated
 _SPREAD = 1.5  # m, of the first offsets
-_PEOPLE = 3  # who are tried, those who come closest to a robot
+_PEOPLE = 3  # who are tried, those who are there from the start and come closest to a robot
 _HARMLESS = 100.0  # cost of a path that does not make the policy fail, m
 _PATIENCE = 5  # generations without improvement after which the search ends
 _FAILURES = {  # the properties of `Episodes` in words
@@ -75,7 +75,8 @@ class Attack:
             raise ConfigurationError(
                 "the agent fails in this case by itself; choose another case to attack it"
             )
-        if scene.scenario.crowd == Crowd.recorded or not scene.scenario.humans:
+        candidates = np.flatnonzero(played.human_present[0])
+        if scene.scenario.crowd == Crowd.recorded or not len(candidates):
             raise ConfigurationError("there are no simulated people who could be moved")
         self.scene = scene
         self._scenario = scenario
@@ -87,7 +88,7 @@ class Attack:
             played.human_position[:, :, None] - played.robot_position[:, None], axis=-1
         )
         closest = np.where(played.human_present.T, gaps.min(2).T, np.inf)  # [M, T + 1]
-        self._people = np.argsort(closest.min(1))[:_PEOPLE]
+        self._people = candidates[np.argsort(closest[candidates].min(1))[:_PEOPLE]]
         self._moment = closest.argmin(1)  # when each comes closest
         self._means = {int(j): np.zeros((_KNOTS, 2)) for j in self._people}
         self._spreads = {int(j): np.full((_KNOTS, 2), _SPREAD) for j in self._people}

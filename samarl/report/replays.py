@@ -133,7 +133,7 @@ def as_replay(trajectory: Trajectory) -> dict[str, Any]:
         "robotAttention": _percent(trajectory.robot_attention),
         "shielded": _true_steps(trajectory.shielded),
         "activities": None if trajectory.activity is None else trajectory.activity.T.tolist(),
-        "values": None if trajectory.value is None else trajectory.value.T.round(1).tolist(),
+        "values": None if trajectory.value is None else trajectory.value.T.astype(float).round(1).tolist(),
         "drivingSteps": trajectory.driving.sum(0).tolist(),
         "outcomes": [Outcome(value).name for value in episodes.outcome[0]],
     }
