@@ -133,7 +133,7 @@ def as_replay(trajectory: Trajectory) -> dict[str, Any]:
         "robotAttention": _percent(trajectory.robot_attention),
         "shielded": _true_steps(trajectory.shielded),
         "activities": None if trajectory.activity is None else trajectory.activity.T.tolist(),
-        "values": None if trajectory.value is None else trajectory.value.T.astype(float).round(1).tolist(),
+        "values": None if trajectory.value is None else _tenths(trajectory.value),
         "drivingSteps": trajectory.driving.sum(0).tolist(),
         "outcomes": [Outcome(value).name for value in episodes.outcome[0]],
     }
@@ -166,6 +166,11 @@ def _points(position: NDArray[np.float32]) -> list[list[list[int]]]:
 def _series(values: NDArray[np.float32]) -> list[list[int]]:
     """Return [T, K] as K lists."""
     return [_differences(series) for series in _whole(values.T)]
+
+
+def _tenths(values: NDArray[np.float32]) -> list[list[float]]:
+    """Return [T, K] as K lists, rounded to one decimal."""
+    return values.T.astype(np.float64).round(1).tolist()
 
 
 def _differences(series: NDArray[np.int64]) -> list[int]:
