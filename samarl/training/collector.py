@@ -88,7 +88,7 @@ class RolloutCollector:
             self.crowd = WarmStartCrowd(scenario, worlds, first + worlds)
         self.snapshots = SnapshotBuffer(RESTART_STEPS)
         self.age = np.zeros(worlds, np.int64)  # steps since the episode began or was restarted
-        self.fresh = np.ones(worlds, np.bool_)  # the episode has not been restarted
+        self.not_restarted = np.ones(worlds, np.bool_)  # episodes since their last reset
         self.standstill = np.zeros((worlds, scenario.robots), np.int64)  # steps in a row, standing
         # Columns of the frame buffer: history for the encoder and restarts, then steps 0 to T.
         self.past = policy.history + (RESTART_STEPS if self._restarts else 0)
@@ -259,7 +259,8 @@ class RolloutCollector:
         failed = self._failed() | stood_too_long
         terminated = (failed | world.state.arrived.all(1, keepdims=True)) & ended
         if ended.any():
-            episodes.append(episodes_of(world.state, world.scenario, ended[:, 0] & self.fresh))
+            counted = ended[:, 0] & self.not_restarted
+            episodes.append(episodes_of(world.state, world.scenario, counted))
         self.age += 1
         self.observation = result.observation
         outcome: dict[Any, Tensor] = {
@@ -311,7 +312,7 @@ class RolloutCollector:
             self.observation = world.observe()
         self.age[ended] = 0
         self.standstill[ended] = 0
-        self.fresh[ended] = reset[ended]
+        self.not_restarted[ended] = reset[ended]
         return back
 
     def _restart(self, worlds: NDArray, back: NDArray, column: int) -> None:
@@ -425,7 +426,7 @@ class RolloutCollector:
             "state": self.state,
             "snapshots": list(self.snapshots.snapshots),
             "age": self.age,
-            "fresh": self.fresh,
+            "fresh": self.not_restarted,
             "standstill": self.standstill,
             "is_init": self.is_init,
             "frames": self.frames,
@@ -444,6 +445,7 @@ class RolloutCollector:
         if self.crowd is not None:
             self.crowd.world.restore(saved["crowd"])
         self.snapshots.snapshots.extend(saved["snapshots"])
+        self.not_restarted = saved["fresh"]
         if self.guide is not None:
             self.guide.restore(saved["guide"], saved["observation"])
         for name in (
@@ -451,7 +453,6 @@ class RolloutCollector:
             "directed",
             "state",
             "age",
-            "fresh",
             "standstill",
             "is_init",
             "frames",

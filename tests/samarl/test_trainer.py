@@ -61,7 +61,7 @@ def test_a_run_goes_on_bit_for_bit_with_worlds_that_are_taken_back(
     whole = rounds(trainer(tmp_path / "whole", **numbers), 7)
     whole.save()
     cut = rounds(trainer(tmp_path / "cut", **numbers), 5)
-    assert sum(int((~c.fresh).sum()) for c in cut.collectors) > 0  # some have been taken back
+    assert sum(int((~c.not_restarted).sum()) for c in cut.collectors) > 0
     cut.save()
     shutil.copytree(tmp_path / "cut", tmp_path / "again")
     rounds(cut, 1)  # and is killed here
