@@ -29,7 +29,7 @@ from mrsan.state import Floats, Ints
 Points = NDArray[np.float64]  # [..., 2]
 
 _ROUNDING = 2e-3  # m
-_ABREAST = 0.4  # m, that two robots abreast need besides their diameters
+_ABREAST = 0.6  # m, room that two robots abreast need besides their diameters
 _TOUCH = 1e-6  # m; a way that ends at a corner of walls ends there
 _BEND = 1.5  # a way along which a passage turns is at most this much wider
 _SAMPLE = 0.1  # m, between the points at which a way is examined

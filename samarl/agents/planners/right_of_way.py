@@ -14,7 +14,7 @@ from mrsan.features import GOAL
 from mrsan.fields import number, setting
 from mrsan.observation import KnownMap
 from mrsan.parameters import kernel_parameters
-from mrsan.passages import Passages, find_passages
+from mrsan.passages import Passages, find_passages, open_width
 from mrsan.sensors.team import MESSAGE_FEATURES
 from samarl.agents.agent import Agent
 from samarl.macro_level.network import load_macro_level
@@ -49,9 +49,6 @@ class RightOfWay(Agent):
     central: bool = setting(
         False,
         help="privileged: robots know goals and plans of all team-mates, wherever they are",
-    )
-    widest: float = number(
-        1.6, 0.0, 10.0, unit="m", help="width from which a passage counts as open floor"
     )
     people_weight: float = number(
         _NUMBERS.people, 0.0, 1e3, help="cost per metre too close to a person"
@@ -288,9 +285,10 @@ class RightOfWay(Agent):
 
     def _begin(self, known_map: KnownMap) -> None:
         """Find the passages of the worlds in which an episode begins."""
+        widest = open_width(self.scenario.robot_radius)
         for e in np.flatnonzero(self._is_init):
             walls, place = known_map.walls[e], known_map.place[e]
-            self._passages[e] = find_passages(walls, place, self.widest)
+            self._passages[e] = find_passages(walls, place, widest)
             memory = self._memory
             memory.is_new[e], memory.queued[e], memory.stuck[e] = True, -1, 0
             memory.known[e], memory.macro_action[e] = False, 0
