@@ -176,13 +176,13 @@ def right_of_way() -> str:
         "samarl_anywhere right_of_way=right_of_way_macro",
         "right_of_way",
         "right_of_way macro_level=right_of_way_macro",
-        "right_of_way macro_level=right_of_way_macro_seed1",
-        "right_of_way macro_level=right_of_way_macro_seed2",
+        "right_of_way macro_level=right_of_way_macro_no_priorities",
         "right_of_way central=true",
     )
 
     def heading(row: Row) -> str:
-        return f"{'narrow ' if row['robots'] == 4 else ''}{row['layout']}"
+        late = ", late messages" if "delay" in row["changes"] else ""
+        return f"{'narrow ' if row['robots'] == 4 else ''}{row['layout']}{late}"
 
     return _grid(result_rows("right_of_way"), heading, methods)
 

@@ -32,8 +32,9 @@ _LABELS = {
     "right_of_way macro_level=enter": "Right of way, everybody enters",
     "right_of_way macro_level=random": "Right of way, random",
     "right_of_way macro_level=right_of_way_macro": "Right of way, learned",
-    "right_of_way macro_level=right_of_way_macro_seed1": "Right of way, learned, seed 1",
-    "right_of_way macro_level=right_of_way_macro_seed2": "Right of way, learned, seed 2",
+    "right_of_way macro_level=right_of_way_macro_no_priorities": (
+        "Right of way, learned without priorities"
+    ),
     "samarl": "SAMARL, shielded",
     "samarl checkpoint=ablation_cross_modal": (
         "SAMARL-Transformer without cross-modal attention, shielded"
@@ -42,6 +43,9 @@ _LABELS = {
     "samarl checkpoint=ablation_history": "SAMARL-Transformer without history, shielded",
     "samarl checkpoint=ablation_local_critics": "SAMARL-Transformer with local critics, shielded",
     "samarl checkpoint=ablation_one_block": "SAMARL-Transformer with one block, shielded",
+    "samarl checkpoint=samarl_anywhere_two_levels right_of_way=rule": (
+        "Waypoints and rule, 5 million steps, shielded"
+    ),
     "samarl checkpoint=samarl_lookahead": "SAMARL-Lookahead, shielded",
     "samarl waypoints=first": "SAMARL, first waypoint, shielded",
     "samarl waypoints=random": "SAMARL, random waypoints, shielded",
@@ -53,6 +57,7 @@ _LABELS = {
         "SAMARL-Anywhere, learned right of way, shielded"
     ),
     "samarl_flat": "One level, shielded",
+    "samarl_flat checkpoint=samarl_anywhere_one_level": ("One level, 5 million steps, shielded"),
     "samarl_general": "SAMARL-General, shielded",
     "samarl_places": "SAMARL-Places, shielded",
     "samarl_places right_of_way=right_of_way_macro": (
