@@ -176,7 +176,7 @@ def right_of_way() -> str:
         "samarl_anywhere right_of_way=right_of_way_macro",
         "right_of_way",
         "right_of_way macro_level=right_of_way_macro",
-        "right_of_way macro_level=right_of_way_macro_no_priorities",
+        "right_of_way macro_level=ablation_priorities",
         "right_of_way central=true",
     )
 

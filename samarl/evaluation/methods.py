@@ -32,9 +32,7 @@ _LABELS = {
     "right_of_way macro_level=enter": "Right of way, everybody enters",
     "right_of_way macro_level=random": "Right of way, random",
     "right_of_way macro_level=right_of_way_macro": "Right of way, learned",
-    "right_of_way macro_level=right_of_way_macro_no_priorities": (
-        "Right of way, learned without priorities"
-    ),
+    "right_of_way macro_level=ablation_priorities": ("Right of way, learned without priorities"),
     "samarl": "SAMARL, shielded",
     "samarl checkpoint=ablation_cross_modal": (
         "SAMARL-Transformer without cross-modal attention, shielded"
@@ -123,8 +121,14 @@ def method_of_policy(policy: str) -> str:
 
 
 def is_ablation(method: str) -> bool:
-    """Return whether a method is an included agent with other waypoints or weights."""
-    return not split_method(method)[1].keys().isdisjoint(("waypoints", "checkpoint"))
+    """Return whether a method is an included agent with other waypoints, weights or choices."""
+    settings = split_method(method)[1]
+    choices = str(settings.get("macro_level"))
+    return (
+        not settings.keys().isdisjoint(("waypoints", "checkpoint"))
+        or choices in ("random", "enter")
+        or choices.startswith("ablation_")
+    )
 
 
 def label_of(method: str) -> str:

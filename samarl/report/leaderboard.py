@@ -81,10 +81,10 @@ def _task_columns() -> dict[Column, str]:
 def task_of(row: Row) -> str | None:
     """Return the task of a row by its name in `mrsan.TASKS`, or None.
 
-    Robots may communicate in every task.
+    Robots may tell each other who goes first in every task.
     """
     column = column_of(row)
-    changes = [word for word in column.changes.split() if not word.startswith("team_")]
+    changes = [word for word in column.changes.split() if word != "team_messages=True"]
     alone = column._replace(team_perception="none", changes=" ".join(changes))
     return _task_columns().get(alone)
 
