@@ -42,7 +42,7 @@ _LABELS = {
     "samarl checkpoint=ablation_local_critics": "SAMARL-Transformer with local critics, shielded",
     "samarl checkpoint=ablation_one_block": "SAMARL-Transformer with one block, shielded",
     "samarl checkpoint=samarl_anywhere_two_levels right_of_way=rule": (
-        "Waypoints and rule, 5 million steps, shielded"
+        "Waypoints and rule, shielded"
     ),
     "samarl checkpoint=samarl_lookahead": "SAMARL-Lookahead, shielded",
     "samarl waypoints=first": "SAMARL, first waypoint, shielded",
@@ -55,7 +55,7 @@ _LABELS = {
         "SAMARL-Anywhere, learned right of way, shielded"
     ),
     "samarl_flat": "One level, shielded",
-    "samarl_flat checkpoint=samarl_anywhere_one_level": ("One level, 5 million steps, shielded"),
+    "samarl_flat checkpoint=samarl_anywhere_one_level": "Trained without the rule, shielded",
     "samarl_general": "SAMARL-General, shielded",
     "samarl_places": "SAMARL-Places, shielded",
     "samarl_places right_of_way=right_of_way_macro": (
