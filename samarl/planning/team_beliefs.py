@@ -123,21 +123,21 @@ def _believe(
                 out[THROUGH] = 1.0 if memory.arrived[e, j] else 0.0
                 out[MACRO_ACTION] = number_of_mode(e, j, mouths, memory)
                 continue
-            told = slot < received.shape[2] and received[e, i, slot]
-            seen = robots_visible[e, i, slot]
-            if seen:  # as messages may be late
+            has_message = slot < received.shape[2] and received[e, i, slot]
+            is_visible = robots_visible[e, i, slot]
+            if is_visible:  # as messages may be late
                 write_track(ego[e, i], pose[i], robots[e, i, slot], out)
-            elif told:
+            elif has_message:
                 write_track(ego[e, i], pose[i], messages[e, i, slot], out)
             elif memory.known[e, i, j]:
                 out[0] += out[2] * dt
                 out[1] += out[3] * dt
-            if told:
+            if has_message:
                 for f in range(PRIORITY, MACRO_ACTION + 1):
                     out[f] = messages[e, i, slot, f]
-            elif seen and not memory.known[e, i, j]:
+            elif is_visible and not memory.known[e, i, j]:
                 out[PRIORITY], out[THROUGH], out[MACRO_ACTION] = 0.0, 1.0, 0.0
-            memory.known[e, i, j] |= told or seen
+            memory.known[e, i, j] |= has_message or is_visible
 
 
 @function
