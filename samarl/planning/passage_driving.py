@@ -38,6 +38,8 @@ _AT_GOAL, _AT_PLACE = 0.12, 0.25  # m, distances at which robots stop
 _ALONE = 1.0  # m, surface distance from which on nobody disturbs a robot that stands
 _STUCK = 10  # steps, after which a robot comes closer to people
 _PREDICTED = 3  # steps for which team-mates who share no plans move
+_PEOPLE, _PEOPLE_INSIDE, _ROBOTS = 6.0, 0.5, 8.0  # cost per metre too close; inside a passage
+_GAP, _STUCK_GAP = 0.1, 0.03  # m, kept from people in the next step if possible; if it is stuck
 _ROUND, _CLEAR = 0.12, 0.06  # m, at which paths lead round them, and that paths keep from them
 
 
@@ -52,7 +54,7 @@ def drive(
     all_mouths,
     first_mouth,
     memory,
-    settings,
+    central,
     p,
     action,
 ):
@@ -68,7 +70,7 @@ def drive(
         all_mouths: `Mouths` of all worlds.
         first_mouth: [E + 1] the first mouth of each world.
         memory: `Memory`, updated.
-        settings: `Settings`.
+        central: whether robots know the truth of each other.
         p: the scenario's parameters.
         action: [E, N, A], written.
     """
@@ -98,9 +100,9 @@ def drive(
         mouths = mouths_of_world(all_mouths, first_mouth, e)
         pose, goal = memory.pose[e], memory.goal[e]
         for i in range(n):
-            update_mode(e, i, mouths, memory, known_map, p.robot_radius, settings.central)
+            update_mode(e, i, mouths, memory, known_map, p.robot_radius, central)
         present[:] = False
-        if settings.central:
+        if central:
             for i in range(n):
                 _see(ego[e, i], pose[i], humans[e, i], humans_visible[e, i], people, present)
         for i in range(n):
@@ -114,7 +116,7 @@ def drive(
             i = _next_to_plan(e, decided, memory)
             if i < 0:
                 break
-            if settings.central:
+            if central:
                 others = Others(plans, plan_stops, counts, people, present)
             else:
                 _expect(e, i, memory, p.time_step, expected, stops, counts)
@@ -136,7 +138,7 @@ def drive(
             columns, room = near_walls_of(walls, place, pose[i, 0], pose[i, 1], _NEAR_WALL, near)
             length = _go_round(e, i, pose[i], mouths, memory, near, columns, p, path, length)
             write_rest(path, length, rest)
-            weights = _weigh(e, i, pose[i], at_goal, mouths, memory, settings)
+            weights = _weigh(e, i, pose[i], at_goal, mouths, memory)
             plan(
                 i,
                 pose[i],
@@ -347,15 +349,15 @@ def _next_to_plan(e, decided, memory):
 
 
 @function
-def _weigh(e, i, pose, at_goal, mouths, memory, settings):
+def _weigh(e, i, pose, at_goal, mouths, memory):
     """Return how robot `i` weighs others."""
-    people, gap, entry = settings.people, settings.gap, memory.entry[e, i]
+    people, gap, entry = _PEOPLE, _GAP, memory.entry[e, i]
     passes = entry >= 0 and memory.mode[e, i] != WAIT
     if passes and (memory.inside[e, i] or distance_to(mouths, entry, pose[0], pose[1]) < CLAIM):
-        people = settings.people_inside
+        people = _PEOPLE_INSIDE
     if memory.stuck[e, i] > _STUCK:
-        people, gap = min(people, settings.people_inside), settings.stuck_gap
-    return Weights(people, settings.robots, gap, not at_goal and memory.mode[e, i] != WAIT)
+        people, gap = min(people, _PEOPLE_INSIDE), _STUCK_GAP
+    return Weights(people, _ROBOTS, gap, not at_goal and memory.mode[e, i] != WAIT)
 
 
 @function

@@ -85,17 +85,6 @@ class Memory(NamedTuple):
     event: np.ndarray  # [E, N] number of the situation in which it was made; -1: there is none
 
 
-class Settings(NamedTuple):
-    """Numbers of the planner, and the defaults of the agent `right_of_way`."""
-
-    central: bool = False
-    people: float = 6.0  # cost per metre of a discomfort
-    people_inside: float = 0.5  # the same on the way through a passage
-    robots: float = 8.0
-    gap: float = 0.1  # m, kept from people in the next step if possible
-    stuck_gap: float = 0.03  # m, the same of robots that have stood for long
-
-
 @function
 def map_of_world(known_maps, e):
     """Return the walls, the place, the corners and their distances of world `e`."""

@@ -21,7 +21,6 @@ from mrsan.sensors.team import MESSAGE_FEATURES
 from samarl.planning.passage_driving import drive
 from samarl.planning.passage_features import MATE, OWN, TRUTH, write_features
 from samarl.planning.passage_memory import empty_memory, mouths_of_worlds
-from samarl.planning.right_of_way import Settings
 from samarl.planning.team_beliefs import perceive
 from samarl.runtime.driver import Command, command_for, ego_features
 from samarl.runtime.inputs import (
@@ -55,7 +54,6 @@ class RightOfWayDriver:
         robot: str,
         scenario: Scenario | None = None,
         macro_level: str | Path | None = None,
-        settings: Settings | None = None,
         forget_after: float = FORGET_AFTER,
     ) -> None:
         """Find the passages of the map and compile the kernels.
@@ -66,7 +64,6 @@ class RightOfWayDriver:
             scenario: limits, radius and time step of the robot. None: those of `Scenario()`.
             macro_level: a file that `samarl-export` wrote, which decides who enters a passage.
                 None: the rule.
-            settings: weights of people and team-mates. None: the defaults.
             forget_after: time after which a silent team-mate is forgotten, s. Until then it
                 keeps its passage.
 
@@ -77,7 +74,7 @@ class RightOfWayDriver:
         if not isinstance(robot, str):
             raise InputError(f"robot is {shown(robot)}; it must be a string")
         self.robot, self.scenario = robot, scenario or Scenario()
-        self._known_map, self._settings = known_map, settings or Settings()
+        self._known_map = known_map
         self._macro_level = None if macro_level is None else MacroLevel(macro_level)
         self._forget_after = number_above("forget_after", forget_after, 0.0)
         self._parameters = kernel_parameters(self.scenario)
@@ -212,7 +209,7 @@ class RightOfWayDriver:
             self._map,
             *self._mouths,
             self._memory,
-            self._settings,
+            False,
             self._parameters_near_walls(own),
             action,
         )

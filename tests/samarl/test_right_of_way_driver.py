@@ -16,7 +16,6 @@ from mrsan.se2 import rotate
 from samarl import load_agent, load_scenario
 from samarl.agents.planners.right_of_way import RightOfWay
 from samarl.export import export_agent
-from samarl.planning.right_of_way import Settings
 from samarl.runtime import (
     Detection,
     Driver,
@@ -252,12 +251,6 @@ def test_a_detected_robot_is_the_team_mate_that_is_expected_there(office: KnownM
     assert driver._team.update([], [far], 1.0) == [far]
     assert driver._team.update([], [far._replace(id="bob")], 1.0) == []
     assert driver._team.mates["bob"].position(1.0) == (3.0, 2.0)
-
-
-def test_the_defaults_of_the_runtime_are_those_of_the_planner() -> None:
-    agent = load_agent("right_of_way", SCENARIO)
-    names = "central", "people_weight", "people_weight_inside", "robots_weight", "gap", "stuck_gap"
-    assert Settings() == tuple(getattr(agent, name) for name in names)
 
 
 def test_only_macro_levels_are_exported(macro_level: Path, tmp_path: Path) -> None:

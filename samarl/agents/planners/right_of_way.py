@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from mrsan import Observation
 from mrsan.features import GOAL
-from mrsan.fields import number, setting
+from mrsan.fields import setting
 from mrsan.observation import KnownMap
 from mrsan.parameters import kernel_parameters
 from mrsan.passages import Passages, find_passages, open_width
@@ -22,11 +22,10 @@ from samarl.observations.features import to_body
 from samarl.planning.passage_driving import direct, drive
 from samarl.planning.passage_features import MATE, OWN, TRUTH, write_features
 from samarl.planning.passage_memory import empty_memory, mouths_of_worlds, open_floor
-from samarl.planning.right_of_way import BY_RULE, ENTER, QUEUE, Memory, Settings
+from samarl.planning.right_of_way import BY_RULE, ENTER, QUEUE, Memory
 from samarl.planning.team_beliefs import perceive
 from samarl.policies.explanation import Explanation
 
-_NUMBERS = Settings()  # the defaults
 RANDOM, ALL_ENTER = "random", "enter"  # of `RightOfWay.macro_level`, for ablations
 
 
@@ -49,28 +48,6 @@ class RightOfWay(Agent):
     central: bool = setting(
         False,
         help="privileged: robots know goals and plans of all team-mates, wherever they are",
-    )
-    people_weight: float = number(
-        _NUMBERS.people, 0.0, 1e3, help="cost per metre too close to a person"
-    )
-    people_weight_inside: float = number(
-        _NUMBERS.people_inside,
-        0.0,
-        1e3,
-        help="the same on the way through a passage, and of robots that are stuck",
-    )
-    robots_weight: float = number(
-        _NUMBERS.robots, 0.0, 1e3, help="cost per metre too close to a team-mate"
-    )
-    gap: float = number(
-        _NUMBERS.gap,
-        0.0,
-        2.0,
-        unit="m",
-        help="surface distance to people that the next step keeps if possible",
-    )
-    stuck_gap: float = number(
-        _NUMBERS.stuck_gap, 0.0, 2.0, unit="m", help="the same of robots that are stuck"
     )
     macro_level: str | None = setting(
         None,
@@ -199,14 +176,6 @@ class RightOfWay(Agent):
         """Return the actions of rollouts along the path, after `decide`."""
         ego, humans, humans_visible, _, _ = self._observation.agents
         action = np.zeros((*ego.shape[:2], self.scenario.action_size), np.float32)
-        settings = Settings(
-            self.central,
-            self.people_weight,
-            self.people_weight_inside,
-            self.robots_weight,
-            self.gap,
-            self.stuck_gap,
-        )
         drive(
             len(ego),
             ego,
@@ -215,7 +184,7 @@ class RightOfWay(Agent):
             self._map,
             *self._mouths,
             self._memory,
-            settings,
+            self.central,
             kernel_parameters(self.scenario),
             action,
         )
