@@ -27,7 +27,6 @@ from samarl.observations.features import empty_tracks
 from samarl.planning.one_step import command_set
 from samarl.planning.passage_features import MATE, OWN
 from samarl.planning.shield import Shield
-from samarl.planning.track_predictor import CONSTANT_VELOCITY
 from samarl.policies.card import find_policy, read_card
 from samarl.policies.lookahead import LookaheadPolicy
 from samarl.policies.macro_actions import Waypoints
@@ -111,7 +110,7 @@ def export_agent(path: Path, agent: Agent, name: str) -> None:
             f"agent is {name}; it must be a trained one, such as samarl_flat: only policies and "
             "macro levels are exported"
         )
-    _check_exportable(agent, shield, name)
+    _check_exportable(agent, name)
     policy, scenario = agent.policy, agent.scenario
     if "walls" in policy.sizes.entities and not scenario.walls_observed:
         scenario = replace(scenario, nearest_walls=DEFAULT_NEAREST_WALLS)
@@ -168,7 +167,7 @@ def _export_macro_level(path: Path, agent: RightOfWay, shield: Shield | None, na
     _write(path, content, MACRO_LEVEL_KEY, text)
 
 
-def _check_exportable(agent: Learned, shield: Shield | None, name: str) -> None:
+def _check_exportable(agent: Learned, name: str) -> None:
     """Refuse agents that need more than one robot knows.
 
     Raises:
@@ -181,11 +180,6 @@ def _check_exportable(agent: Learned, shield: Shield | None, name: str) -> None:
     if agent.right_of_way is not None:
         raise ConfigurationError(
             f"agent.right_of_way is {agent.right_of_way}; it must be null to be exported"
-        )
-    if shield is not None and shield.predictor != CONSTANT_VELOCITY:
-        raise ConfigurationError(
-            f"agent.shield.predictor is {shield.predictor}; it must be {CONSTANT_VELOCITY} "
-            "to be exported"
         )
     if agent.kinematics_mismatch:
         raise ConfigurationError(

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from mrsan import Observation, Scenario
 from samarl.agents.agent import Agent, checked_act
+from samarl.observations.tracker import EpisodeTracks
 from samarl.planning.shield import Shield, apply_shield
-from samarl.planning.track_predictor import TrackPredictor
 from samarl.policies.explanation import Explanation
 
 
@@ -23,20 +23,9 @@ class Shielded(Agent):
     shield: Shield
 
     def __post_init__(self) -> None:
-        """Start without tracks.
-
-        Raises:
-            ConfigurationError: `shield.predictor` does not exist.
-        """
+        """Start without tracks."""
         super().__post_init__()
-        shield = self.shield
-        self._track_predictor = TrackPredictor(
-            self.scenario,
-            shield.track_time,
-            shield.predictor,
-            shield.horizon,
-            "agent.shield.predictor",
-        )
+        self._tracks = EpisodeTracks(self.scenario, self.shield.track_time)
         self._replaced = np.zeros((0, self.scenario.robots), np.bool_)
 
     def for_scenario(self, scenario: Scenario) -> Self:
@@ -46,7 +35,7 @@ class Shielded(Agent):
     def reset(self, worlds: NDArray[np.bool_]) -> None:
         """Clear the memory of the worlds [E] in which an episode begins."""
         self.agent.reset(worlds)
-        self._track_predictor.reset(worlds)
+        self._tracks.reset(worlds)
 
     def focus(self, robots: NDArray[np.bool_]) -> None:
         """See `Agent.focus`."""
@@ -63,8 +52,8 @@ class Shielded(Agent):
     def act(self, observation: Observation) -> NDArray[np.float32]:
         """Return the agent's actions [E, N, A], with unsafe ones replaced by the shield."""
         action = checked_act(self.agent, observation, self.scenario)
-        tracks, predicted_offset = self._track_predictor.update(observation)
-        checked = apply_shield(tracks, action, self.scenario, self.shield, predicted_offset)
+        tracks = self._tracks.update(observation)
+        checked = apply_shield(tracks, action, self.scenario, self.shield)
         self._replaced = (checked != action).any(-1)
         self._proposed, self._known = action, tracks.humans
         return checked

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mrsan import OTHER_FEATURES, Entities, Observation
+from mrsan import OTHER_FEATURES, Entities, Observation, Scenario
 from mrsan.features import (
     HEADING_COS,
     HEADING_SIN,
@@ -101,6 +101,33 @@ class Tracker:
             )
             entities[name] = Entities(features, known)
         return Observation(observation.ego, entities, observation.sensors)
+
+
+class EpisodeTracks:
+    """The tracks of all robots of E worlds, which are cleared where an episode begins."""
+
+    def __init__(self, scenario: Scenario, track_time: float) -> None:
+        """Start without tracks; for `track_time` see `Tracker`."""
+        self._scenario, self._tracker = scenario, Tracker(track_time, scenario.time_step)
+        self._begin(0)
+
+    def _begin(self, worlds: int) -> None:
+        self.memory = self._tracker.initial(worlds, self._scenario.robots, self._scenario.humans)
+        self._is_init = np.ones(worlds, np.bool_)
+
+    def reset(self, worlds: NDArray[np.bool_]) -> None:
+        """Forget the tracks of the worlds [E] in which an episode begins."""
+        if len(worlds) != len(self._is_init):
+            self._begin(len(worlds))
+        self._is_init |= worlds
+
+    def update(self, observation: Observation) -> Observation:
+        """Return what is known after an observation."""
+        if len(observation.ego) != len(self._is_init):
+            self._begin(len(observation.ego))
+        tracks = self._tracker.update(observation, self.memory, self._is_init)
+        self._is_init = np.zeros(len(tracks.ego), np.bool_)
+        return tracks
 
 
 def _no_tracks(shape: tuple[int, ...]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

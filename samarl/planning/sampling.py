@@ -15,7 +15,7 @@ from mrsan.kernels import function, kernel
 from mrsan.kernels.walls import WALL_ROWS, way_distance
 from mrsan.parameters import kernel_parameters
 from samarl.observations.route import next_point
-from samarl.planning.track_predictor import gather_offsets
+from samarl.planning.offset_predictor import gather_offsets
 from samarl.planning.velocity_control import (
     gather_rows,
     step_robot,

@@ -18,14 +18,13 @@ from numpy.typing import NDArray
 
 from mrsan import Observation, Scenario
 from mrsan.features import GOAL_X, GOAL_Y
-from mrsan.fields import check_numbers, number, setting
+from mrsan.fields import check_numbers, number
 from mrsan.kernels import function, kernel
 from mrsan.kernels.contact import closest_approach
 from mrsan.kernels.walls import WALL_ROWS, way_distance
 from mrsan.parameters import Parameters, kernel_parameters
 from samarl.observations.route import next_point
 from samarl.planning.detour import remaining_path_length
-from samarl.planning.track_predictor import CONSTANT_VELOCITY, gather_offsets, zero_offset
 from samarl.planning.velocity_control import (
     TURN_IN_PLACE_ANGLE,
     gather_rows,
@@ -65,9 +64,6 @@ class Shield:
     track_time: float = number(
         6.0, 0.0, 1000.0, unit="s", help="time for which agents out of view are remembered"
     )
-    predictor: str = setting(
-        CONSTANT_VELOCITY, help="predictor of the people in view: a name or a weights file"
-    )
 
     def __post_init__(self) -> None:
         """Check every number.
@@ -83,7 +79,6 @@ def apply_shield(
     action: NDArray[np.float32],
     scenario: Scenario,
     shield: Shield,
-    predicted_offset: NDArray[np.float32] | None = None,
     parameters: Parameters | None = None,
 ) -> NDArray[np.float32]:
     """Return the actions [E, N, A], with unsafe ones replaced.
@@ -93,13 +88,9 @@ def apply_shield(
         action: [E, N, A] in [-1, 1].
         scenario: the dynamics.
         shield: its parameters.
-        predicted_offset: offsets of people from constant velocity, as from
-            `OffsetPredictor.update`; None: zero.
         parameters: those of the scenario, where they are at hand.
     """
     checked = np.array(action, np.float32)
-    if predicted_offset is None:
-        predicted_offset = zero_offset(tracks.entities["humans"].mask)
     settings = _Settings(
         max(1, scenario.steps(shield.horizon)),
         scenario.steps(TEAM_MATE_UNCERTAIN),
@@ -111,7 +102,6 @@ def apply_shield(
         *tracks.agents,
         *seen_walls(tracks),
         np.ascontiguousarray(next_point(tracks)),
-        predicted_offset,
         kernel_parameters(scenario) if parameters is None else parameters,
         settings,
         checked,
@@ -132,7 +122,6 @@ class _Situation(NamedTuple):
     """What one robot knows, in its frame, and where it is heading."""
 
     rows: NDArray[np.float32]  # of `gather_rows`; the first is the robot
-    row_offset: NDArray[np.float32]  # from constant velocity, of `gather_offsets`
     row_count: int
     first_robot: int  # rows from here on are team-mates
     walls: NDArray[np.float32]
@@ -153,13 +142,11 @@ def _apply_shield(
     segments,
     segments_seen,
     targets,
-    predicted_offset,
     p,
     settings,
     action,
 ):
     rows = np.empty((1 + humans.shape[2] + robots.shape[2], 5), np.float32)
-    row_offset = np.zeros((rows.shape[0], predicted_offset.shape[3], 2), np.float32)
     room = np.empty((WALL_ROWS, segments.shape[2] + 1), np.float32)
     first_action = np.empty(action.shape[2], np.float32)
     scratch_action = np.empty(action.shape[2], np.float32)
@@ -179,14 +166,12 @@ def _apply_shield(
                 rows,
             )
             walls = room[:, : gather_walls(segments[e, i], segments_seen[e, i], room)]
-            first_robot = gather_offsets(humans_known[e, i], predicted_offset[e, i], row_offset)
             _shrink_margins(rows, count, p)
             target_x, target_y = targets[e, i, 0], targets[e, i, 1]
             situation = _Situation(
                 rows,
-                row_offset,
                 count,
-                first_robot,
+                1 + humans_known[e, i].sum(),
                 walls,
                 target_x,
                 target_y,
@@ -281,7 +266,6 @@ def _simulate(situation, action, continuation, with_path_length, settings, p):
         new_x, new_y, vx, vy, heading = step_robot(x, y, vx, vy, heading, action, p)
         gap = _smallest_gap(
             rows,
-            situation.row_offset,
             count,
             situation.walls,
             situation.first_robot,
@@ -309,28 +293,25 @@ def _simulate(situation, action, continuation, with_path_length, settings, p):
 
 
 @function
-def _smallest_gap(
-    rows, row_offset, count, walls, first_robot, x, y, new_x, new_y, step, uncertain_steps, p
-):
+def _smallest_gap(rows, count, walls, first_robot, x, y, new_x, new_y, step, uncertain_steps, p):
     """Return the smallest surface distance while driving straight from (x, y) during one step.
 
-    Everybody moves at constant velocity plus the predicted offset. A team-mate may also stop, as it
-    does on arrival, or mirror this robot's change of velocity, since both decide at the same time.
+    Everybody moves at constant velocity. A team-mate may also stop, as it does on arrival, or
+    mirror this robot's change of velocity, since both decide at the same time.
     """
     start = np.float32(step) * p.time_step
     end = start + p.time_step
     stop_time = _HALF * p.time_step  # braking covers the distance of half a step at full velocity
-    before, after = min(step, row_offset.shape[1] - 1), min(step + 1, row_offset.shape[1] - 1)
     smallest = np.float32(np.inf)
     if walls.shape[1] > 0:
         smallest = way_distance(walls, walls.shape[1], x, y, new_x - x, new_y - y)
     for j in range(1, count):
         px, py, vx, vy = rows[j, 0], rows[j, 1], rows[j, 2], rows[j, 3]
         distance = closest_approach(
-            px + vx * start + row_offset[j, before, 0] - x,
-            py + vy * start + row_offset[j, before, 1] - y,
-            px + vx * end + row_offset[j, after, 0] - new_x,
-            py + vy * end + row_offset[j, after, 1] - new_y,
+            px + vx * start - x,
+            py + vy * start - y,
+            px + vx * end - new_x,
+            py + vy * end - new_y,
         )
         if j >= first_robot and step < uncertain_steps:
             moving_time = min(start, stop_time)

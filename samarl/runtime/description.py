@@ -12,7 +12,7 @@ from samarl.planning.shield import Shield
 
 KEY = "samarl"  # of the metadata
 MACRO_LEVEL_KEY = "samarl.macro_level"  # of those of a macro level: JSON, `agent`, `opset`, `card`
-FORMAT = 3
+FORMAT = 4
 MEMORY, NEXT_MEMORY = "state.", "next."  # prefixes of inputs and outputs
 
 # The fields of the scenario that a robot needs.

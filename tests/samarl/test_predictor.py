@@ -1,8 +1,7 @@
-"""The predictor of people: its training data, its training, and its use by shield and planner."""
+"""The predictor of people: its training data, its training, and its use by the planner."""
 
 import json
 from dataclasses import replace
-from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +14,7 @@ from mrsan import ConfigurationError, Crowd, PluginError, Scenario, Split, World
 from mrsan.prediction import PREDICTORS, ConstantVelocity, find_predictor, own_frame
 from samarl.agents import build_agent
 from samarl.configuration import load_agent_config
-from samarl.observations.tracker import Tracker
-from samarl.planning.track_predictor import OffsetPredictor, TrackPredictor
+from samarl.planning.offset_predictor import OffsetPredictor
 from samarl.prediction.learner import Learner, Network, save_predictor
 from samarl.prediction.table import displacement
 from samarl.prediction.training import Training
@@ -123,10 +121,8 @@ def test_the_shipped_predictor_is_better_than_constant_velocity(
 SCENARIO = Scenario(robots=3, humans=16, fov_degrees=200.0)
 
 
-def predicting_agent(who: str, predictor: str) -> dict[str, Any]:
-    """A planner that foresees, or the blind walk straight ahead under a shield that does."""
-    of = {"shield": {"predictor": predictor}} if who == "shield" else {"predictor": predictor}
-    return load_agent_config("straight" if who == "shield" else who) | of
+def predicting_agent(predictor: str) -> dict[str, Any]:
+    return load_agent_config("model_predictive") | {"predictor": predictor}
 
 
 def driven(config: dict[str, Any], scenario: Scenario = SCENARIO) -> list[np.ndarray]:
@@ -140,23 +136,17 @@ def driven(config: dict[str, Any], scenario: Scenario = SCENARIO) -> list[np.nda
     return actions
 
 
-@pytest.mark.parametrize("who", ["shield", "model_predictive"])
 def test_the_default_predictor_is_constant_velocity(
-    who: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """To the bit: as by default, through the interface of predictors, with weights of zero."""
-    default = (
-        load_agent_config("straight") | {"shield": True}
-        if who == "shield"
-        else load_agent_config(who)
-    )
-    expected = driven(default)
+    expected = driven(load_agent_config("model_predictive"))
     save_predictor(tmp_path / "zero.safetensors", Network(4).predictor(8, DT), {})
     monkeypatch.setitem(PREDICTORS, "straight", ConstantVelocity)
     names = ("constant_velocity", "straight", str(tmp_path / "zero.safetensors"))
     for name in names:
-        np.testing.assert_array_equal(driven(predicting_agent(who, name)), expected)
-    otherwise = driven(predicting_agent(who, "recurrent"))
+        np.testing.assert_array_equal(driven(predicting_agent(name)), expected)
+    otherwise = driven(predicting_agent("recurrent"))
     assert any((a != b).any() for a, b in zip(otherwise, expected, strict=True))
 
 
@@ -172,17 +162,16 @@ class Sideways(ConstantVelocity):
         return position
 
 
-def test_predicted_offsets_are_in_the_body_frame_and_only_of_visible_people() -> None:
+def test_predicted_offsets_are_in_the_body_frame_and_only_of_visible_people(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     scenario = Scenario(robots=2, humans=6, fov_degrees=180.0)
-    world, offsets = World(scenario, 4), OffsetPredictor(Sideways(DT), 5)
-    tracker = Tracker(24 * DT, DT)
-    memory = tracker.initial(4, 2, 6)
-    offsets.initialize(4, 2, 6)
-    observation, is_init = world.reset(np.arange(4)), np.ones(4, np.bool_)
+    monkeypatch.setitem(PREDICTORS, "sideways", Sideways)
+    world, offsets = World(scenario, 4), OffsetPredictor(scenario, "sideways", 5 * DT, "predictor")
+    observation = world.reset(np.arange(4))
+    offsets.reset(np.ones(4, np.bool_))
     for t in range(6):
-        tracker.update(observation, memory, is_init)
-        offset = offsets.update(observation.ego, memory, is_init)
-        visible, is_init = observation.humans_visible, np.zeros(4, np.bool_)
+        offset, visible = offsets.update(observation), observation.humans_visible
         heading = world.state.robot_heading[:, :, None, None]
         along = DT * np.arange(6) * np.stack([np.sin(heading), np.cos(heading)])
         expected = np.where(visible[..., None, None], np.moveaxis(along, 0, -1), 0.0)
@@ -196,12 +185,12 @@ def test_predicted_offsets_are_in_the_body_frame_and_only_of_visible_people() ->
     assert 0 < visible.sum() < visible.size
 
 
-def test_agents_react_to_a_predicted_turn(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_planner_reacts_to_a_predicted_turn(monkeypatch: pytest.MonkeyPatch) -> None:
     """A person walks beside the robot and is predicted to turn towards it."""
     monkeypatch.setitem(PREDICTORS, "sideways", Sideways)
     scenario = Scenario(robots=1, humans=1)
-    actions = {}
-    for who, name in product(("shield", "model_predictive"), ("constant_velocity", "sideways")):
+    actions = []
+    for name in ("constant_velocity", "sideways"):
         world = World(scenario)
         world.reset([0])
         state = world.state
@@ -209,13 +198,9 @@ def test_agents_react_to_a_predicted_turn(monkeypatch: pytest.MonkeyPatch) -> No
         state.robot_heading[0, 0], state.robot_velocity[0, 0] = 0, (1, 0)
         state.human_position[0, 0], state.human_velocity[0, 0] = (0.0, -0.7), (1, 0)
         state.human_radius[0, 0] = 0.3
-        action = build_agent(predicting_agent(who, name), scenario).act(world.observe())
-        assert np.isfinite(action).all()
-        actions[who, name] = action[0, 0]
-    straight = build_agent(load_agent_config("straight"), scenario).act(world.observe())[0, 0]
-    np.testing.assert_array_equal(actions["shield", "constant_velocity"], straight)
-    for who in ("shield", "model_predictive"):
-        assert (actions[who, "sideways"] != actions[who, "constant_velocity"]).any()
+        actions.append(build_agent(predicting_agent(name), scenario).act(world.observe()))
+        assert np.isfinite(actions[-1]).all()
+    assert (actions[0] != actions[1]).any()
 
 
 def test_the_command_trains_evaluates_and_reports_errors(
@@ -263,7 +248,7 @@ def test_the_command_trains_evaluates_and_reports_errors(
 
 
 def test_a_prediction_that_cannot_be_used_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The shield would take people whose positions are NaN for nobody."""
+    """The planner would take people whose positions are NaN for nobody."""
 
     class Broken(ConstantVelocity):
         def predict(self, past: Any, valid: Any, velocity: Any, steps: int) -> Any:
@@ -275,6 +260,6 @@ def test_a_prediction_that_cannot_be_used_is_named(monkeypatch: pytest.MonkeyPat
     observation = World(scenario).reset([0])
     for broken, message in (("nan", r"predictor Broken is nan at index \[0, "), ("", "has shape")):
         monkeypatch.setattr(Broken, "broken", broken, raising=False)
-        tracks = TrackPredictor(scenario, 6.0, "broken", 2.0, "agent.shield.predictor")
+        offsets = OffsetPredictor(scenario, "broken", 2.0, "agent.predictor")
         with pytest.raises(PluginError, match=message):
-            tracks.update(observation)
+            offsets.update(observation)
