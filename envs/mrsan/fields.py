@@ -25,7 +25,14 @@ class UnknownFieldError(ConfigurationError, TypeError):
 
 
 def number(
-    default: Any, low: float, high: float, *, above: bool = False, unit: str = "", help: str = ""
+    default: Any,
+    low: float,
+    high: float,
+    *,
+    above: bool = False,
+    kw_only: bool = False,
+    unit: str = "",
+    help: str = "",
 ) -> Any:
     """Declare a number with a default.
 
@@ -34,10 +41,12 @@ def number(
         low: smallest permitted value.
         high: largest permitted value.
         above: the value must exceed `low`.
+        kw_only: it can only be passed by name, so it may precede fields without a default.
         unit: its unit, such as `m/s`; empty for a number without one.
         help: what it means, for `--help`.
     """
-    return field(default=default, metadata=_metadata(low, high, above, unit, help))
+    metadata = _metadata(low, high, above, unit, help)
+    return field(default=default, kw_only=kw_only, metadata=metadata)
 
 
 def required(low: float, high: float, *, unit: str = "", help: str = "") -> Any:

@@ -22,7 +22,11 @@ class AlgorithmConfig(Protocol):
 
 
 class Algorithm(nn.Module, ABC):
-    """Trains a policy on rollouts; critics and other networks are its submodules."""
+    """Trains a policy on rollouts.
+
+    Critics and other networks are its submodules, and numbers that it adapts are buffers
+    (`register_buffer`): both are saved with the run.
+    """
 
     policy: Policy
     reward_shaping = RewardShaping()  # of its next rollouts

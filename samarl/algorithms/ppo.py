@@ -81,7 +81,7 @@ class PPOConfig:
     minibatches: int = required(1, 1000, help="minibatches per epoch")
     discount: float = required(0.0, 0.9999, help="discount per step")
     gae_lambda: float = required(0.0, 1.0, help="lambda of generalised advantage estimation")
-    clip_epsilon: float = required(0.0, 0.99, help="clipping range of the probability ratio")
+    clip_epsilon: float = required(0.0, 0.99, help="clipping range of ratios and values")
     entropy_coefficient: float = required(0.0, 10.0, help="weight of the entropy bonus")
     macro_entropy_coefficient: float = required(
         0.0, 10.0, help="weight of the entropy bonus of the macro level"
@@ -219,7 +219,7 @@ class PPO(Algorithm):
         rollouts = [rollout.to(self.policy.device) for rollout in rollouts]
         statistics: Statistics = defaultdict(list)
         self._run_epochs(self.prepare(rollouts, statistics), statistics)
-        return {key: sum(values) / len(values) for key, values in statistics.items()}
+        return {key: sum(values) / len(values) for key, values in statistics.items() if values}
 
     # Advantages, and the steps to learn from
 
@@ -351,9 +351,13 @@ class PPO(Algorithm):
 
     # Optimisation
 
-    def _run_epochs(self, data: list[TrainingData], statistics: Statistics) -> None:
-        """Take all steps of the optimiser: whole sequences are shuffled into minibatches."""
-        c = self.config
+    def _run_epochs(self, data: list[TrainingData], statistics: Statistics) -> float:
+        """Take all steps of the optimiser: whole sequences are shuffled into minibatches.
+
+        Returns:
+            The mean KL divergence of the last epoch from the policy that collected.
+        """
+        c, mean = self.config, 0.0
         for epoch in range(1, c.epochs + 1):
             statistics["losses/epochs"] = [float(epoch)]  # the last one that was run
             divergence: list[float] = []
@@ -373,6 +377,7 @@ class PPO(Algorithm):
             mean = sum(divergence) / max(len(divergence), 1)
             if c.target_kl is not None and mean > c.target_kl:
                 break
+        return mean
 
     def _descend(self, statistics: Statistics) -> None:
         """Clip the gradients of policy and critics separately, and take a step."""

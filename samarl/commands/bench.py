@@ -54,6 +54,9 @@ from samarl.policies.card import find_policy
 from samarl.progress import SharedCount, progress_bar, shared_progress
 from samarl.user_files import name_of
 
+WEIGHTS = ("checkpoint", "macro_level")
+"""Settings of agents that name trained weights, of which there may be several training seeds."""
+
 STATUS = """\
 (same: equal to the committed row; close: within its 95 % intervals, since processors round
  differently; DIFFERS: outside of them; other: the committed row has other settings or cases;
@@ -205,8 +208,10 @@ def _tasks(config: DictConfig, scenarios: Sequence[Scenario]) -> tuple[list[_Tas
             if warning := build_agent(agent, scenario).scope_warning():
                 scope_warnings.setdefault(labels[method], warning)
                 continue
-            seeds = other_seeds(str(agent.get("checkpoint"))) if config.seeds else []
-            variants = [agent, *({**agent, "checkpoint": seed} for seed in seeds)]
+            variants = [agent]
+            for setting in WEIGHTS if config.seeds else ():
+                seeds = other_seeds(str(agent.get(setting)))
+                variants += [{**agent, setting: seed} for seed in seeds]
             protocol = learned_evaluation if "checkpoint" in agent else evaluation
             tasks.append(_Task(method, labels[method], variants, scenario, protocol))
     return tasks, scope_warnings
@@ -281,10 +286,9 @@ def _row(
         episodes = run_cases(agent, scenario, cases, evaluation.batch, advance)
         first = int(cases[0])
         rows.append(summarise(episodes, scenario, label, command, commit, first, named))
-    if "checkpoint" not in variants[0]:
-        return rows[0]
-    checkpoints = [str(variant["checkpoint"]) for variant in variants]
-    row = rows[0] | _from_training(checkpoints, command)
+    row = rows[0]
+    if "checkpoint" in variants[0]:
+        row |= _from_training([str(variant["checkpoint"]) for variant in variants], command)
     return row | across_seeds(rows) if len(rows) > 1 else row
 
 

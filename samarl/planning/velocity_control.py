@@ -7,6 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from mrsan import Kinematics, Scenario
 from mrsan.features import (
     OTHER_RADIUS,
     OTHER_VELOCITY_X,
@@ -92,6 +93,34 @@ def step_robot(x, y, vx, vy, heading, action, p):
     x += _HALF * (vx + new_vx) * p.time_step
     y += _HALF * (vy + new_vy) * p.time_step
     return x, y, new_vx, new_vy, heading
+
+
+def stop_fully(
+    action: NDArray[np.float32], ego: NDArray[np.float32], stop_speed: float, scenario: Scenario
+) -> NDArray[np.float32]:
+    """Let robots stand that would otherwise be slower than `stop_speed` (m/s).
+
+    A standing robot may turn in place, while a moving one is limited by its turning radius: a robot
+    that creeps can hardly turn at all.
+
+    Args:
+        action: [..., A] in [-1, 1].
+        ego: [..., 11] the robots.
+        stop_speed: 0 and other kinematics than `acceleration_heading` leave all actions as they
+            are.
+        scenario: the robots' limits.
+
+    Returns:
+        The actions, [..., A].
+    """
+    if stop_speed == 0.0 or scenario.kinematics is not Kinematics.acceleration_heading:
+        return action
+    gain = np.float32(scenario.max_acceleration * scenario.time_step)
+    along = np.hypot(ego[..., VELOCITY_X], ego[..., VELOCITY_Y]) + gain * action[..., 0]
+    stops = np.hypot(along.clip(min=0.0), gain * action[..., 1]) < stop_speed
+    stopped = action.copy()
+    stopped[stops, :2] = -1.0, 0.0
+    return stopped
 
 
 def action_to_motion(

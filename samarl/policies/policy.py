@@ -22,7 +22,7 @@ from torch import Tensor, nn
 from torch.utils._pytree import tree_map
 
 from mrsan import ConfigurationError, Entities, Observation, Scenario
-from mrsan.fields import required, setting
+from mrsan.fields import number, required, setting
 from mrsan.sensors.walls import WALL_FEATURES
 from samarl.encoders import ENCODERS, Encoder
 from samarl.encoders.encoder import samples_of
@@ -70,6 +70,9 @@ class PolicyConfig:
     encoder: dict[str, Any] = needed(help="name and settings of the encoder")
     observe_map_position: bool = setting(
         True, kw_only=True, help="the policy observes where the origin is"
+    )
+    stop_speed: float = number(
+        0.0, 0.0, 10.0, unit="m/s", kw_only=True, help="robots that would be slower stop; 0: none"
     )
 
 

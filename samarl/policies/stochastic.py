@@ -18,6 +18,7 @@ from torch.utils._pytree import tree_map
 from mrsan import Observation, Scenario
 from samarl.encoders.encoder import samples_of
 from samarl.observations.frames import Frames
+from samarl.planning.velocity_control import stop_fully
 from samarl.policies.heads import given_previous_noise, log_prob
 from samarl.policies.policy import (
     LOCAL,
@@ -179,6 +180,8 @@ class StochasticPolicy(Policy):
             return None if tensor is None else tensor.view(*shape, *tensor.shape[1:]).cpu()
 
         step = tree_map(per_robot, step._replace(scene=None))
+        action = stop_fully(step.action.numpy(), observation.ego, self.config.stop_speed, scenario)
+        step = step._replace(action=torch.from_numpy(action))
         return Decision(step, tracks, features, scene)
 
     @property

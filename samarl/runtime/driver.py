@@ -17,7 +17,7 @@ from mrsan.parameters import Parameters, kernel_parameters
 from mrsan.se2 import unrotate
 from samarl.observations.route import heading_for_route, next_point, route
 from samarl.planning.one_step import Commands, command_set, predict_outcomes
-from samarl.planning.velocity_control import action_to_motion
+from samarl.planning.velocity_control import action_to_motion, stop_fully
 from samarl.runtime.agents import AgentTracks
 from samarl.runtime.inputs import (
     Detection,
@@ -232,7 +232,8 @@ class Driver:
         if not self.description.observes_route:
             tracks = tracks._replace(ego=heading_for_route(tracks))
         if not self._network.looks_ahead:
-            return self._network.action(tracks, target)
+            action = self._network.action(tracks, target)
+            return stop_fully(action, tracks.ego, policy.get("stop_speed", 0.0), self.scenario)
         active = np.ones((1, 1), np.bool_)
         outcomes = predict_outcomes(tracks, active, target, self._commands, self.scenario)
         value = self._network.values(outcomes.tracks) * ~outcomes.ended[:, 0]

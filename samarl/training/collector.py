@@ -29,7 +29,7 @@ from samarl.training.curriculum import CurriculumStage
 from samarl.training.restarts import SnapshotBuffer, WarmStartCrowd
 
 RESTART_STEPS = 16  # a world restarts at most so many steps before a collision
-STANDING = 0.1  # m/s; a robot that is slower stands
+STANDING = 0.5  # m; a robot stands while it stays so close to a place, however it moves there
 UNSAFE = 1e-4  # smallest change by the shield that counts as a correction
 
 
@@ -89,7 +89,8 @@ class RolloutCollector:
         self.snapshots = SnapshotBuffer(RESTART_STEPS)
         self.age = np.zeros(worlds, np.int64)  # steps since the episode began or was restarted
         self.not_restarted = np.ones(worlds, np.bool_)  # episodes since their last reset
-        self.standstill = np.zeros((worlds, scenario.robots), np.int64)  # steps in a row, standing
+        self.standstill = np.zeros((worlds, scenario.robots), np.int64)  # steps at `stand`
+        self.stand = self.world.state.robot_position.copy()  # [E, N, 2] where each robot stands, m
         # Columns of the frame buffer: history for the encoder and restarts, then steps 0 to T.
         self.past = policy.history + (RESTART_STEPS if self._restarts else 0)
         columns = self.past + steps + 1
@@ -243,7 +244,7 @@ class RolloutCollector:
             result = world.step(self.decision.action)
         except ActionError as error:
             raise ActionError(f"policy {type(self.policy).__name__}: {error}") from None
-        stood_too_long = self._update_standstill(result.observation)
+        stood_too_long = self._update_standstill()
         rewards = level_rewards(
             self.policy,
             self.shaping,
@@ -271,14 +272,19 @@ class RolloutCollector:
             outcome[("next", *level_key(level), "reward")] = torch.from_numpy(reward)
         return outcome
 
-    def _update_standstill(self, observation: Observation) -> NDArray[np.bool_]:
-        """Update for how long each robot has stood; return which reached the limit, [E, N]."""
-        stage = self.stage
+    def _update_standstill(self) -> NDArray[np.bool_]:
+        """Update for how long each robot has stood; return which reached the limit, [E, N].
+
+        A limit of the speed would be met by creeping.
+        """
+        stage, state = self.stage, self.world.state
         if stage.standstill_limit == 0.0:
             return np.zeros_like(self.active)
-        stands = (speed_of(observation.ego) < STANDING) & ~self.world.state.arrived
+        stands = np.linalg.norm(state.robot_position - self.stand, axis=-1) < STANDING
+        stands &= ~state.arrived
         if self.guide is not None:
             stands &= ~self.guide.waits
+        self.stand[~stands] = state.robot_position[~stands]
         self.standstill = np.where(stands, self.standstill + 1, 0)
         return self.standstill >= max(stage.scenario.steps(stage.standstill_limit), 1)
 
@@ -312,6 +318,7 @@ class RolloutCollector:
             self.observation = world.observe()
         self.age[ended] = 0
         self.standstill[ended] = 0
+        self.stand[ended] = world.state.robot_position[ended]
         self.not_restarted[ended] = reset[ended]
         return back
 
@@ -428,6 +435,7 @@ class RolloutCollector:
             "age": self.age,
             "fresh": self.not_restarted,
             "standstill": self.standstill,
+            "stand": self.stand,
             "is_init": self.is_init,
             "frames": self.frames,
             "begins": self.begins,
@@ -454,6 +462,7 @@ class RolloutCollector:
             "state",
             "age",
             "standstill",
+            "stand",
             "is_init",
             "frames",
             "begins",

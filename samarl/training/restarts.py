@@ -13,6 +13,7 @@ from torch import Tensor
 
 from mrsan import Scenario, Split, State, World
 
+_PLACE = ("place", "walls", "zones", "corners", "corner_distance")  # fixed during an episode
 _FAR_AWAY = 1000.0  # m; the robot of a crowd's world is placed so far away that it meets nobody
 _MIN_GAP = 1.5  # m between robots that are placed on the circle
 
@@ -27,14 +28,16 @@ class SnapshotBuffer:
     def __init__(self, steps: int) -> None:
         """Create a buffer for the last `steps` states."""
         self.steps = steps
-        self.snapshots: deque[tuple[State, list[Tensor]]] = deque(maxlen=steps)
+        self.snapshots: deque[tuple[dict[str, NDArray], list[Tensor]]] = deque(maxlen=steps)
 
     def append(self, world: World, memory: list[Tensor]) -> None:
         """Copy the state of the worlds, and the memory of the policy, [E, ...] each."""
-        self.snapshots.append((world.snapshot(), [tensor.clone() for tensor in memory]))
+        arrays = world.state._asdict().items()
+        state = {name: array.copy() for name, array in arrays if name not in _PLACE}
+        self.snapshots.append((state, [tensor.clone() for tensor in memory]))
 
     def restore(self, world: World, memory: list[Tensor], back: NDArray[np.integer]) -> None:
-        """Restore some worlds to earlier states.
+        """Restore some worlds to earlier states of the same episode.
 
         Args:
             world: its state is written.
@@ -43,8 +46,8 @@ class SnapshotBuffer:
         """
         for steps in np.unique(back[back > 0]):
             worlds = back == steps
-            snapshot, earlier_memory = self.snapshots[-int(steps)]
-            world.restore(snapshot, worlds)
+            state, earlier_memory = self.snapshots[-int(steps)]
+            world.restore(world.state._replace(**state), worlds)
             rows = torch.from_numpy(worlds)
             for tensor, earlier_tensor in zip(memory, earlier_memory, strict=True):
                 tensor[rows] = earlier_tensor[rows]

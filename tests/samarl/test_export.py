@@ -141,7 +141,7 @@ def test_every_policy_and_every_encoder_is_exported(
     if policy == "lookahead":
         model = learning.make_policy(policy, policy_config(policy, encoder), 3)
     else:
-        model = learning.policy(policy, encoder, gain=100.0)
+        model = learning.policy(policy, encoder, gain=100.0, stop_speed=0.3)
     agent = agent_of(model, policy, tmp_path, scenario)
     export_agent(tmp_path / "policy.onnx", agent, "mine")
     team = team_of(Network(tmp_path / "policy.onnx"), 2)

@@ -164,7 +164,7 @@ def test_a_collision_is_tried_again_from_shortly_before() -> None:
     state, again = going.world.state, 0
     for _ in range(40):
         moments = [
-            (snapshot.robot_position.copy(), snapshot.clock.copy())
+            (snapshot["robot_position"].copy(), snapshot["clock"].copy())
             for snapshot, _ in going.snapshots.snapshots
         ]
         age = going.age.copy()

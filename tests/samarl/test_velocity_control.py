@@ -12,7 +12,7 @@ from mrsan.parameters import kernel_parameters
 from samarl.agents import build_agent
 from samarl.agents.learned import Learned
 from samarl.configuration import load_agent_config
-from samarl.planning.velocity_control import retarget_actions
+from samarl.planning.velocity_control import retarget_actions, stop_fully
 
 ALONE = Scenario(robots=1, humans=0)
 
@@ -72,6 +72,29 @@ def test_a_robot_with_limits_tracks_the_velocity_within_them() -> None:
     np.testing.assert_allclose(
         retarget_actions(ego, gentle, own, here)[0, 1], [0, 0, turn], atol=1e-5
     )
+
+
+def test_a_robot_that_would_creep_stops_and_turns_in_place() -> None:
+    """A robot at 0.04 m/s that asks for a turn of 15 degrees, three times."""
+    world = World(ALONE, 1)
+    world.reset([0])
+    ask = np.array([[[0.0, 0.0, 1.0]]], np.float32)
+    start = float(world.state.robot_heading[0, 0])
+    for stop_speed, turned in ((0.0, 1.7), (0.1, 45.0)):
+        world.state.robot_heading[0, 0] = start
+        world.state.robot_velocity[0, 0] = 0.04 * math.cos(start), 0.04 * math.sin(start)
+        for _ in range(3):
+            world.step(stop_fully(ask, world.observe().ego, stop_speed, ALONE))
+        turn = math.degrees(float(world.state.robot_heading[0, 0]) - start)
+        # In motion the turning radius of 1 m allows 0.04 m/s x 0.25 s / 1 m = 0.57 degrees a step.
+        assert math.remainder(turn - turned, 360.0) == pytest.approx(0.0, abs=0.1)
+    ego = world.observe().ego
+    drives = np.array([[[0.2, 0.0, 1.0]]], np.float32)  # to 0.25 m/s
+    assert (stop_fully(drives, ego, 0.1, ALONE) == drives).all()
+    aside = np.array([[[0.0, 0.1, 1.0]]], np.float32)  # 0.125 m/s to the side
+    assert (stop_fully(aside, ego, 0.1, ALONE) == aside).all()
+    own = replace(ALONE, kinematics=Kinematics.holonomic)
+    assert (stop_fully(drives[..., :2] * 0, ego, 0.1, own) == 0).all()
 
 
 def test_a_policy_drives_other_robots_only_with_track_velocity() -> None:
