@@ -15,7 +15,7 @@ from mrsan import ConfigurationError, Scenario, Split
 from mrsan.fields import check_numbers, number
 from samarl.commands.cli import command_line, run_command
 from samarl.configuration import load_method_config, open_mapping, scenario_of
-from samarl.files import check_writable, code_version, write_json
+from samarl.files import check_writable, code_version, machine, write_json
 from samarl.policies.card import BEST
 from samarl.registry import checked_fields
 
@@ -64,6 +64,7 @@ def macro(config: DictConfig) -> None:
     provenance: dict[str, Any] = {
         "command": command_line("samarl-macro"),
         "commit": code_version(),
+        "machine": machine(),
         "steps": learner.steps,
         "seconds": round(time.monotonic() - start, 1),  # of this command, if it was resumed
         "configuration": {

@@ -15,7 +15,7 @@ from samarl.commands.bench import _command, _row, _Task, main
 from samarl.configuration import load_agent_config
 from samarl.evaluation.regression import beside_committed, compare
 from samarl.evaluation.runner import Evaluation
-from samarl.evaluation.seeds import improvements
+from samarl.evaluation.seeds import improvements, other_seeds
 from samarl.evaluation.summary import Row, case_successes, column_of, first_cases, read_rows
 from samarl.evaluation.table import grids_as_markdown
 from samarl.files import find_folder, write_json
@@ -78,6 +78,25 @@ def test_rows_with_fewer_cases_are_not_merged(
     error = capsys.readouterr().err
     assert "the row of straight must have at least the 3 cases" in error
     assert path.read_bytes() == before
+
+
+def test_training_seeds_of_a_macro_level_are_aggregated(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    agent = "right_of_way macro_level=right_of_way_macro"
+    column = "columns=[{scenario: doorway, robots: 2, humans: 0, team_messages: true}]"
+    played(
+        monkeypatch, f"agents=['{agent}',right_of_way]", "seeds=true", column, "evaluation.cases=4"
+    )
+    rows = read_rows(tmp_path / "mine" / "table1.json")
+    assert rows is not None
+    learned, rule = rows
+    others = other_seeds("right_of_way_macro")
+    assert others
+    assert learned["training_seeds"] == len(learned["success_of_seeds"]) == 1 + len(others)
+    assert learned["success_of_seeds"][0] == learned["success_rate"]
+    assert "training_seeds" not in rule
 
 
 def test_a_page_is_written_again_with_its_figure(
