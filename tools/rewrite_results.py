@@ -39,7 +39,8 @@ def measure_tables(scripts: Path, recordings: str | None) -> None:
     run([bench, "table=ablations", "output=results"])
     run([bench, "table=robustness", "output=results"])
     run([bench, "table=places", "output=results"])
-    run([bench, "table=right_of_way", "output=results"])
+    run([bench, "table=right_of_way", "seeds=true", "output=results"])
+    run([bench, "table=passages", "seeds=true", "output=results"])
     run([bench, "table=transfer", "output=results", *(setting or ["merge=true"])])
     run([predictor, "predictor=recurrent", "output=results", *setting])
 
