@@ -97,7 +97,6 @@ def _check_order(s: ScenarioFields) -> None:
         ("humans_min", "humans", simulated),
         ("human_radius_min", "human_radius_max", True),
         ("human_speed_min", "human_speed_max", simulated),
-        ("hurry_speed_min", "hurry_speed_max", simulated and s.hurry_probability > 0.0),
         ("route_length_min", "route_length_max", floor or not simulated),
         ("route_length_min", "floor_size", floor),
         ("time_step", "time_limit", True),
