@@ -6,17 +6,27 @@ NARROW_DOOR := scenario.layout=doorway scenario.robots=4 scenario.humans=4 \
 	scenario.crowd_reaction=reciprocal scenario.team_messages=true \
 	scenario.place.door_width_min=1.0 scenario.place.door_width_max=1.3
 BIN := .venv/bin
+PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input -qq install --no-compile
 PARALLEL := -n auto --maxprocesses 8 --dist worksteal --durations 20
 
 .DEFAULT_GOAL := help
 .PHONY: help setup bench test test-all test-browser lint train results sweeps pictures report docs \
   latency throughput soak physics malformed kills wheel check-wheel clean python
 
-help: python ## List all targets
-	@$(PYTHON) -m tools.list_targets $(firstword $(MAKEFILE_LIST))
+help: ## List all targets
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(firstword $(MAKEFILE_LIST))
+	@echo "Every target first sets up .venv if necessary. PYTHON names its interpreter (3.11 to 3.13):"
+	@echo "  make test PYTHON=python3.13"
 
-setup: python ## Install the project and its dependencies into .venv, unless they are up to date
-	@$(PYTHON) -m tools.setup_venv
+setup: .venv/.installed ## Install the project and its dependencies into .venv, unless they are up to date
+
+# Torch comes first, at its exact version: pip would prefer another build of it.
+.venv/.installed: pyproject.toml constraints.txt | python
+	@echo "Setting up .venv (once; torch takes minutes) ..."
+	@$(PYTHON) -m venv .venv
+	@$(PIP) $$(grep '^torch==' constraints.txt)
+	@$(PIP) -c constraints.txt -e '.[dev]'
+	@touch $@
 
 bench: setup ## Evaluate the README's rows of Table I, 100 cases each (2 minutes); FULL=1: all rows and cases
 	@$(BIN)/samarl-bench $(if $(TABLE),table=$(TABLE),$(if $(FULL),,only_headline=true)) \
@@ -95,4 +105,5 @@ clean: ## Remove dist/ and caches, but not .venv or outputs/
 	@find . -name __pycache__ -type d -not -path './.venv/*' -prune -exec rm -rf {} +
 
 python:
-	@command -v $(PYTHON) > /dev/null || { echo "error: PYTHON is $(PYTHON), which is not a command; name Python 3.11 to 3.13: make PYTHON=python3.13" >&2; exit 1; }
+	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))' 2> /dev/null || \
+	  { echo "error: PYTHON is $(PYTHON); it must be Python 3.11 to 3.13: make PYTHON=python3.13" >&2; exit 1; }

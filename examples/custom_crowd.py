@@ -9,15 +9,9 @@ move (docs/extending.md, "A crowd model").
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
-from mrsan import Crowd, Scenario, Split
-from samarl.agents import build_agent
-from samarl.configuration import load_agent_config
-from samarl.evaluation.metrics import METRICS
-from samarl.evaluation.runner import Evaluation, run_cases
-from samarl.evaluation.trajectory import record_episode
-from samarl.report.trajectories import save_trajectories
+import samarl
+from mrsan import Crowd, Scenario
 
 STATION = Scenario(
     robots=3,
@@ -38,25 +32,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--cases", type=int, default=200)
     parser.add_argument("--agents", nargs="+", default=["orca", "model_predictive", "samarl"])
-    parser.add_argument("--output", type=Path, default=Path("outputs/station.png"))
+    parser.add_argument("--output", default="outputs/station.png")
     arguments = parser.parse_args()
-    cases = Evaluation(cases=arguments.cases).case_numbers()
-    success = {}
-    for name in arguments.agents:
-        agent = build_agent(load_agent_config(name), STATION)
-        episodes = run_cases(agent, STATION, cases, batch=100)
-        row: dict[str, float] = {}
-        for metric in ("success_rate", "social_score"):
-            row |= METRICS[metric].row_fields(episodes)
-        success[name] = row["success_rate"]
+    rows = {name: samarl.evaluate(name, STATION, arguments.cases).row for name in arguments.agents}
+    for name, row in rows.items():
         print(f"{name:18} success {row['success_rate']} %, social score {row['social_score']}")
-    best = max(success, key=success.__getitem__)
-    trajectory = record_episode(
-        build_agent(load_agent_config(best), STATION), STATION, Split.test.case(0)
-    )
-    arguments.output.parent.mkdir(parents=True, exist_ok=True)
-    save_trajectories([(trajectory, f"{best} at the station")], arguments.output)
-    print(f"written to {arguments.output}")
+    best = max(rows, key=lambda name: rows[name]["success_rate"])
+    print(f"written to {samarl.render(best, STATION, output=arguments.output)}")
 
 
 if __name__ == "__main__":

@@ -11,8 +11,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from tools.process import pip_install, run
-from tools.setup_venv import pinned_requirement
+from tools.process import run
 
 # The modules, the configuration and the results must all come from the fresh environment.
 CHECK_LOCATIONS = """
@@ -44,8 +43,11 @@ def check_wheel(root: Path, folder: Path) -> None:
     python = scripts / "python"
     constraints = root / "constraints.txt"
     run([sys.executable, "-m", "venv", str(folder / "venv")])
-    pip_install(python, pinned_requirement(constraints.read_text(encoding="utf-8"), "torch"))
-    pip_install(python, "-c", str(constraints), str(wheels[-1]))
+    pins = constraints.read_text(encoding="utf-8").splitlines()
+    torch = next(pin for pin in pins if pin.startswith("torch=="))
+    pip = [str(python), "-m", "pip", "--disable-pip-version-check", "--no-input", "-qq"]
+    run([*pip, "install", torch])
+    run([*pip, "install", "-c", str(constraints), str(wheels[-1])])
     env = {**os.environ, "PATH": f"{scripts}{os.pathsep}{os.environ['PATH']}"}
     env.pop("PYTHONPATH", None)  # it could hide a module that the wheel lacks
     samples = [str(path) for path in (folder / "venv").glob(SAMPLE)]

@@ -24,12 +24,3 @@ def run(
                 continue
     if process.returncode:
         sys.exit(process.returncode if process.returncode > 0 else 128 - process.returncode)
-
-
-def pip_install(python: Path, *arguments: str, cwd: Path | None = None) -> None:
-    """Install packages for an interpreter, quietly.
-
-    Modules are compiled when they are first imported, because most of them never are.
-    """
-    pip = [str(python), "-m", "pip", "--disable-pip-version-check", "--no-input", "-qq"]
-    run([*pip, "install", "--no-compile", *arguments], cwd=cwd)

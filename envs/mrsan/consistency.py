@@ -67,11 +67,6 @@ def _check_walls(s: ScenarioFields) -> None:
             f"{files} and scenario.layout is {s.layout.name}; layout must be map with a map file "
             "or a case file with walls, and only then"
         )
-    if s.next_passages and not s.map_known:
-        raise ConfigurationError(
-            f"scenario.next_passages is {s.next_passages}; it must be 0 with scenario.map_known "
-            "false: passages are those of the map"
-        )
     if s.has_walls and s.crowd == Crowd.recorded:
         raise ConfigurationError(
             f"scenario.layout is {s.layout.name}; it must be a layout without walls with "
@@ -102,7 +97,6 @@ def _check_order(s: ScenarioFields) -> None:
         ("humans_min", "humans", simulated),
         ("human_radius_min", "human_radius_max", True),
         ("human_speed_min", "human_speed_max", simulated),
-        ("hurry_speed_min", "hurry_speed_max", simulated and s.hurry_probability > 0.0),
         ("route_length_min", "route_length_max", floor or not simulated),
         ("route_length_min", "floor_size", floor),
         ("time_step", "time_limit", True),

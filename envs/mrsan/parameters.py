@@ -35,8 +35,6 @@ _NOT_COPIED = {
     "team_delay",
     "team_messages",
     "crowd_reaction",
-    "start_clear_time",
-    "slot_reuse_delay",
     "frame_seconds",
     "recording_scale",
     "recording_check",
@@ -58,7 +56,6 @@ _NOT_COPIED = {
     "lidar_noise_share",
     "lidar_dropout",
     "lidar_targets",
-    "next_passages",
     "reward_lookahead",
     "reward_lookahead_steps",
     "reward_lookahead_distance",
@@ -67,6 +64,8 @@ _NOT_COPIED = {
 _f = np.float32
 CROSSING_WIDTH, OPPOSITE_WIDTH = 8.0, 6.0  # of streams of people, if the floor is as wide, m
 DEADLOCK_TIME = 10.0  # for which every driving robot stands still, s
+_START_CLEAR_TIME = 2.0  # for which no recorded person crosses a robot's start, s
+_SLOT_REUSE_DELAY = 6.0  # before a slot holds another recorded person, s
 
 
 def _derived(s: Scenario) -> dict[str, Any]:
@@ -86,8 +85,8 @@ def _derived(s: Scenario) -> dict[str, Any]:
         "cos_half_fov": _f(math.cos(math.radians(s.fov_degrees / 2))),
         "team_tracks": s.team_tracks,
         "team_delay_steps": s.team_delay_steps,
-        "start_clear_time_steps": s.steps(s.start_clear_time),
-        "slot_reuse_delay_steps": s.steps(s.slot_reuse_delay),
+        "start_clear_time_steps": s.steps(_START_CLEAR_TIME),
+        "slot_reuse_delay_steps": s.steps(_SLOT_REUSE_DELAY),
         "goal_change_steps": max(1, s.steps(s.goal_change_interval)),
         "goal_change_probability_max": _f(
             probability if probability_max is None else probability_max

@@ -21,9 +21,6 @@ class Place:
     feasible_margin: float = number(
         0.1, 0.0, 1.0, unit="m", help="distance that routes keep from walls, besides the radius"
     )
-    crossing_share: float = number(
-        0.5, 0.0, 1.0, help="probability that a person's goal is in another room"
-    )
     # doorway: two rooms with an opening in the wall between them
     wall_thickness_min: float = number(0.3, 0.05, 5.0, unit="m", help="doorway: thinnest wall")
     wall_thickness_max: float = number(1.0, 0.05, 5.0, unit="m", help="doorway: thickest wall")
@@ -32,22 +29,16 @@ class Place:
     # corridor: two rooms joined by a corridor
     corridor_width_min: float = number(1.2, 0.1, 20.0, unit="m", help="narrowest corridor")
     corridor_width_max: float = number(3.0, 0.1, 20.0, unit="m", help="widest corridor")
-    # intersection: four arms
-    intersection_width_min: float = number(2.0, 1.0, 20.0, unit="m", help="narrowest arms")
-    intersection_width_max: float = number(4.0, 1.0, 20.0, unit="m", help="widest arms")
     # corner: two arms at right angles
     corner_width_min: float = number(1.5, 1.0, 20.0, unit="m", help="corner: narrowest arms")
     corner_width_max: float = number(3.0, 1.0, 20.0, unit="m", help="corner: widest arms")
     # rooms: a grid of 2 x 2 to 3 x 3 rooms
     rooms_door_min: float = number(1.0, 0.1, 10.0, unit="m", help="rooms: narrowest door")
     rooms_door_max: float = number(1.5, 0.1, 10.0, unit="m", help="rooms: widest door")
-    # pillars: a floor with boxes and round pillars
-    pillars_gap: float = number(
-        1.0, 0.0, 10.0, unit="m", help="pillars: narrowest gap between them and to the walls"
-    )
 
 
 SIZES: dict[str, float | int] = {
+    "crossing_share": 0.5,  # probability that a person's goal is in another room
     "room_length": 9.0,  # doorway: m, as all that follow but shares and numbers
     "room_width": 10.0,
     "end_room_length": 5.0,  # corridor
@@ -55,6 +46,8 @@ SIZES: dict[str, float | int] = {
     "corridor_length_min": 6.0,
     "corridor_length_max": 14.0,
     "intersection_length": 8.0,  # of an arm
+    "intersection_width_min": 2.0,
+    "intersection_width_max": 4.0,
     "corner_length": 10.0,  # of an arm, with the corner
     "rooms_size_min": 4.0,  # sides of a room
     "rooms_size_max": 6.0,
@@ -65,6 +58,7 @@ SIZES: dict[str, float | int] = {
     "pillars_size_min": 0.3,  # sides of a pillar
     "pillars_size_max": 1.2,
     "pillars_round_share": 0.5,
+    "pillars_gap": 1.0,  # narrowest, between them and to the walls
 }
 """The other numbers of the families, which are the same in every scenario."""
 
@@ -111,7 +105,7 @@ def half_size(layout: Layout, place: Place) -> float:
         Layout.corridor: max(
             s["corridor_length_max"] / 2 + s["end_room_length"], s["end_room_width"] / 2
         ),
-        Layout.intersection: p.intersection_width_max / 2 + s["intersection_length"],
+        Layout.intersection: s["intersection_width_max"] / 2 + s["intersection_length"],
         Layout.corner: s["corner_length"] / 2,
         Layout.rooms: 1.5 * s["rooms_size_max"],
         Layout.pillars: s["pillars_floor"] / 2,

@@ -111,9 +111,6 @@ class ScenarioFields:
     )
     lidar_dropout: float = number(0.01, 0.0, 1.0, help="probability of losing a ray, per step")
     lidar_targets: LidarTargets = setting(LidarTargets.walls, help="what stops its rays")
-    next_passages: int = number(
-        0, 0, 8, help="number of doors and corridors ahead on its route that a robot observes"
-    )
     position_noise: float = number(
         0.0, 0.0, 10.0, unit="m", help="standard deviation of observed positions"
     )
@@ -156,12 +153,6 @@ class ScenarioFields:
     crowd_settings: dict[str, Any] = field(
         default_factory=dict,
         metadata={"help": "settings of a registered crowd model: crowd_settings.name=value"},
-    )
-    start_clear_time: float = number(
-        2.0, 0.0, 100.0, unit="s", help="time for which no recorded person crosses a robot's start"
-    )
-    slot_reuse_delay: float = number(
-        6.0, 0.0, 1000.0, unit="s", help="pause before a slot holds another recorded person"
     )
     recording: str | None = setting(
         None, help="file of recorded people; null: the synthetic one that ships"
@@ -208,13 +199,7 @@ class ScenarioFields:
     stand_probability: float = number(
         0.0, 0.0, 1.0, help="probability of standing still until the next interval"
     )
-    hurry_probability: float = number(0.0, 0.0, 1.0, help="share of people in a hurry")
-    hurry_speed_min: float = number(
-        1.5, 0.05, 10.0, unit="m/s", help="smallest preferred speed of people in a hurry"
-    )
-    hurry_speed_max: float = number(
-        2.0, 0.05, 10.0, unit="m/s", help="largest preferred speed of people in a hurry"
-    )
+    hurry_probability: float = number(0.0, 0.0, 1.0, help="share who walk at 1.5 to 2 m/s")
     pair_probability: float = number(
         0.0, 0.0, 1.0, help="probability that the next two people walk together"
     )

@@ -42,8 +42,6 @@ RENAMED = {
     "local_discount": "discount",
     "model_predictive_recurrent": "model_predictive agent.predictor=recurrent",
     "msa3cpred_transfer": "msa3cpred agent.track_velocity=true",
-    "recorded_slot_rest": "slot_reuse_delay",
-    "recorded_start_clear": "start_clear_time",
     "robot_way_max": "route_length_max",
     "robot_way_min": "route_length_min",
     "robots_visible": "crowd_reaction=reciprocal",

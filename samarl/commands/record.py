@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,9 +24,6 @@ from samarl.evaluation.trajectory import Trajectory, record_episode
 from samarl.evaluation.trajnet import trajnet_lines
 from samarl.files import atomic_write, check_writable
 from samarl.progress import progress_bar
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
 
 
 class Format(Enum):
@@ -66,8 +63,8 @@ def record(config: DictConfig) -> None:
     cases = settings.split.number(settings.case) + np.arange(settings.cases, dtype=np.int64)
     if settings.format is Format.table:
         table = api.record(agent, case=int(cases[0]))
-        with atomic_write(Path(target)) as temporary, temporary.open("wb") as file:
-            table_writer(Path(target))(table, file)
+        with atomic_write(Path(target)) as temporary:
+            table.to_csv(temporary, index=False)
         print(f"written to {target}")
         return
     with progress_bar(total=len(cases), desc=agent.label, unit="case", leave=False) as bar:
@@ -91,15 +88,14 @@ def check_output(settings: Record) -> None:
     if settings.format is Format.minari:
         check_dataset_id(settings.output)
         return
-    if settings.format is Format.trajnet:
-        if path.suffix.lower() != ".ndjson":
-            raise ConfigurationError(
-                f"output is {settings.output!r}; it must end in .ndjson for format=trajnet"
-            )
-    else:
-        table_writer(path)
-        if settings.cases != 1:
-            raise ConfigurationError(f"cases is {settings.cases}; it must be 1 for format=table")
+    ending = ".ndjson" if settings.format is Format.trajnet else ".csv"
+    if path.suffix.lower() != ending:
+        raise ConfigurationError(
+            f"output is {settings.output!r}; it must end in {ending} for "
+            f"format={settings.format.name}"
+        )
+    if settings.format is Format.table and settings.cases != 1:
+        raise ConfigurationError(f"cases is {settings.cases}; it must be 1 for format=table")
     check_writable(path, "output")
 
 
@@ -110,27 +106,6 @@ def _trajectories(
     for case in cases.tolist():
         yield record_episode(agent, agent.scenario, case)
         advance(1)
-
-
-def table_writer(path: Path) -> Callable[[DataFrame, BinaryIO], None]:
-    """Return the function that writes a table to a file with this extension.
-
-    Raises:
-        ConfigurationError: the extension is not supported.
-    """
-    writers: dict[str, Callable[[DataFrame, BinaryIO], None]] = {
-        ".csv": lambda table, file: table.to_csv(file, index=False),
-        ".npz": _write_npz,
-    }
-    if path.suffix.lower() not in writers:
-        raise ConfigurationError(f"output is {str(path)!r}; it must end in {' or '.join(writers)}")
-    return writers[path.suffix.lower()]
-
-
-def _write_npz(table: DataFrame, file: BinaryIO) -> None:
-    """Write one array per column."""
-    columns = {name: table[name].to_numpy() for name in table}
-    np.savez_compressed(file, **{**columns, "kind": columns["kind"].astype(np.str_)})
 
 
 if __name__ == "__main__":

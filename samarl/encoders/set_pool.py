@@ -6,13 +6,13 @@ self-play, 2025) and of PointNet: the cheapest encoder that accepts any number o
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor, nn
 
 from mrsan import Entities
-from mrsan.fields import required, setting
+from mrsan.fields import required
 from samarl.encoders.encoder import ENCODERS, Encoder, EncoderState, single_frames
 from samarl.encoders.rays import RayEncoder
 from samarl.encoders.set_pooling import set_pooling
@@ -25,9 +25,6 @@ class SetPoolConfig:
 
     width: int = required(8, 1024, help="width of all hidden layers")
     features: int = required(8, 4096, help="length of the output Y")
-    # Of walled environments, where the robots observe them:
-    segments: bool = setting(True, kw_only=True, help="read the nearest walls")
-    rays: bool = setting(True, kw_only=True, help="read the ranges of the lidar")
 
 
 class PooledSet(nn.Module):
@@ -81,13 +78,10 @@ class SetPoolEncoder(Encoder):
         """See `Encoder`."""
         super().__init__(config, sizes)
         width, self.features = config.width, config.features
-        if not config.segments:
-            others = {name: size for name, size in sizes.entities.items() if name != "walls"}
-            sizes = replace(sizes, entities=others)
         self.sets = PooledSets(sizes, width)
         scene = self.sets.features
         self.rays: RayEncoder | None = None
-        if config.rays and "lidar" in sizes.sensors:
+        if "lidar" in sizes.sensors:
             self.rays = RayEncoder(sizes.sensors["lidar"][0], width)
             scene += width
         self.query = nn.Sequential(nn.Linear(sizes.ego, width), nn.ReLU())

@@ -45,9 +45,6 @@ class SpatioTemporalConfig:
     graph: bool = setting(True, kw_only=True, help="graph convolution weighted by proximity")
     cross_modal: bool = setting(True, kw_only=True, help="attention between the four features")
     one_block: bool = setting(False, kw_only=True, help="treat people and robots alike")
-    # Of walled environments, where the robots observe them:
-    segments: bool = setting(True, kw_only=True, help="read the nearest walls")
-    rays: bool = setting(True, kw_only=True, help="read the ranges of the lidar")
 
 
 class BlockScene(NamedTuple):
@@ -235,10 +232,10 @@ class SpatioTemporalEncoder(Encoder):
             self.robots = Block(sizes.ego, sizes.entities["robots"], config)
         self.kinds = ("everybody",) if config.one_block else ("robots", "humans")
         self.walls: WallBlock | None = None
-        if config.segments and "walls" in sizes.entities:
+        if "walls" in sizes.entities:
             self.walls = WallBlock(sizes.ego, sizes.entities["walls"], config)
         self.rays: RayEncoder | None = None
-        if config.rays and "lidar" in sizes.sensors:
+        if "lidar" in sizes.sensors:
             self.rays = RayEncoder(sizes.sensors["lidar"][0], width)
         features = 2 * len(self.kinds) + (self.walls is not None) + (self.rays is not None)
         self.cross = CrossModal(features, config)

@@ -188,42 +188,6 @@ def draw_lines(
     return figure
 
 
-def draw_bars(rows: Sequence[Row], title: str) -> Figure:
-    """Draw success with its interval in one column, for each setting and method, as bars."""
-    labels = settings_labels(rows)
-    settings, methods = list(dict.fromkeys(labels)), list(dict.fromkeys(r["method"] for r in rows))
-    thickness = 0.8 / len(methods)
-    with rc_context({**STYLE, "axes.grid.axis": "x"}):
-        height = 1.2 + max(0.16 * len(methods), 0.3) * len(settings)
-        figure = Figure(figsize=(4.6, height), layout="constrained")
-        axes = figure.add_subplot()
-        for m, method in enumerate(methods):
-            of_method = [
-                (r, label) for r, label in zip(rows, labels, strict=True) if r["method"] == method
-            ]
-            rate = np.array([row["success_rate"] for row, _ in of_method])
-            low = np.array([row["success_low"] for row, _ in of_method])
-            high = np.array([row["success_high"] for row, _ in of_method])
-            y = [settings.index(label) - 0.4 + (m + 0.5) * thickness for _, label in of_method]
-            axes.barh(
-                y,
-                rate,
-                0.9 * thickness,
-                color=COLOURS[m % len(COLOURS)],
-                label=method,
-                xerr=(rate - low, high - rate),
-                ecolor=INK,
-                error_kw={"elinewidth": 1, "capsize": 2},
-            )
-        axes.set_yticks(range(len(settings)), settings)
-        axes.invert_yaxis()
-        axes.set_xlim(0, 100)
-        axes.set_xlabel("success %, 95 % interval")
-        axes.set_title(title, loc="left")
-        axes.legend(fontsize=10, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2)
-    return figure
-
-
 def draw_table(rows: Sequence[Row]) -> Figure:
     """Draw success with its interval and the social score of all methods, one panel per column.
 
@@ -328,7 +292,7 @@ def sweep_figures(rows: Sequence[Row]) -> Iterable[tuple[str, Figure]]:
     """Yield title and figure of each part of a sweep.
 
     A single varied number is drawn as lines, several of view, humans and robots as heat maps, and
-    other settings as bars.
+    other settings as a table.
     """
     labels = settings_labels(rows)
     has_settings = len(set(labels)) > 1
@@ -360,7 +324,7 @@ def sweep_figures(rows: Sequence[Row]) -> Iterable[tuple[str, Figure]]:
                 methods = [row["method"] for row in column_rows]
                 yield title, draw_lines(column_rows, number[1], number[0], title, methods)
             else:
-                yield title, draw_bars(column_rows, title)
+                yield title, draw_table(column_rows)
 
 
 def _varied(rows: Sequence[Row]) -> list[str]:

@@ -90,12 +90,10 @@ def test_contradictions_name_both_sides() -> None:
 def test_fields_may_contradict_each_other_where_one_of_them_is_not_used() -> None:
     square, mixed = {"layout": Layout.square}, {"layout": Layout.mixed}
     recorded, still = {"crowd": Crowd.recorded}, {"crowd": Crowd.still}
-    hurry = {"hurry_probability": 0.1}
     for fields, used, unused in (
         ({"route_length_min": 20.0, "route_length_max": 30.0}, [square, mixed], [{}, recorded]),
         ({"route_length_max": 3.0}, [square, mixed, recorded], [{}]),
         ({"circle_radius": 3.0}, [{}, mixed], [square, still, recorded]),  # goal_distance is 4
-        ({"hurry_speed_min": 3.0}, [hurry], [{}, hurry | recorded]),
         ({"goal_change_probability_max": 0.1}, [{}], [still, recorded]),
         ({"human_speed_min": 2.0}, [{}], [recorded]),
         ({"humans_min": 20}, [{}], [recorded]),

@@ -15,6 +15,7 @@ _ONE = np.float32(1.0)
 _HALF_PI = np.float32(0.5 * math.pi)
 _GOLDEN_ANGLE = np.float32(2.399963)  # multiples of it never repeat a direction, rad
 _BESIDE = np.float32(0.2)  # surface distance of a pair, m
+_HURRY_MIN, _HURRY_MAX = np.float32(1.5), np.float32(2.0)  # m/s, of people in a hurry
 _ENTRY = np.float32(1.0)  # least surface distance of an entering person to robots, m
 
 # Draws of the stream rng.HABITS.
@@ -27,9 +28,7 @@ def walking_speed(speed, key, j, p):
     if p.hurry_probability > _ZERO and (
         rng.uniform(key, rng.HABITS, j, 0, _HURRY) < p.hurry_probability
     ):
-        return rng.uniform_between(
-            p.hurry_speed_min, p.hurry_speed_max, key, rng.HABITS, j, 0, _HURRY_SPEED
-        )
+        return rng.uniform_between(_HURRY_MIN, _HURRY_MAX, key, rng.HABITS, j, 0, _HURRY_SPEED)
     return speed
 
 

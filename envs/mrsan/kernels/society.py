@@ -23,6 +23,7 @@ from mrsan.kernels.habits import place_beside
 from mrsan.kernels.layout import CIRCLE, widened
 from mrsan.kernels.people import walk_to_goals
 from mrsan.kernels.reactions import IMPASSIVE, draw_reaction, react
+from mrsan.kernels.sensing import always_in_sight
 from mrsan.kernels.social_state import ELAPSED, GROUP, NO_GROUP, REACTION
 from mrsan.kernels.spawn import MOST_ATTEMPTS, NOT_PLACED, draw_traits, has_room, place_on_floor
 from mrsan.kernels.walled import is_in_sight, walk_along_routes
@@ -42,12 +43,6 @@ class _World(NamedTuple):
     present: Any  # numbers of the people who are present
     crowd_velocity: Any  # the crowd model
     in_sight: Any  # whether no wall hides one point from another
-
-
-@function
-def always_in_sight(state, e, x, y, dx, dy):
-    """Return whether no wall hides what is at (x + dx, y + dy) from (x, y): always, without."""
-    return True
 
 
 @function
