@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import builtins
+import contextlib
 from pathlib import Path
 from typing import Any
 
+import yaml
 from hydra.core.object_type import ObjectType
 from hydra.plugins.config_source import ConfigResult, ConfigSource
 from omegaconf import DictConfig, ListConfig, OmegaConf
@@ -20,6 +22,7 @@ AGENT_OF_POLICY = {  # the included agent that uses each kind of policy
     "lookahead": "cadrl",
     "squashed": "msa3cpred",
 }
+MAX_VALUES = 100_000  # in a YAML file with its aliases expanded; typical files have some hundred
 YAML = (".yaml", ".yml")
 
 
@@ -49,12 +52,14 @@ class PathChoices(ConfigSource):
         """Return the content of a choice.
 
         Raises:
-            ConfigurationError: it is a policy of a kind that no included agent drives.
+            ConfigurationError: it is a policy of a kind that no included agent drives, or a file
+                with too many values.
         """
         group, _, name = config_path.partition("/")
         path = Path(name)
         header: dict[str, str | None] = {"package": None}
         if path.suffix in YAML:
+            reject_alias_bomb(path)
             header = self._get_header_dict(path.read_text(encoding="utf-8"))
             config = OmegaConf.load(path)
             if isinstance(config, DictConfig) and isinstance(config.get("defaults"), ListConfig):
@@ -82,6 +87,37 @@ def name_of(choice: str) -> str:
     if path.name in (BEST, LAST):
         path = path.absolute().parent
     return path.stem if path.suffix in (*YAML, ".safetensors") else path.name
+
+
+def reject_alias_bomb(path: Path) -> None:
+    """Reject a YAML file whose aliases expand to more than `MAX_VALUES` values.
+
+    Hydra expands every alias, so a few lines could exhaust the memory.
+
+    Raises:
+        ConfigurationError: it has too many values.
+    """
+    sizes: dict[int, int] = {}  # by node, values below it with its aliases expanded
+
+    def size(node: yaml.Node) -> int:
+        if id(node) not in sizes:
+            sizes[id(node)] = MAX_VALUES  # counted if the node contains itself
+            parts = node.value if isinstance(node, yaml.CollectionNode) else []
+            pairs = (part if isinstance(part, tuple) else (part,) for part in parts)
+            sizes[id(node)] = 1 + sum(size(value) for pair in pairs for value in pair)
+        return sizes[id(node)]
+
+    with contextlib.suppress(OSError, UnicodeError, yaml.YAMLError, RecursionError):  # as when used
+        text = path.read_text(encoding="utf-8")
+        if (
+            "&" in text
+            and (tree := yaml.compose(text, yaml.SafeLoader))
+            and size(tree) > MAX_VALUES
+        ):
+            raise ConfigurationError(
+                f"{path} has more than {MAX_VALUES} values with its aliases expanded; it must "
+                "have fewer"
+            )
 
 
 def _absolute(group: str, path: Path, base: Any) -> Any:

@@ -22,6 +22,7 @@ from hydra.errors import HydraException
 from mrsan import ConfigurationError
 from samarl.configuration import in_quotes
 from samarl.files import find_folder
+from samarl.user_files import reject_alias_bomb
 
 _EXCLUDED_FROM_NAMES = "hydra.job.config.override_dirname.exclude_keys"
 # One of several values, in quotes or up to the next comma.
@@ -43,7 +44,8 @@ class CommandLine:
         """Parse the words of a command line, without the program.
 
         Raises:
-            ConfigurationError: an option is unknown or has no value, or a word is not a setting.
+            ConfigurationError: an option is unknown or has no value, a word is not a setting, or a
+                file in the folder has too many values.
         """
         for word in words:
             if word != word.encode(errors="ignore").decode():  # bytes of another encoding
@@ -54,6 +56,8 @@ class CommandLine:
         folder = None if values.config_dir is None else Path(values.config_dir)
         if folder is not None and not folder.is_dir():
             raise ConfigurationError(f"--config-dir is {str(folder)!r}; it must be a folder")
+        for path in folder.rglob("*.yaml") if folder else ():
+            reject_alias_bomb(path)
         is_sweep = values.multirun or "hydra.mode=MULTIRUN" in values.overrides
         parser = OverridesParser.create()
         settings = [_quoted(word, is_sweep, parser) for word in values.overrides]

@@ -104,3 +104,17 @@ def test_every_cell_of_a_sweep_is_checked_before_the_first_is_run(
         assert message in said[-1]
         assert not [line for line in said[:-1] if not line.startswith("Compiling")]
     assert list(Path().iterdir()) == []
+
+
+def test_files_whose_aliases_would_fill_the_memory_are_rejected(
+    bare: None, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Ten lines that expand to 10^9 values would exhaust the memory."""
+    lines = ["a: &a [x, x, x, x, x, x, x, x, x, x]"]
+    for above, below in zip("abcdefgh", "bcdefghi", strict=True):
+        lines.append(f"{below}: &{below} [{', '.join([f'*{above}'] * 10)}]")
+    Path("mine/agent").mkdir(parents=True)
+    for text in ("&a [*a]", "\n".join(lines)):
+        Path("mine/agent/bomb.yaml").write_text(text, encoding="utf-8")
+        assert run(["--config-dir=mine", "agent=bomb"], monkeypatch) == 2
+        assert "agent/bomb.yaml has more than 100000 values" in capsys.readouterr().err
