@@ -67,6 +67,11 @@ def _check_walls(s: ScenarioFields) -> None:
             f"{files} and scenario.layout is {s.layout.name}; layout must be map with a map file "
             "or a case file with walls, and only then"
         )
+    if s.next_passages and not s.map_known:
+        raise ConfigurationError(
+            f"scenario.next_passages is {s.next_passages}; it must be 0 with scenario.map_known "
+            "false: passages are those of the map"
+        )
     if s.has_walls and s.crowd == Crowd.recorded:
         raise ConfigurationError(
             f"scenario.layout is {s.layout.name}; it must be a layout without walls with "

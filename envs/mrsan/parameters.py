@@ -56,6 +56,7 @@ _NOT_COPIED = {
     "lidar_noise_share",
     "lidar_dropout",
     "lidar_targets",
+    "next_passages",
     "reward_lookahead",
     "reward_lookahead_steps",
     "reward_lookahead_distance",

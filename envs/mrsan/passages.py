@@ -49,6 +49,8 @@ class Passages(NamedTuple):
     passage: Ints  # [K] number of the passage
     length: NDArray[np.float64]  # [P] of the longest way between two mouths of a passage, m
     places: list[Points]  # [K] of [Q, 2] where robots can wait beside a mouth, nearest first, m
+    way: Points  # [S, 2, 2] ends of the straight ways through the passages, m; a door has a point
+    way_passage: Ints  # [S] number of the passage
 
     def is_blocked(self, mouth: int, points: Points) -> NDArray[np.bool_]:
         """Return at which points [..., 2] a parked robot would block a mouth."""
@@ -87,7 +89,7 @@ def find_passages(walls: Floats, place: Floats, widest: float) -> Passages:
         widest: the width from which a passage counts as open floor, m.
     """
     if not len(place) or not place[WALLS]:
-        return _passages([], [], [], [], [], [])
+        return _passages([], [], [], [], [], [], [], [])
     columns = np.ascontiguousarray(walls[:, : int(place[WALLS])])
     winding, clearance = int(place[WINDING]), float(place[CLEARANCE])
     return _find(columns.tobytes(), columns.shape[1], winding, clearance, widest)
@@ -99,8 +101,9 @@ def _find(content: bytes, count: int, winding: int, clearance: float, widest: fl
     posts = _gaps(walls, winding, 2.0 * clearance, widest)
     middle = posts.mean(1)
     links = _links(walls, middle, _BEND * widest)
-    mouth, outward, width, passage = [], [], [], []
+    mouth, outward, width, passage, way = [], [], [], [], []
     length: list[float] = []
+    way_passage: list[int] = []
     reachable = np.isfinite(links)
     for group in np.unique([np.flatnonzero(row)[0] for row in reachable]).astype(int):
         members = np.flatnonzero(reachable[group])
@@ -114,10 +117,13 @@ def _find(content: bytes, count: int, winding: int, clearance: float, widest: fl
                     outward.append(side * normal)
                     width.append(float(np.linalg.norm(along)))
                     passage.append(len(length))
+        ways = _straight_ways(middle[members], links[np.ix_(members, members)])
+        way += ways
+        way_passage += [len(length)] * len(ways)
         length.append(float(links[np.ix_(members, members)].max()))
     ends = zip(mouth, outward, strict=True)
     places = [_queue_places(walls, clearance, *end) for end in ends]
-    return _passages(mouth, outward, width, passage, length, places)
+    return _passages(mouth, outward, width, passage, length, places, way, way_passage)
 
 
 def _passages(
@@ -127,6 +133,8 @@ def _passages(
     passage: list[int],
     length: list[float],
     places: list[Points],
+    way: list[Points],
+    way_passage: list[int],
 ) -> Passages:
     return Passages(
         np.array(mouth).reshape(-1, 2),
@@ -135,6 +143,8 @@ def _passages(
         np.array(passage, int),
         np.array(length, float),
         places,
+        np.array(way, float).reshape(-1, 2, 2),
+        np.array(way_passage, int),
     )
 
 
@@ -172,6 +182,18 @@ def _links(walls: Points, middle: Points, widest: float) -> NDArray[np.float64]:
     for k in range(len(middle)):  # shortest ways by way of others (Floyd-Warshall)
         links = np.minimum(links, links[:, k, None] + links[None, k])
     return links
+
+
+def _straight_ways(middle: Points, length: NDArray[np.float64]) -> list[Points]:
+    """Return the ends [2, 2] of the straight ways between gaps [G, 2]; one gap is one point.
+
+    `length` [G, G] is that of the shortest ways between them, m.
+    """
+    if len(middle) == 1:
+        return [middle[[0, 0]]]
+    pairs = [(i, j) for j in range(len(middle)) for i in range(j)]
+    straight = [np.linalg.norm(middle[i] - middle[j]) >= length[i, j] - 1e-9 for i, j in pairs]
+    return [middle[list(pair)] for pair, is_way in zip(pairs, straight, strict=True) if is_way]
 
 
 def _queue_places(walls: Points, clearance: float, mouth: Points, outward: Points) -> Points:

@@ -111,6 +111,9 @@ class ScenarioFields:
     )
     lidar_dropout: float = number(0.01, 0.0, 1.0, help="probability of losing a ray, per step")
     lidar_targets: LidarTargets = setting(LidarTargets.walls, help="what stops its rays")
+    next_passages: int = number(
+        0, 0, 8, help="number of doors and corridors ahead on its route that a robot observes"
+    )
     position_noise: float = number(
         0.0, 0.0, 10.0, unit="m", help="standard deviation of observed positions"
     )

@@ -353,3 +353,14 @@ def _wall_features(segments: Tensor, scenario: Scenario) -> Tensor:
 def _lidar_features(ranges: Tensor, scenario: Scenario) -> Tensor:
     """Return the features [B, L] of ranges [B, L]: exp(-gap / 2), so that near walls stand out."""
     return torch.exp(-0.5 * (ranges - scenario.robot_radius).clamp_min(0.0))
+
+
+@register_features("passages")
+def _passage_features(passages: Tensor, scenario: Scenario) -> Tensor:
+    """Return the features [B, K, 12] of passages [B, K, 11].
+
+    Lengths are in units of `LENGTH_SCALE`; exp(-distance / 2) stands out before the mouth.
+    """
+    mouth, axis, lengths, rest = passages.split((2, 2, 3, 4), -1)
+    near = torch.exp(-0.5 * lengths[..., :1])
+    return torch.cat([mouth / LENGTH_SCALE, axis, lengths / LENGTH_SCALE, rest, near], -1)

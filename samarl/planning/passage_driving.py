@@ -8,8 +8,8 @@ import numpy as np
 
 from mrsan.features import OTHER_RADIUS
 from mrsan.kernels import function, kernel, separate
+from mrsan.kernels.passages import distance_from_way
 from mrsan.kernels.walls import WALL_ROWS, is_clear
-from samarl.planning.mouths import distance_from_way, distance_to, mouths_of_world
 from samarl.planning.path_rollouts import (
     STEPS,
     Others,
@@ -22,8 +22,10 @@ from samarl.planning.path_rollouts import (
 from samarl.planning.right_of_way import (
     CLAIM,
     WAIT,
+    distance_to,
     is_parked,
     map_of_world,
+    mouths_of_world,
     number_of_mode,
     update_mode,
 )

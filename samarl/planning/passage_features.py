@@ -11,16 +11,18 @@ import math
 
 from mrsan.features import OTHER_VELOCITY_X, OTHER_VELOCITY_Y, OTHER_X, OTHER_Y
 from mrsan.kernels import function, kernel
+from mrsan.kernels.passages import ahead_of
 from mrsan.kernels.team import PRIORITY, THROUGH
 from mrsan.se2 import rotate, transform
-from samarl.planning.mouths import ahead_of, distance_to, mouths_of_world
 from samarl.planning.right_of_way import (
     ENTER,
     MODES,
     QUEUE,
     WAIT,
     believed_mode,
+    distance_to,
     is_blocked,
+    mouths_of_world,
 )
 
 OWN = 42  # numbers about a robot itself, its passage, and the people that it sees

@@ -12,8 +12,7 @@ from mrsan.kernels.walls import PLACE_COLUMNS, WALL_ROWS
 from mrsan.observation import KnownMap
 from mrsan.passages import Passages
 from mrsan.sensors.team import MESSAGE_FEATURES
-from samarl.planning.mouths import Mouths
-from samarl.planning.right_of_way import BY_RULE, Memory
+from samarl.planning.right_of_way import BY_RULE, Memory, Mouths
 
 
 def empty_memory(e: int, n: int) -> Memory:

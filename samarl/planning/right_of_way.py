@@ -16,10 +16,10 @@ from typing import NamedTuple
 import numpy as np
 
 from mrsan.kernels import function, separate
+from mrsan.kernels.passages import ahead_of, aside_of, crossing, distance_from_way
 from mrsan.kernels.team import MACRO_ACTION, PRIORITY, THROUGH
 from mrsan.kernels.walls import is_clear, wall_count
 from mrsan.passages import BLOCKED_LENGTH, BLOCKED_MARGIN
-from samarl.planning.mouths import ahead_of, aside_of, crossing, distance_from_way, distance_to
 from samarl.planning.path_rollouts import write_route
 
 DRIVE, WAIT, GO, HOLD = range(4)  # macro actions; WAIT and GO with the mouth where a robot enters
@@ -42,6 +42,22 @@ _AT_PLACE = 0.3  # m, at which a robot has reached its queue place
 _TAKEN = 0.7  # m, from a parked robot, within which a place is not free
 _PARKED = 0.05  # m/s, below which team-mates who do not go count as parked
 _FAR = 1e9
+
+
+class Mouths(NamedTuple):
+    """The mouths of the passages of a world, or of all worlds, one world after the other.
+
+    Numbers of mouths and passages are those in their world.
+    """
+
+    position: np.ndarray  # [K, 2] m
+    outward: np.ndarray  # [K, 2]
+    width: np.ndarray  # [K] m
+    passage: np.ndarray  # [K] its number in the world
+    length: np.ndarray  # [K] of its passage, m
+    first_place: np.ndarray  # [K] the first of its queue places ...
+    last_place: np.ndarray  # [K] ... and the one after the last
+    places: np.ndarray  # [Q, 2] queue places, m
 
 
 class Memory(NamedTuple):
@@ -77,6 +93,22 @@ def map_of_world(known_maps, e):
         known_maps.place[e],
         known_maps.corners[e],
         known_maps.corner_distance[e],
+    )
+
+
+@function
+def mouths_of_world(mouths, first_mouth, e):
+    """Return the mouths of world `e`, which are those from `first_mouth[e]` on."""
+    first, last = first_mouth[e], first_mouth[e + 1]
+    return Mouths(
+        mouths.position[first:last],
+        mouths.outward[first:last],
+        mouths.width[first:last],
+        mouths.passage[first:last],
+        mouths.length[first:last],
+        mouths.first_place[first:last],
+        mouths.last_place[first:last],
+        mouths.places,
     )
 
 
@@ -276,6 +308,12 @@ def number_of_mode(e, i, mouths, memory):
     """Return what robot `i` tells: its mode and 4 times one more than its mouth in the world."""
     entry = memory.entry[e, i]
     return memory.mode[e, i] + MODES * (entry + 1 if entry >= 0 else 0)
+
+
+@function
+def distance_to(mouths, k, x, y):
+    """Return the distance of (x, y) from mouth `k`, m."""
+    return math.hypot(x - mouths.position[k, 0], y - mouths.position[k, 1])
 
 
 @function

@@ -23,8 +23,12 @@ from mrsan.features import (
 from mrsan.kernels import function, kernel
 from mrsan.kernels.team import MACRO_ACTION, PRIORITY, THROUGH
 from mrsan.se2 import rotate, transform
-from samarl.planning.mouths import mouths_of_world
-from samarl.planning.right_of_way import look_ahead, map_of_world, number_of_mode
+from samarl.planning.right_of_way import (
+    look_ahead,
+    map_of_world,
+    mouths_of_world,
+    number_of_mode,
+)
 
 POINTS = 128  # of a path
 

@@ -259,6 +259,11 @@ class Policy(nn.Module, ABC):
                             f"scenario.lidar_rays is {scenario.lidar_rays}; it must be {size[0]}, "
                             "as in the training of this policy"
                         )
+                    if name == "passages":
+                        raise ConfigurationError(
+                            f"scenario.next_passages is {scenario.next_passages}; it must be at "
+                            "least 1, as in the training of this policy"
+                        )
                     raise ConfigurationError(
                         f"scenario.sensors is {scenario.sensors!r}; it must have {name} with "
                         f"{size} features, which this policy observes"

@@ -13,7 +13,9 @@ from torch import Tensor, nn
 from torchrl.envs.utils import check_env_specs
 
 from mrsan import (
+    ConfigurationError,
     EntitySensor,
+    Layout,
     Scenario,
     ValueSensor,
     World,
@@ -36,6 +38,7 @@ from samarl.runtime.simulation import as_seen, sensor_readings
 from samarl.training.config import TrainerConfig
 from samarl.training.curriculum import CurriculumStage
 from samarl.training.trainer import Trainer
+from tests import learning
 from tests.learning import PPO_NUMBERS, policy_numbers
 
 SETTINGS: dict[str, Any] = {"posts": {"number": 5}, "compass": {}}
@@ -220,3 +223,12 @@ def test_wrong_readings_are_named(tmp_path: Path, scenario: Scenario) -> None:
             driver.step(own, detections, 1.0, wrong)
         assert all(word in str(error.value) for word in words)
     driver.step(own, detections, 1.0, readings)  # nothing was lost
+
+
+def test_a_policy_that_observes_passages_needs_them() -> None:
+    scenario = Scenario(layout=Layout.rooms, humans=2, robots=2, next_passages=2)
+    policy = learning.policy("flat", "set_pool", 1.0, scenario)
+    assert policy.sizes.entities["passages"] == 12
+    policy.check(replace(scenario, next_passages=1))
+    with pytest.raises(ConfigurationError, match=r"scenario\.next_passages is 0"):
+        policy.check(replace(scenario, next_passages=0))

@@ -17,6 +17,7 @@ from mrsan.observation import Entities, Observation
 from mrsan.parameters import SensorParameters, kernel_parameters
 from mrsan.plugin_values import PluginError, check_finite
 from mrsan.scenario import Scenario
+from mrsan.sensors.passages import NextPassages
 from mrsan.sensors.sensor import EntitySensor, make_sensors
 from mrsan.sensors.team import team_sensors
 from mrsan.sensors.walls import wall_sensors
@@ -43,6 +44,7 @@ class SensorSuite:
             | team_sensors(self.scenario)
             | make_sensors(self.scenario)
         )
+        self._passages = NextPassages(self.scenario) if self.scenario.next_passages else None
 
     def empty(self, worlds: int) -> Observation:
         """Allocate the observation of E worlds."""
@@ -54,6 +56,8 @@ class SensorSuite:
                 slots[name] = sensor.slots, sensor.features
             else:
                 sensors[name] = self._room(name, worlds, *sensor.shape)
+        if self._passages is not None:
+            slots["passages"] = self._passages.slots, self._passages.features
         entities = {
             name: Entities(
                 self._room(name, worlds, number, features),
@@ -106,6 +110,8 @@ class SensorSuite:
                     f"{type(error).__name__}: {error}"
                 ) from error
             check_finite(f"sensor {name}", arrays[0], state, worlds)
+        if self._passages is not None:
+            self._passages.observe(state, worlds, observation)
 
 
 def _without_limits(scenario: Scenario) -> Scenario:
