@@ -32,7 +32,8 @@ _LABELS = {
     "right_of_way macro_level=enter": "Right of way, everybody enters",
     "right_of_way macro_level=random": "Right of way, random",
     "right_of_way macro_level=right_of_way_macro": "Right of way, learned",
-    "right_of_way macro_level=ablation_priorities": ("Right of way, learned without priorities"),
+    "right_of_way macro_level=ablation_intents": "Right of way, learned without intents",
+    "right_of_way macro_level=ablation_priorities": "Right of way, learned without priorities",
     "samarl": "SAMARL, shielded",
     "samarl checkpoint=ablation_cross_modal": (
         "SAMARL-Transformer without cross-modal attention, shielded"
