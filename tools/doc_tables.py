@@ -177,6 +177,7 @@ def right_of_way() -> str:
         "right_of_way",
         "right_of_way macro_level=right_of_way_macro",
         "right_of_way macro_level=ablation_priorities",
+        "right_of_way macro_level=ablation_intents",
         "right_of_way central=true",
     )
 
