@@ -129,6 +129,20 @@ def test_a_robot_that_stands_for_too_long_ends_the_episode_and_pays() -> None:
     assert not free["next", "done"].any()
 
 
+def test_a_robot_that_creeps_stands() -> None:
+    """In four steps robot 0 creeps 0.44 m, and robot 1 drives 0.8 m."""
+    going = collector(policy("flat"), 3, 1, replace(SCENARIO, humans=0), standstill_limit=1.0)
+    position = going.world.state.robot_position
+    stood = []
+    for _ in range(8):
+        position[:, 0, 0] += 0.11
+        position[:, 1, 0] += 0.2
+        stood.append(going._update_standstill().tolist())
+    # 1 s is 4 steps. Robot 0 has left the place after the fifth.
+    assert [both[0][0] for both in stood] == [False, False, False, True, False, False, False, False]
+    assert not any(both[e][1] for both in stood for e in range(3))
+
+
 def test_exploration_keeps_its_direction_for_a_while() -> None:
     torch.manual_seed(0)
     model = policy(gain=0.0)
