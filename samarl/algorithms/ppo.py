@@ -408,7 +408,8 @@ class PPO(Algorithm):
             total = total + share * (terms["loss_objective"] + terms["loss_entropy"])
             divergence.append(float(terms["kl_approx"]))
             for key, name in STATISTICS.items():
-                statistics[f"losses/{level}_{name}"].append(float(terms[key].detach()))
+                if (value := terms.get(key, None)) is not None:
+                    statistics[f"losses/{level}_{name}"].append(float(value.detach()))
             if level == LOCAL:
                 total = total + self._auxiliary_loss(decisions, statistics)
         return total
