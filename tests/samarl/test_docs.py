@@ -85,7 +85,7 @@ def test_a_table_of_your_own(tmp_path: Path) -> None:
 
 # Section of the page: the files that it uses (of another section), and what its commands print.
 OWN: dict[str, tuple[dict[str, str], str]] = {
-    "A predictor": ({"my_predictor.py": ""}, r"\| samarl "),
+    "A predictor": ({"my_predictor.py": ""}, r"\| model_predictive "),
     "A crowd model": ({"my_crowd.py": ""}, r"crowd stroll crowd settings\.pace 0\.8"),
     "A term of the reward": ({"my_terms.py": ""}, "written to outputs/calm"),
     "A sensor": (
