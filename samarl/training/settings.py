@@ -43,6 +43,7 @@ class Curriculum:
 
     stages: list[StageConfig] = field(default_factory=list)
     guide: str | None = None  # of the stages that refer to it
+    teachers: dict[str, str | None] = field(default_factory=dict)  # of the stages that refer to one
 
 
 @dataclass
