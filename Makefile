@@ -62,7 +62,7 @@ pictures: setup ## Draw the pictures of the documentation: layouts, tables as fi
 	@cp outputs/pictures/figures/table-1.png docs/images/table1.png
 	@cp outputs/pictures/figures/transfer-recorded-people.png docs/images/recorded.png
 	@$(BIN)/samarl-render agent=samarl against=orca case=$(PICTURE_CASE) output=docs/images/case.gif
-	@$(BIN)/samarl-render agent=right_of_way against=samarl_places case=22 $(NARROW_DOOR) output=docs/images/right_of_way.gif
+	@$(BIN)/samarl-render agent=samarl against=samarl_flat case=22 $(NARROW_DOOR) output=docs/images/right_of_way.gif
 
 report: setup ## Build web pages with tables, curves and replays in results/report/
 	@$(BIN)/samarl-report

@@ -31,12 +31,12 @@ AGENTS = {
         "model_predictive",
         "perimeter",
         "cadrl",
-        "samarl",
+        "samarl_waypoints",
         "samarl_general",
     ),
     "20p3r": ("orca", "msa3c", "msa3cpred"),
 }
-FIRST = ("samarl", "msa3c", "msa3cpred")  # are evaluated first
+FIRST = ("samarl_waypoints", "msa3c", "msa3cpred")  # are evaluated first
 # Share of the robots' time in people's comfort zones, % (MSA3C, in PyBullet: 20 people, 3 robots).
 PAPER_INTRUSIONS = {"msa3cpred": 2.66, "msa3c": 6.77}
 HARDER: tuple[dict[str, Any], ...] = (  # for SAMARL, one setting at a time
@@ -99,7 +99,7 @@ def engines_of(scenario: str, agent: str) -> list[Run]:
 def all_runs() -> list[Run]:
     """Return all rows, the most important first."""
     compared = [run for s, agents in AGENTS.items() for a in agents for run in engines_of(s, a)]
-    harder = [Run("samarl", "samarl", changes=changes) for changes in HARDER]
+    harder = [Run("samarl", "samarl_waypoints", changes=changes) for changes in HARDER]
     return sorted([*compared, *harder], key=lambda run: run.agent not in FIRST)
 
 
@@ -145,17 +145,20 @@ def page(rows: list[Row], cases: int) -> str:
                 figures = ["", "", "", "", f"{PAPER_INTRUSIONS[agent]:.2f}", "", "", ""]
                 lines.append([label_of(agent), "paper: PyBullet", *figures])
         text += f"## {_TITLES[scenario]}\n\n{markdown_table(_HEADER, lines)}\n\n"
-    ideal, *in_physics = engines_of("samarl", "samarl")
+    ideal, *in_physics = engines_of("samarl", "samarl_waypoints")
     baseline = row_of(ideal)
     lines = []
-    for run in [*in_physics, *(Run("samarl", "samarl", changes=changes) for changes in HARDER)]:
+    for run in [
+        *in_physics,
+        *(Run("samarl", "samarl_waypoints", changes=changes) for changes in HARDER),
+    ]:
         row = row_of(run)
         if row is not None and baseline is not None:
             setting = " ".join(f"{name}={value}" for name, value in run.changes.items())
             share = 100 * row["success_rate"] / baseline["success_rate"]
             lines.append([setting or "defaults", *_cells(row), f"{share:.0f}"])
     header = ["setting", *_HEADER[2:], "share of success in mrsan %"]
-    text += f"## What SAMARL withstands\n\n{markdown_table(header, lines)}\n\n"
+    text += f"## What SAMARL-Waypoints withstands\n\n{markdown_table(header, lines)}\n\n"
     commits = ", ".join(sorted({row["commit"] for row in rows}))
     return (
         f"{text}The first {cases} test cases per row. Created by `python -m benchmarks.physics` at "

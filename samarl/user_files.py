@@ -18,7 +18,7 @@ from samarl.policies.card import BEST, LAST, find_policy, is_policy, read_card
 
 AGENT_OF_POLICY = {  # the included agent that uses each kind of policy
     "flat": "samarl_flat",
-    "hierarchical": "samarl",
+    "hierarchical": "samarl_waypoints",
     "lookahead": "cadrl",
     "squashed": "msa3cpred",
 }

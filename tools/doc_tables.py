@@ -30,12 +30,12 @@ METHODS = (
     "cadrl shield=true",
     "samarl_ppo shield=false",
     "samarl_ppo",
+    "samarl_waypoints shield=false",
+    "samarl_waypoints",
     "samarl shield=false",
     "samarl",
-    "samarl_anywhere shield=false",
-    "samarl_anywhere",
 )
-ONE_LEVEL = ("samarl_flat shield=false", "samarl_flat")  # also in the README, no policy for 90°
+ONE_LEVEL = ("samarl_circle shield=false", "samarl_circle")  # also in the README, no policy for 90°
 # What the settings of table `robustness` change, in words.
 CHANGES = {
     "position noise 0.1": "positions with noise of 0.1 m",
@@ -93,9 +93,10 @@ def beside_the_paper() -> str:
     """Return success in Table I without the shield, and the paper's in brackets."""
     lines = []
     for method in ("orca", "cadrl", "samarl_ppo shield=false", "samarl_srnn shield=false",
-                   "samarl shield=false"):  # fmt: skip
+                   "samarl_waypoints shield=false"):  # fmt: skip
         label = label_of(method)
-        paper = [PAPER_SUCCESS.get(c, {}).get(label.partition(",")[0], NONE) for c in COLUMNS]
+        name = label.partition(",")[0].removesuffix("-Waypoints")
+        paper = [PAPER_SUCCESS.get(c, {}).get(name, NONE) for c in COLUMNS]
         ours = [print_row(find_row("table1", method, _key(c)), "success") for c in COLUMNS]
         lines.append([label, *(f"{o} ({p})" for o, p in zip(ours, paper, strict=True))])
     return markdown_table(["success %", *_table1_header()[1:]], lines)
@@ -105,7 +106,7 @@ def beside_the_paper() -> str:
 def seeds() -> str:
     """Return success over training seeds in the columns of Table I."""
     lines = []
-    policies = [f"samarl{name}" for name in ("", "_ppo", "_transformer", "_flat")]
+    policies = [f"samarl_{name}" for name in ("waypoints", "ppo", "transformer", "circle")]
     for method in [
         *(name for policy in policies for name in (f"{policy} shield=false", policy)),
         *("samarl_general", "samarl_planned"),
@@ -136,12 +137,12 @@ def recorded() -> str:
         "perimeter shield=true",
         "cadrl",
         "samarl",
-        "samarl_flat",
+        "samarl_waypoints",
+        "samarl_circle",
         "samarl_transformer",
         "samarl_general",
         "samarl_planned",
-        "samarl_recorded",
-        "samarl_anywhere",
+        "samarl_recorded shield=true",
     )
     rows = [row for row in result_rows("transfer") if row.get("recording")]
     return _grid(rows, lambda row: Path(row["recording"]).stem.replace("_", " "), methods)
@@ -155,10 +156,10 @@ def places() -> str:
         "social_force_places shield=true",
         "model_predictive shield=true",
         "cadrl shield=true",
-        "samarl_flat",
+        "samarl_circle",
         "samarl_places_flat",
         "samarl_places",
-        "samarl_anywhere right_of_way=null",
+        "samarl right_of_way=null",
         "right_of_way central=true",
     )
     return _grid(result_rows("places"), lambda row: row["layout"], methods)
@@ -171,9 +172,9 @@ def right_of_way() -> str:
         "samarl_places",
         "samarl_places right_of_way=rule",
         "samarl_places right_of_way=right_of_way_macro",
-        "samarl_anywhere right_of_way=null",
-        "samarl_anywhere",
-        "samarl_anywhere right_of_way=right_of_way_macro",
+        "samarl right_of_way=null",
+        "samarl",
+        "samarl right_of_way=right_of_way_macro",
         "right_of_way",
         "right_of_way macro_level=right_of_way_macro",
         "right_of_way macro_level=ablation_priorities",
@@ -217,9 +218,9 @@ def robustness() -> str:
     """Return the success rate by changed setting and method."""
     methods = (
         "samarl",
+        "samarl_waypoints",
         "samarl_general",
         "samarl_planned",
-        "samarl_anywhere",
         "cadrl",
         "model_predictive",
         "perimeter shield=true",
@@ -378,8 +379,8 @@ def _range(numbers: Sequence[int]) -> str:
 def latency() -> str:
     """Return the duration of a decision of the main agents."""
     lines = []
-    for agent in ("orca", "perimeter shield=true", "model_predictive", "samarl_flat", "samarl",
-                  "samarl_general", "cadrl", "samarl_planned"):  # fmt: skip
+    for agent in ("orca", "perimeter shield=true", "model_predictive", "samarl_circle",
+                  "samarl_waypoints", "cadrl", "samarl_planned"):  # fmt: skip
         entry = find_value("latency", f"agents.{agent}")
         exported = entry["exported_ms"]
         lines.append(

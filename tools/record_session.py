@@ -14,7 +14,7 @@ from samarl.evaluation.trajectory import record_episode
 from samarl.report.build import Site, slug
 from samarl.report.replays import ReplayFolder
 
-_AGENTS = ("samarl", "orca", "cadrl", "samarl_places", "right_of_way")
+_AGENTS = ("samarl", "orca", "cadrl", "samarl", "right_of_way")
 _CASES = (0, 7, 28)
 
 

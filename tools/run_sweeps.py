@@ -16,7 +16,7 @@ SHARED_TRACKS = "scenario.team_perception=tracks"
 
 SWEEPS = {
     "crowds": [
-        "agent=samarl,perimeter,model_predictive",
+        "agent=samarl_waypoints,perimeter,model_predictive",
         "scenario.fov_degrees=60,90,135,180,270,360",
         "scenario.humans=0,5,10,15,20",
         "scenario.robots=1,2,3,5,8",

@@ -35,28 +35,12 @@ _LABELS = {
     "right_of_way macro_level=ablation_intents": "Right of way, learned without intents",
     "right_of_way macro_level=ablation_priorities": "Right of way, learned without priorities",
     "samarl": "SAMARL, shielded",
-    "samarl checkpoint=ablation_cross_modal": (
-        "SAMARL-Transformer without cross-modal attention, shielded"
-    ),
-    "samarl checkpoint=ablation_graph": "SAMARL-Transformer without graph convolution, shielded",
-    "samarl checkpoint=ablation_history": "SAMARL-Transformer without history, shielded",
-    "samarl checkpoint=ablation_local_critics": "SAMARL-Transformer with local critics, shielded",
-    "samarl checkpoint=ablation_one_block": "SAMARL-Transformer with one block, shielded",
-    "samarl checkpoint=samarl_anywhere_two_levels right_of_way=rule": (
-        "Waypoints and rule, shielded"
-    ),
-    "samarl checkpoint=samarl_lookahead": "SAMARL-Lookahead, shielded",
-    "samarl waypoints=first": "SAMARL, first waypoint, shielded",
-    "samarl waypoints=random": "SAMARL, random waypoints, shielded",
-    "samarl waypoints=shuffled": "SAMARL, shuffled waypoints, shielded",
-    "samarl_10p3r": "SAMARL-10p3r",
-    "samarl_anywhere": "SAMARL-Anywhere, shielded",
-    "samarl_anywhere right_of_way=null": "SAMARL-Anywhere, one level, shielded",
-    "samarl_anywhere right_of_way=right_of_way_macro": (
-        "SAMARL-Anywhere, learned right of way, shielded"
-    ),
-    "samarl_flat": "One level, shielded",
-    "samarl_flat checkpoint=samarl_anywhere_one_level": "Trained without the rule, shielded",
+    "samarl checkpoint=samarl_waypoints_and_rule": "Waypoints and rule, shielded",
+    "samarl right_of_way=null": "SAMARL without right of way, shielded",
+    "samarl right_of_way=right_of_way_macro": "SAMARL, learned right of way, shielded",
+    "samarl_10p3r": "SAMARL-10p3r, shielded",
+    "samarl_circle": "One level, circle, shielded",
+    "samarl_flat": "Trained without the rule, shielded",
     "samarl_general": "SAMARL-General, shielded",
     "samarl_places": "SAMARL-Places, shielded",
     "samarl_places right_of_way=right_of_way_macro": (
@@ -66,10 +50,30 @@ _LABELS = {
     "samarl_places_flat": "SAMARL-Places, one level, shielded",
     "samarl_planned": "SAMARL-Planned, shielded",
     "samarl_ppo": "SAMARL-PPO, shielded",
-    "samarl_recorded": "SAMARL-Recorded, shielded",
+    "samarl_recorded": "SAMARL-Recorded",
     "samarl_srnn": "SAMARL-SRNN, shielded",
     "samarl_transformer": "SAMARL-Transformer, shielded",
-    "samarl_transformer track_velocity=true": "SAMARL, tracked, shielded",
+    "samarl_transformer checkpoint=ablation_cross_modal": (
+        "SAMARL-Transformer without cross-modal attention, shielded"
+    ),
+    "samarl_transformer checkpoint=ablation_graph": (
+        "SAMARL-Transformer without graph convolution, shielded"
+    ),
+    "samarl_transformer checkpoint=ablation_history": (
+        "SAMARL-Transformer without history, shielded"
+    ),
+    "samarl_transformer checkpoint=ablation_local_critics": (
+        "SAMARL-Transformer with local critics, shielded"
+    ),
+    "samarl_transformer checkpoint=ablation_one_block": (
+        "SAMARL-Transformer with one block, shielded"
+    ),
+    "samarl_transformer track_velocity=true": "SAMARL-Transformer, tracked, shielded",
+    "samarl_waypoints": "SAMARL-Waypoints, shielded",
+    "samarl_waypoints checkpoint=samarl_lookahead": "SAMARL-Lookahead, shielded",
+    "samarl_waypoints waypoints=first": "SAMARL-Waypoints, first waypoint, shielded",
+    "samarl_waypoints waypoints=random": "SAMARL-Waypoints, random waypoints, shielded",
+    "samarl_waypoints waypoints=shuffled": "SAMARL-Waypoints, shuffled waypoints, shielded",
     "sarl": "SARL",
     "social_force": "Social force",
     "social_force_places": "Social force for walled environments",
@@ -115,10 +119,8 @@ def method_words(method: str) -> list[str]:
 
 def method_of_policy(policy: str) -> str:
     """Return the method that drives with an included policy by its name."""
-    for method in (f"samarl checkpoint={policy}", f"right_of_way macro_level={policy}"):
-        if method in _LABELS:
-            return method
-    return policy
+    endings = (f" checkpoint={policy}", f" macro_level={policy}")
+    return next((method for method in _LABELS if method.endswith(endings)), policy)
 
 
 def is_ablation(method: str) -> bool:

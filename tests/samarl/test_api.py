@@ -38,11 +38,13 @@ def test_importing_samarl_is_cheap() -> None:
 
 
 def test_an_agent_is_loaded_with_the_shield_of_its_file() -> None:
-    agent = samarl.load_agent("samarl", SMALL)
+    agent = samarl.load_agent("samarl_waypoints", SMALL)
     assert isinstance(agent, Shielded)
-    assert agent.agent == Learned(SMALL, "samarl")
+    assert agent.agent == Learned(SMALL, "samarl_waypoints")
     assert agent.scenario == SMALL
-    assert samarl.load_agent("samarl", SMALL, shield=False) == Learned(SMALL, "samarl")
+    assert samarl.load_agent("samarl_waypoints", SMALL, shield=False) == Learned(
+        SMALL, "samarl_waypoints"
+    )
     assert samarl.load_agent("orca", safety_space=0.1) == Orca(
         Scenario(), **{**_fields("orca"), "safety_space": 0.1}
     )
@@ -56,20 +58,20 @@ def _fields(name: str) -> dict:
 
 @pytest.mark.parametrize("kind", ["name", "file", "training"])
 def test_a_policy_is_driven_like_the_shipped_agent_of_its_kind(kind: str, tmp_path: Path) -> None:
-    policy = find_folder("results") / "checkpoints/samarl_flat_seed0"
+    policy = find_folder("results") / "checkpoints/samarl_circle_seed0"
     for suffix in (".json", ".safetensors"):
         (tmp_path / f"best{suffix}").write_bytes(policy.with_suffix(suffix).read_bytes())
     named = {
-        "name": "samarl_flat_seed0",
+        "name": "samarl_circle_seed0",
         "file": f"{policy}.safetensors",
         "training": tmp_path,
     }[kind]
     agent = samarl.load_agent(named)
     expected = build_agent(
-        load_agent_config("samarl_flat") | {"checkpoint": "samarl_flat_seed0"}, Scenario()
+        load_agent_config("samarl_flat") | {"checkpoint": "samarl_circle_seed0"}, Scenario()
     )
     assert agent.version() == expected.version()
-    assert agent.label == (tmp_path.name if kind == "training" else "samarl_flat_seed0")
+    assert agent.label == (tmp_path.name if kind == "training" else "samarl_circle_seed0")
 
 
 def test_files_may_have_any_name_and_extend_others(tmp_path: Path) -> None:
@@ -156,13 +158,13 @@ def test_a_record_is_the_motion_of_the_case() -> None:
 
 
 def test_waypoints_and_the_shield_are_recorded() -> None:
-    table = samarl.record("samarl", SMALL, case=1)
+    table = samarl.record("samarl_waypoints", SMALL, case=1)
     robots = table[table.kind == "robot"]
     is_last = robots.step == robots.step.max()
     assert robots[is_last].waypoint_x.isna().all()
     assert robots[(robots.step == 0)].waypoint_x.notna().all()
     assert not robots[is_last].shielded.any()
-    free = samarl.load_agent("samarl", SMALL, shield=False)
+    free = samarl.load_agent("samarl_waypoints", SMALL, shield=False)
     assert not samarl.record(free, case=1).shielded.any()
 
 

@@ -58,7 +58,7 @@ def test_rows_with_fewer_cases_are_not_merged(
     columns = "columns=[{robots: 1, humans: 0}]"
     played(
         monkeypatch,
-        "agents=[straight,samarl_flat]",
+        "agents=[straight,samarl_circle]",
         "learned_cases=2",
         columns,
         "evaluation.cases=3",
@@ -66,11 +66,11 @@ def test_rows_with_fewer_cases_are_not_merged(
     path = tmp_path / "mine" / "table1.json"
     rows = read_rows(path)
     assert rows is not None
-    assert [(r["method"], r["episodes"]) for r in rows] == [("straight", 3), ("samarl_flat", 2)]
+    assert [(r["method"], r["episodes"]) for r in rows] == [("straight", 3), ("samarl_circle", 2)]
     played(monkeypatch, "agents=[orca]", "merge=true", columns, "evaluation.cases=3")
     rows = read_rows(path)
     assert rows is not None
-    assert [row["method"] for row in rows] == ["straight", "samarl_flat", "orca"]
+    assert [row["method"] for row in rows] == ["straight", "samarl_circle", "orca"]
     assert "| ORCA " in path.with_suffix(".md").read_text()
     before = path.read_bytes()
     with pytest.raises(SystemExit):
@@ -104,7 +104,9 @@ def test_a_page_is_written_again_with_its_figure(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     path = tmp_path / "mine/table1.json"
-    rows = [row for row in committed() if row["method"] in ("orca", "samarl", "samarl_flat")]
+    rows = [
+        row for row in committed() if row["method"] in ("orca", "samarl_waypoints", "samarl_circle")
+    ]
     write_json(path, rows)
     before = path.read_bytes()
     monkeypatch.setattr("samarl.commands.bench._run", lambda *_: pytest.fail("played"))
@@ -112,14 +114,14 @@ def test_a_page_is_written_again_with_its_figure(
     assert path.read_bytes() == before
     page = path.with_suffix(".md").read_text()
     assert "](table1_improvement.png)" in page
-    assert "| One level, shielded (3 seeds) |" in page
+    assert "| One level, circle, shielded (3 seeds) |" in page
     with Image.open(tmp_path / "mine/table1_improvement.png") as image:
         assert 900 < image.width < 1100  # pixels, which fit in a page
-    (success, _) = draw_improvements(improvements(rows, ["samarl"])).axes[:2]
+    (success, _) = draw_improvements(improvements(rows, ["samarl_waypoints"])).axes[:2]
     assert success.get_title(loc="left") == "Success"
-    assert [label.get_text() for label in success.get_yticklabels()] == ["samarl_flat (3 seeds)"]
+    assert [label.get_text() for label in success.get_yticklabels()] == ["samarl_circle (3 seeds)"]
     # Only two columns have been played by both.
-    values = [text.get_text() for text in success.texts if text.get_text() != "samarl"]
+    values = [text.get_text() for text in success.texts if text.get_text() != "samarl_waypoints"]
     assert values == re.findall(r"([\d.]+) \[", page.split("Success:")[1].split("Social")[0])
     assert len(values) == 2
     with pytest.raises(SystemExit):
@@ -137,7 +139,7 @@ def test_a_custom_method_stands_beside_the_committed_rows() -> None:
     """Also where it is evaluated in two of four columns only, here on the first 40 cases."""
     rows = committed()
     columns = list(dict.fromkeys(map(column_of, rows)))
-    wide = [row for row in rows if row["method"] == "samarl_flat"]
+    wide = [row for row in rows if row["method"] == "samarl_circle"]
     custom_rows = [first_cases(row, 40) | {"method": "mine"} for row in wide]
     shown = beside_committed(custom_rows, [*rows, *custom_rows], columns)
     assert len(shown) == len(rows) + len(custom_rows)
@@ -160,16 +162,16 @@ def test_a_custom_method_stands_beside_the_committed_rows() -> None:
 
 def test_a_policy_with_damaged_weights_differs(tmp_path: Path) -> None:
     """On the number of cases that continuous integration uses for policies."""
-    policy, card = load_policy(find_policy("samarl_flat"))
+    policy, card = load_policy(find_policy("samarl_circle"))
     with torch.no_grad():
         for parameter in policy.networks[0].encoder.humans.parameters():
             parameter.zero_()  # it ignores people
     save_policy(tmp_path / "damaged.safetensors", policy, card.policy, {})
-    agent, cases = load_agent_config("samarl_flat"), Evaluation(cases=25)
-    whole = compare(row_of("samarl_flat", [agent], Scenario(), cases), committed())
+    agent, cases = load_agent_config("samarl_circle"), Evaluation(cases=25)
+    whole = compare(row_of("samarl_circle", [agent], Scenario(), cases), committed())
     assert whole.startswith(("same ", "close "))
     agent["checkpoint"] = str(tmp_path / "damaged.safetensors")
-    damaged = compare(row_of("samarl_flat", [agent], Scenario(), cases), committed())
+    damaged = compare(row_of("samarl_circle", [agent], Scenario(), cases), committed())
     assert damaged.startswith("DIFFERS ")
 
 

@@ -158,7 +158,7 @@ def test_curves_are_grouped_by_the_task_of_the_training() -> None:
     groups = group_runs(runs, results / "checkpoints")
     task = {name: task for task, names in groups.items() for name in names}
     assert task.keys() == runs.keys()
-    assert task["samarl_transformer"] == task["samarl_flat"] == "SAMARL's circle, 360° view"
+    assert task["samarl_transformer"] == task["samarl_circle"] == "SAMARL's circle, 360° view"
     assert task["msa3c"] == "MSA3C's circle, holonomic robots"
     for group in chart_data(groups):
         for run in group["runs"]:

@@ -55,7 +55,7 @@ def test_the_shield_looks_two_seconds_ahead(time_step: float, gap: float, replac
 
 
 def test_a_policy_names_what_it_was_not_trained_for() -> None:
-    config = load_agent_config("samarl_flat")
+    config = load_agent_config("samarl_circle")
     assert build_agent(config, Scenario()).scope_warning() is None
     two = "a view of 360 degrees and a time step of 0.25 s"
     for fields, trained, here in (
@@ -64,4 +64,4 @@ def test_a_policy_names_what_it_was_not_trained_for() -> None:
         ({"fov_degrees": 90.0, "time_step": 0.5}, two, "90 degrees and 0.5 s"),
     ):
         warning = build_agent(config, Scenario(**fields)).scope_warning()
-        assert warning == f"samarl_flat was trained for {trained}; here it is {here}"
+        assert warning == f"samarl_circle was trained for {trained}; here it is {here}"

@@ -171,15 +171,15 @@ def test_the_bench_evaluates_other_layouts_and_recordings(tmp_path: Path) -> Non
 
 
 def test_the_bench_evaluates_policies_only_in_their_views(tmp_path: Path) -> None:
-    words = ["agents=[samarl_flat]", "evaluation.cases=1", "output=mine"]
+    words = ["agents=[samarl_circle]", "evaluation.cases=1", "output=mine"]
     columns = "[{fov_degrees: 90, robots: 1}, {fov_degrees: 360, robots: 1}]"
     done = run("bench", *words, f"columns={columns}", cwd=tmp_path)
     rows = json.loads((tmp_path / "mine/table1.json").read_text())
     assert {row["fov_degrees"] for row in rows} == {360.0}
-    assert "samarl_flat: samarl_flat was trained for a view of 360 degrees; here" in done.stdout
+    assert "samarl_circle: samarl_circle was trained for a view of 360 degrees; here" in done.stdout
     done = run("bench", *words, "columns=[{fov_degrees: 120}]", cwd=tmp_path, code=2)
     assert done.stderr.startswith(
-        "error: columns has no column that an agent can play: samarl_flat was trained"
+        "error: columns has no column that an agent can play: samarl_circle was trained"
     )
 
 

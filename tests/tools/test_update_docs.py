@@ -16,17 +16,19 @@ from tools.update_docs import fill, pages, update_docs
 ROOT = Path(__file__).parents[2]
 
 
-def samarl_at_360_degrees() -> dict[str, float]:
+def waypoints_at_360_degrees() -> dict[str, float]:
     rows = read_rows(ROOT / "results/table1.json") or []
     (row,) = [
-        r for r in rows if (r["method"], r["fov_degrees"], r["robots"]) == ("samarl", 360.0, 3)
+        r
+        for r in rows
+        if (r["method"], r["fov_degrees"], r["robots"]) == ("samarl_waypoints", 360.0, 3)
     ]
     return row
 
 
 def test_a_figure_is_the_field_of_a_row() -> None:
-    row = samarl_at_360_degrees()
-    words = "table1 samarl 360/10/3"
+    row = waypoints_at_360_degrees()
+    words = "table1 samarl_waypoints 360/10/3"
     assert figure(f"{words} success".split()) == f"{row['success_rate']:.1f}"
     assert figure(f"{words} path_length .1f".split()) == f"{row['path_length']:.1f}"
     seeds = [row[f"success_seed_{key}"] for key in ("mean", "min", "max")]
