@@ -100,7 +100,7 @@ class Driver:
 
         Args:
             centre: of the area that people cross, in the frame of `OwnState`, m. Some policies
-                observe where they are from there (`samarl`, `samarl_flat`, `cadrl`). None: half way
+                observe where they are from there (`samarl_waypoints`, `cadrl`). None: half way
                 between the robot and its goal at the first step.
 
         Raises:

@@ -97,7 +97,10 @@ def test_every_cell_of_a_sweep_is_checked_before_the_first_is_run(
         (["scenario.robots=1,99"], "scenario.robots is 99; it must be a whole number in [1, 16]"),
         (["agent=straight,nobody"], "agent is 'nobody', which does not exist"),
         (["scenario=recorded", "scenario.recording=null,no (1).txt"], "no (1).txt"),
-        (["agent=samarl", "checkpoint=samarl_ppo,cadrl"], "checkpoint is 'cadrl', a lookahead"),
+        (
+            ["agent=samarl_waypoints", "checkpoint=samarl_ppo,cadrl"],
+            "checkpoint is 'cadrl', a lookahead",
+        ),
     ):
         assert run(["-m", "agent=straight", *swept], monkeypatch) == 2
         said = capsys.readouterr().err.splitlines()
