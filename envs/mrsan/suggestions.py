@@ -30,11 +30,6 @@ _SYNONYMS = {
 }
 # Settings of earlier versions, and what they are now: a name, or a name with a value or settings.
 RENAMED = {
-    "ablation_cross_modal": "samarl_transformer agent.checkpoint=ablation_cross_modal agent.shield=false",
-    "ablation_graph": "samarl_transformer agent.checkpoint=ablation_graph agent.shield=false",
-    "ablation_history": "samarl_transformer agent.checkpoint=ablation_history agent.shield=false",
-    "ablation_local_critics": "samarl_transformer agent.checkpoint=ablation_local_critics agent.shield=false",
-    "ablation_one_block": "samarl_transformer agent.checkpoint=ablation_one_block agent.shield=false",
     "collisions_end": "terminate_on_collision",
     "goal_turn_spread_degrees": "goal_rotation_range_degrees",
     "known_origin": "observe_map_position",
@@ -48,7 +43,6 @@ RENAMED = {
     "round_below": "perimeter_below_fov",
     "samarl_anywhere": "samarl",
     "samarl_first_waypoint": "samarl_waypoints agent.waypoints=first",
-    "samarl_lookahead": "samarl_waypoints agent.checkpoint=samarl_lookahead",
     "samarl_random_waypoints": "samarl_waypoints agent.waypoints=random",
     "samarl_shuffled_waypoints": "samarl_waypoints agent.waypoints=shuffled",
     "samarl_transfer": "samarl_transformer agent.track_velocity=true agent.shield=false",
