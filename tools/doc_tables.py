@@ -142,7 +142,6 @@ def recorded() -> str:
         "samarl_transformer",
         "samarl_general",
         "samarl_planned",
-        "samarl_recorded shield=true",
     )
     rows = [row for row in result_rows("transfer") if row.get("recording")]
     return _grid(rows, lambda row: Path(row["recording"]).stem.replace("_", " "), methods)
@@ -157,7 +156,6 @@ def places() -> str:
         "model_predictive shield=true",
         "cadrl shield=true",
         "samarl_circle",
-        "samarl_places_flat",
         "samarl_places",
         "samarl right_of_way=null",
         "right_of_way central=true",

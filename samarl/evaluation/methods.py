@@ -47,10 +47,8 @@ _LABELS = {
         "SAMARL-Places, learned right of way, shielded"
     ),
     "samarl_places right_of_way=rule": "SAMARL-Places, right of way, shielded",
-    "samarl_places_flat": "SAMARL-Places, one level, shielded",
     "samarl_planned": "SAMARL-Planned, shielded",
     "samarl_ppo": "SAMARL-PPO, shielded",
-    "samarl_recorded": "SAMARL-Recorded",
     "samarl_srnn": "SAMARL-SRNN, shielded",
     "samarl_transformer": "SAMARL-Transformer, shielded",
     "samarl_transformer checkpoint=ablation_cross_modal": (
@@ -70,7 +68,6 @@ _LABELS = {
     ),
     "samarl_transformer track_velocity=true": "SAMARL-Transformer, tracked, shielded",
     "samarl_waypoints": "SAMARL-Waypoints, shielded",
-    "samarl_waypoints checkpoint=samarl_lookahead": "SAMARL-Lookahead, shielded",
     "samarl_waypoints waypoints=first": "SAMARL-Waypoints, first waypoint, shielded",
     "samarl_waypoints waypoints=random": "SAMARL-Waypoints, random waypoints, shielded",
     "samarl_waypoints waypoints=shuffled": "SAMARL-Waypoints, shuffled waypoints, shielded",

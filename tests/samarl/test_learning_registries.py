@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,6 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import OmegaConf
 
 from mrsan import Scenario, World
-from mrsan.recording import SAMPLE
 from samarl.agents.learned import DeployedPolicy
 from samarl.algorithms import ALGORITHMS
 from samarl.commands.train import settings_in
@@ -87,12 +85,7 @@ def test_every_name_has_a_file_and_every_file_a_name(kind: str) -> None:
 @pytest.mark.parametrize(
     "name", sorted(path.stem for path in (find_folder("conf") / "experiment").glob("*.yaml"))
 )
-def test_every_experiment_begins(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    for recording in ("biwi_eth", "biwi_hotel", "crowds_zara01", "students001"):
-        shutil.copy(SAMPLE, tmp_path / f"{recording}.txt")
-    monkeypatch.setenv("RECORDINGS", str(tmp_path))
+def test_every_experiment_begins(name: str, tmp_path: Path) -> None:
     overrides = [f"experiment={name}", f"run_dir={tmp_path}/run", "trainer.device=cpu"]
     trainer = build_trainer(settings_in(compose("train", overrides)), "test")
     assert trainer.steps_done == 0
