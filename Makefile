@@ -46,7 +46,7 @@ lint: setup ## Check style and types
 	@$(BIN)/ruff check . && $(BIN)/ruff format --check .
 	@$(BIN)/mypy
 
-train: setup ## Train SAMARL's two levels on two cores, or resume an interrupted training (12 minutes)
+train: setup ## Train two levels with the default recipe on two cores, or resume an interrupted training (12 minutes)
 	@$(BIN)/samarl-train trainer.processes=2 trainer.threads=1
 
 results: setup ## Rewrite results/ and the figures in the documentation (RECORDINGS=folder of recordings)
@@ -62,7 +62,7 @@ pictures: setup ## Draw the pictures of the documentation: layouts, tables as fi
 	@cp outputs/pictures/figures/table-1.png docs/images/table1.png
 	@cp outputs/pictures/figures/transfer-recorded-people.png docs/images/recorded.png
 	@$(BIN)/samarl-render agent=samarl against=orca case=$(PICTURE_CASE) output=docs/images/case.gif
-	@$(BIN)/samarl-render agent=samarl against=samarl_flat case=22 $(NARROW_DOOR) output=docs/images/right_of_way.gif
+	@$(BIN)/samarl-render agent=samarl against="samarl right_of_way=null" case=22 $(NARROW_DOOR) output=docs/images/right_of_way.gif
 
 report: setup ## Build web pages with tables, curves and replays in results/report/
 	@$(BIN)/samarl-report

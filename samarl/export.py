@@ -177,7 +177,7 @@ def _check_exportable(agent: Learned, name: str) -> None:
         raise ConfigurationError(
             f"agent.waypoints is {agent.waypoints.name}; it must be learned to be exported"
         )
-    if agent.right_of_way is not None:
+    if agent.guide is not None:
         raise ConfigurationError(
             f"agent.right_of_way is {agent.right_of_way}; it must be null to be exported"
         )

@@ -135,8 +135,8 @@ class Learned(Agent):
     )
     right_of_way: str | None = setting(
         None,
-        help="who goes first through doors and corridors: rule, or a trained macro level; null: "
-        "nobody decides. Robots must tell each other (scenario.team_messages)",
+        help="who goes first through doors and corridors: rule, or a trained macro level, if robots "
+        "tell each other (scenario.team_messages); null: nobody decides",
     )
 
     def __post_init__(self) -> None:
@@ -164,7 +164,8 @@ class Learned(Agent):
                 )
             self._policy_scenario = replace(self.scenario, kinematics=Kinematics[min(trained)])
         guide = None
-        if self.right_of_way is not None and self.scenario.has_walls:
+        has_passages = self.scenario.has_walls and self.scenario.team_messages
+        if self.right_of_way is not None and has_passages:
             macro_level = None if self.right_of_way == RULE else self.right_of_way
             guide = RightOfWay(self.scenario, macro_level=macro_level)
         self._deployed = DeployedPolicy(self.policy, self._policy_scenario, self.waypoints, guide)

@@ -14,6 +14,7 @@ from samarl import api
 from samarl.commands.agents import agent_in, check_agent, with_notes
 from samarl.commands.cli import run_command
 from samarl.configuration import engine_in, open_mapping
+from samarl.evaluation.methods import split_method
 
 
 @dataclass
@@ -41,7 +42,8 @@ def render(config: DictConfig) -> None:
     check_numbers(Render(case=config.case, split=config.split), "")
     agent, against = agent_in(config), config.against
     if against is not None:
-        against = with_notes(api.load_agent(against, agent.scenario))
+        name, settings = split_method(against)
+        against = with_notes(api.load_agent(name, agent.scenario, **settings))
     path = api.render(
         agent,
         case=config.case,

@@ -35,7 +35,6 @@ _LABELS = {
     "right_of_way macro_level=ablation_intents": "Right of way, learned without intents",
     "right_of_way macro_level=ablation_priorities": "Right of way, learned without priorities",
     "samarl": "SAMARL, shielded",
-    "samarl checkpoint=samarl_waypoints_and_rule": "Waypoints and rule, shielded",
     "samarl right_of_way=null": "SAMARL without right of way, shielded",
     "samarl right_of_way=right_of_way_macro": "SAMARL, learned right of way, shielded",
     "samarl_10p3r": "SAMARL-10p3r, shielded",
@@ -68,6 +67,9 @@ _LABELS = {
     ),
     "samarl_transformer track_velocity=true": "SAMARL-Transformer, tracked, shielded",
     "samarl_waypoints": "SAMARL-Waypoints, shielded",
+    "samarl_waypoints checkpoint=samarl_waypoints_and_rule right_of_way=rule": (
+        "Waypoints and rule, shielded"
+    ),
     "samarl_waypoints waypoints=first": "SAMARL-Waypoints, first waypoint, shielded",
     "samarl_waypoints waypoints=random": "SAMARL-Waypoints, random waypoints, shielded",
     "samarl_waypoints waypoints=shuffled": "SAMARL-Waypoints, shuffled waypoints, shielded",
@@ -116,8 +118,8 @@ def method_words(method: str) -> list[str]:
 
 def method_of_policy(policy: str) -> str:
     """Return the method that drives with an included policy by its name."""
-    endings = (f" checkpoint={policy}", f" macro_level={policy}")
-    return next((method for method in _LABELS if method.endswith(endings)), policy)
+    words = {f"checkpoint={policy}", f"macro_level={policy}"}
+    return next((method for method in _LABELS if words & set(method.split())), policy)
 
 
 def is_ablation(method: str) -> bool:

@@ -16,6 +16,7 @@ from samarl.evaluation.methods import is_ablation, label_of, split_method
 from samarl.evaluation.seeds import without_seed
 from samarl.evaluation.summary import Column, Row, column_of, read_rows, scenario_column
 from samarl.files import find_folder, read_json
+from samarl.policies.card import is_policy
 from samarl.submission import submission_rows
 
 GROUPS = {"learned": "Learned", "ablation": "Ablations", "planner": "Planners"}
@@ -117,7 +118,7 @@ def is_best(row: Row, rows: Sequence[Row]) -> bool:
 
 
 def _line(name: str, communicates: bool, rows: list[Row | None]) -> Line:
-    """Return the line of a method; methods without a configuration file count as planners."""
+    """Return the line of a method; one that is neither an agent nor a policy is a planner."""
     agent, settings = split_method(name)
     settings = _configuration(agent) | settings
     first: Row = next(filter(None, rows))
@@ -140,13 +141,14 @@ def _line(name: str, communicates: bool, rows: list[Row | None]) -> Line:
 
 @cache
 def _configuration(name: str) -> dict[str, Any]:
-    """Return the settings of an agent, empty if it has no file.
+    """Return the settings of an agent or of an included policy; empty if it is neither.
 
     Those of `conf/agent/` are read without Hydra, which would take seconds for all of them.
     """
     path = find_folder("conf") / "agent" / f"{name}.yaml"
     if not path.is_file():
-        return load_agent_config(name) if name in available_agents() else {}
+        is_known = name in available_agents() or is_policy(name)
+        return load_agent_config(name) if is_known else {}
     own = yaml.safe_load(path.read_text(encoding="utf-8"))
     for parent in own.pop("defaults", []):
         own = _configuration(parent) | own
