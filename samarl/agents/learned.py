@@ -135,8 +135,8 @@ class Learned(Agent):
     )
     right_of_way: str | None = setting(
         None,
-        help="who goes first through doors and corridors: rule, or a trained macro level, if robots "
-        "tell each other (scenario.team_messages); null: nobody decides",
+        help="who goes first through doors and corridors, if robots tell each other "
+        "(scenario.team_messages): rule, or a trained macro level; null: nobody decides",
     )
 
     def __post_init__(self) -> None:

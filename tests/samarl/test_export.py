@@ -78,7 +78,7 @@ def remembered(agent: Agent) -> list[np.ndarray]:
     return done
 
 
-@pytest.mark.parametrize("name", ["samarl", "cadrl"])
+@pytest.mark.parametrize("name", ["samarl_waypoints", "cadrl"])
 def test_a_thousand_decisions_are_those_of_the_policy(name: str, tmp_path: Path) -> None:
     """With the shield and without, in the same scenes, from what a robot itself could say."""
     scenario = Scenario()
