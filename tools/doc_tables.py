@@ -32,10 +32,11 @@ METHODS = (
     "samarl_ppo",
     "samarl_waypoints shield=false",
     "samarl_waypoints",
+    "samarl_flat shield=false",
+    "samarl_flat",
     "samarl shield=false",
     "samarl",
 )
-ONE_LEVEL = ("samarl_circle shield=false", "samarl_circle")  # also in the README, no policy for 90°
 # What the settings of table `robustness` change, in words.
 CHANGES = {
     "position noise 0.1": "positions with noise of 0.1 m",
@@ -64,15 +65,10 @@ def _key(column: Column) -> str:
     return f"{column.fov_degrees:g}/{column.humans}/{column.robots}"
 
 
-def _method_lines(methods: Iterable[str], view: float | None = None) -> list[list[str]]:
-    """Return the lines of methods in Table I, of one view only if it is given."""
-
-    def cell(method: str, column: Column) -> str:
-        if view not in (None, column.fov_degrees):
-            return NONE
-        return print_row(find_row("table1", method, _key(column)), "both")
-
-    return [[label_of(method), *(cell(method, c) for c in COLUMNS)] for method in methods]
+def _method_line(method: str) -> list[str]:
+    """Return the line of a method in Table I."""
+    rows = (find_row("table1", method, _key(column)) for column in COLUMNS)
+    return [label_of(method), *(print_row(row, "both") for row in rows)]
 
 
 def _table1_header() -> list[str]:
@@ -83,9 +79,7 @@ def _table1_header() -> list[str]:
 @table
 def headline() -> str:
     """Return Table I with a row for each method of the README."""
-    return markdown_table(
-        _table1_header(), _method_lines(METHODS) + _method_lines(ONE_LEVEL, 360.0)
-    )
+    return markdown_table(_table1_header(), [_method_line(method) for method in METHODS])
 
 
 @table
@@ -137,8 +131,8 @@ def recorded() -> str:
         "perimeter shield=true",
         "cadrl",
         "samarl",
+        "samarl_flat",
         "samarl_waypoints",
-        "samarl_circle",
         "samarl_transformer",
         "samarl_general",
         "samarl_planned",
@@ -155,8 +149,8 @@ def places() -> str:
         "social_force_places shield=true",
         "model_predictive shield=true",
         "cadrl shield=true",
-        "samarl_circle",
         "samarl_places",
+        "samarl_flat",
         "samarl right_of_way=null",
         "right_of_way central=true",
     )
@@ -170,6 +164,7 @@ def right_of_way() -> str:
         "samarl_places",
         "samarl_places right_of_way=rule",
         "samarl_places right_of_way=right_of_way_macro",
+        "samarl_flat",
         "samarl right_of_way=null",
         "samarl",
         "samarl right_of_way=right_of_way_macro",

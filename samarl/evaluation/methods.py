@@ -39,7 +39,7 @@ _LABELS = {
     "samarl right_of_way=right_of_way_macro": "SAMARL, learned right of way, shielded",
     "samarl_10p3r": "SAMARL-10p3r, shielded",
     "samarl_circle": "One level, circle, shielded",
-    "samarl_flat": "Trained without the rule, shielded",
+    "samarl_flat": "One level, shielded",
     "samarl_general": "SAMARL-General, shielded",
     "samarl_places": "SAMARL-Places, shielded",
     "samarl_places right_of_way=right_of_way_macro": (
