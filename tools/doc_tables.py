@@ -167,7 +167,7 @@ def right_of_way() -> str:
         "samarl_flat",
         "samarl right_of_way=null",
         "samarl",
-        "samarl right_of_way=right_of_way_macro",
+        "samarl right_of_way=rule",
         "right_of_way",
         "right_of_way macro_level=right_of_way_macro",
         "right_of_way macro_level=ablation_priorities",
