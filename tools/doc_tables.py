@@ -185,7 +185,15 @@ def right_of_way() -> str:
 @table
 def passages() -> str:
     """Return success in passages by width, as means over the numbers of robots and people."""
-    rates: dict[str, dict[str, list[float]]] = {}
+    first_half = "samarl checkpoint=samarl_first_half"
+    methods = (
+        *("samarl", "samarl right_of_way=rule", "samarl right_of_way=null"),
+        *(first_half, f"{first_half} right_of_way=rule", "samarl_flat"),
+        "samarl_waypoints checkpoint=samarl_waypoints_and_rule right_of_way=rule",
+        "right_of_way",
+        *(f"right_of_way macro_level={name}" for name in ("right_of_way_macro", "random", "enter")),
+    )
+    rates: dict[str, dict[str, list[float]]] = {method: {} for method in methods}
     for row in result_rows("passages"):
         width = re.findall(r"width_max=([\d.]+)", row["changes"])
         heading = f"{row['layout']} {width[0] if width else '2.0'} m"
@@ -372,7 +380,7 @@ def _range(numbers: Sequence[int]) -> str:
 def latency() -> str:
     """Return the duration of a decision of the main agents."""
     lines = []
-    for agent in ("orca", "perimeter shield=true", "model_predictive", "samarl_circle",
+    for agent in ("orca", "perimeter shield=true", "model_predictive", "samarl", "samarl_flat",
                   "samarl_waypoints", "cadrl", "samarl_planned"):  # fmt: skip
         entry = find_value("latency", f"agents.{agent}")
         exported = entry["exported_ms"]

@@ -43,7 +43,8 @@ def render(config: DictConfig) -> None:
     agent, against = agent_in(config), config.against
     if against is not None:
         name, settings = split_method(against)
-        against = with_notes(api.load_agent(name, agent.scenario, **settings))
+        second = with_notes(api.load_agent(name, agent.scenario, **settings))
+        second.label, against = against if settings else second.label, second
     path = api.render(
         agent,
         case=config.case,
