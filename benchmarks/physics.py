@@ -39,7 +39,7 @@ AGENTS = {
 FIRST = ("samarl_waypoints", "msa3c", "msa3cpred")  # are evaluated first
 # Share of the robots' time in people's comfort zones, % (MSA3C, in PyBullet: 20 people, 3 robots).
 PAPER_INTRUSIONS = {"msa3cpred": 2.66, "msa3c": 6.77}
-HARDER: tuple[dict[str, Any], ...] = (  # for SAMARL, one setting at a time
+HARDER: tuple[dict[str, Any], ...] = (  # one setting at a time
     {"engine.latency": 0.1},
     {"engine.latency": 0.2},
     {"engine.motor_torque": 1.0},
@@ -96,11 +96,15 @@ def engines_of(scenario: str, agent: str) -> list[Run]:
     ]
 
 
+def harder_runs() -> list[Run]:
+    """Return the rows of SAMARL-Waypoints in harder physics."""
+    return [Run("samarl", "samarl_waypoints", changes=changes) for changes in HARDER]
+
+
 def all_runs() -> list[Run]:
     """Return all rows, the most important first."""
     compared = [run for s, agents in AGENTS.items() for a in agents for run in engines_of(s, a)]
-    harder = [Run("samarl", "samarl_waypoints", changes=changes) for changes in HARDER]
-    return sorted([*compared, *harder], key=lambda run: run.agent not in FIRST)
+    return sorted([*compared, *harder_runs()], key=lambda run: run.agent not in FIRST)
 
 
 def main() -> None:
@@ -148,10 +152,7 @@ def page(rows: list[Row], cases: int) -> str:
     ideal, *in_physics = engines_of("samarl", "samarl_waypoints")
     baseline = row_of(ideal)
     lines = []
-    for run in [
-        *in_physics,
-        *(Run("samarl", "samarl_waypoints", changes=changes) for changes in HARDER),
-    ]:
+    for run in [*in_physics, *harder_runs()]:
         row = row_of(run)
         if row is not None and baseline is not None:
             setting = " ".join(f"{name}={value}" for name, value in run.changes.items())

@@ -164,8 +164,8 @@ class Learned(Agent):
                 )
             self._policy_scenario = replace(self.scenario, kinematics=Kinematics[min(trained)])
         guide = None
-        has_passages = self.scenario.has_walls and self.scenario.team_messages
-        if self.right_of_way is not None and has_passages:
+        robots_tell = self.scenario.has_walls and self.scenario.team_messages
+        if self.right_of_way is not None and robots_tell:
             macro_level = None if self.right_of_way == RULE else self.right_of_way
             guide = RightOfWay(self.scenario, macro_level=macro_level)
         self._deployed = DeployedPolicy(self.policy, self._policy_scenario, self.waypoints, guide)

@@ -43,8 +43,9 @@ def render(config: DictConfig) -> None:
     agent, against = agent_in(config), config.against
     if against is not None:
         name, settings = split_method(against)
-        second = with_notes(api.load_agent(name, agent.scenario, **settings))
-        second.label, against = against if settings else second.label, second
+        against = with_notes(api.load_agent(name, agent.scenario, **settings))
+        if settings:
+            against.label = config.against
     path = api.render(
         agent,
         case=config.case,
