@@ -241,6 +241,8 @@ def _ego_features(tracks: Observation, scenario: Scenario) -> Tensor:
     ]
     if "route" in tracks.sensors:
         parts.append(features_of_target(torch.as_tensor(tracks.sensors["route"]).flatten(0, 1)))
+    if "priority" in tracks.sensors:
+        parts.append(torch.as_tensor(tracks.sensors["priority"]).flatten(0, 1))
     return torch.cat(parts, -1).unsqueeze(1)
 
 
@@ -300,7 +302,7 @@ def _additional_sensors(
     """Return the features [B, 1, ...] of further sensors."""
     sensors = {}
     for name, values in observed.items():
-        if name == "route":  # part of the robots' own features
+        if name in ("route", "priority"):  # parts of the robots' own features
             continue
         features = _registered_features(name, torch.as_tensor(values).flatten(0, 1), scenario, 1)
         sensors[name] = features.unsqueeze(1)
@@ -353,6 +355,15 @@ def _wall_features(segments: Tensor, scenario: Scenario) -> Tensor:
 def _lidar_features(ranges: Tensor, scenario: Scenario) -> Tensor:
     """Return the features [B, L] of ranges [B, L]: exp(-gap / 2), so that near walls stand out."""
     return torch.exp(-0.5 * (ranges - scenario.robot_radius).clamp_min(0.0))
+
+
+@register_features("messages")
+def _message_features(messages: Tensor, scenario: Scenario) -> Tensor:
+    """Return the features [B, N - 1, 6] of messages [B, N - 1, 7]; macro actions are left out.
+
+    They are the numbers of the agent that tells them, and mean nothing to another one.
+    """
+    return torch.cat([messages[..., OTHER_POSITION] / LENGTH_SCALE, messages[..., 2:6]], -1)
 
 
 @register_features("passages")

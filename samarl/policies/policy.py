@@ -23,6 +23,7 @@ from torch.utils._pytree import tree_map
 
 from mrsan import ConfigurationError, Entities, Observation, Scenario
 from mrsan.fields import number, required, setting
+from mrsan.sensors.team import MESSAGE_FEATURES
 from mrsan.sensors.walls import WALL_FEATURES
 from samarl.encoders import ENCODERS, Encoder
 from samarl.encoders.encoder import samples_of
@@ -283,7 +284,12 @@ class Policy(nn.Module, ABC):
     @property
     def observes_route(self) -> bool:
         """Return whether the policy was trained with routes round walls."""
-        return self.sizes.ego > NETWORK_EGO_FEATURES
+        return self.sizes.ego - self.observes_messages > NETWORK_EGO_FEATURES
+
+    @property
+    def observes_messages(self) -> bool:
+        """Return whether the policy was trained with what team-mates tell, and a priority."""
+        return "messages" in self.sizes.entities
 
     def extract_features(self, tracks: Observation, scenario: Scenario) -> Frames:
         """Return the features [B, 1, ...] of the groups and sensors that this policy observes."""
@@ -296,6 +302,7 @@ class Policy(nn.Module, ABC):
 
         A policy that was trained without walls takes the next corner of its route for its goal. One
         that was trained with them sees none where there are none, and its route is its goal.
+        Where robots tell each other nothing, one that was trained with messages gets none.
         """
         entities, sensors = dict(tracks.entities), dict(tracks.sensors)
         if "route" in sensors and not self.observes_route:
@@ -306,6 +313,11 @@ class Policy(nn.Module, ABC):
             shape = (*tracks.ego.shape[:2], 1)
             features = np.zeros((*shape, len(WALL_FEATURES)), np.float32)
             entities["walls"] = Entities(features, np.zeros(shape, np.bool_))
+        if self.observes_messages and "messages" not in entities:
+            shape = (*tracks.ego.shape[:2], 1)
+            features = np.zeros((*shape, len(MESSAGE_FEATURES)), np.float32)
+            entities["messages"] = Entities(features, np.zeros(shape, np.bool_))
+            sensors["priority"] = np.zeros(shape, np.float32)
         return tracks._replace(entities=entities, sensors=sensors)
 
     def empty_frames(self, scenario: Scenario, rows: int) -> Frames:

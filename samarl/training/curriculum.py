@@ -46,8 +46,8 @@ class CurriculumStage:
 
     @property
     def driver_scenario(self) -> Scenario:
-        """The scenario as the policy observes it: messages are for guides and teachers."""
-        return replace(self.scenario, team_messages=False)
+        """The scenario as the policy observes it: messages are for the guide, if there is one."""
+        return self.scenario if self.guide is None else replace(self.scenario, team_messages=False)
 
     def is_active(self, progress: float) -> bool:
         """Return whether the stage is used at a training progress from 0 to 1."""
