@@ -213,6 +213,8 @@ def _example_tracks(policy: Policy, scenario: Scenario, rows: int) -> dict[str, 
     observed = policy.sizes.entities.keys() | policy.sizes.sensors.keys() | {"ego"}
     if policy.observes_route:
         observed |= {"route"}
+    if policy.observes_messages:
+        observed |= {"priority"}
     return {
         name: torch.ones_like(tensor) if tensor.dtype == torch.bool else tensor
         for name, tensor in tracks.items()

@@ -17,7 +17,7 @@ from torch.utils._pytree import tree_leaves, tree_map
 from samarl.observations.frames import Frames, concatenate
 from samarl.policies.stochastic import Sequences
 
-MAX_PADDING = 1.3  # rollouts are merged if that multiplies the number of slots by at most this
+MAX_PADDING = 2.5  # rollouts are merged if that multiplies the number of slots by at most this
 
 
 class TrainingData(NamedTuple):
