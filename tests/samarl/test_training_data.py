@@ -11,7 +11,7 @@ from samarl.policies.policy import LOCAL
 from tests.learning import SCENARIO, algorithm, collector, policy
 
 SIMILAR = replace(SCENARIO, humans=5, robots=3)
-CROWDED = replace(SCENARIO, humans=20)
+CROWDED = replace(SCENARIO, humans=50)
 
 
 @pytest.mark.parametrize("encoder", ["spatio_temporal", "gru", "structural_rnn", "set_pool"])
@@ -44,7 +44,7 @@ def test_rollouts_with_very_different_numbers_of_agents_are_not_padded() -> None
     ]
     data = algorithm(model).prepare(rollouts, defaultdict(list))
     slots = [part.sequences.features.humans.shape[2] for part in data]
-    assert sorted(slots) == [5, 20]
+    assert sorted(slots) == [5, 50]
 
 
 def test_minibatches_are_whole_teams_and_cover_everything_once() -> None:
