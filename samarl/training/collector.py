@@ -31,6 +31,22 @@ from samarl.training.restarts import SnapshotBuffer, WarmStartCrowd
 RESTART_STEPS = 16  # a world restarts at most so many steps before a collision
 STANDING = 0.5  # m; a robot stands while it stays so close to a place, however it moves there
 UNSAFE = 1e-4  # smallest change by the shield that counts as a correction
+SAVED = (  # attributes of a collector that are saved as they are
+    "observation",
+    "directed",
+    "state",
+    "age",
+    "not_restarted",
+    "standstill",
+    "stand",
+    "is_init",
+    "frames",
+    "begins",
+    "decision",
+    "active",
+    "teacher_action",
+    "encoder_before",
+)
 
 
 class RolloutCollector:
@@ -429,22 +445,9 @@ class RolloutCollector:
         return {
             "world": self.world.state,
             "crowd": () if self.crowd is None else self.crowd.world.state,
-            "observation": self.observation,
-            "state": self.state,
             "snapshots": list(self.snapshots.snapshots),
-            "age": self.age,
-            "fresh": self.not_restarted,
-            "standstill": self.standstill,
-            "stand": self.stand,
-            "is_init": self.is_init,
-            "frames": self.frames,
-            "begins": self.begins,
             "guide": None if self.guide is None else self.guide.memory,
-            "directed": self.directed,
-            "decision": self.decision,
-            "active": self.active,
-            "teacher_action": self.teacher_action,
-            "encoder_before": self.encoder_before,
+            **{name: getattr(self, name) for name in SAVED},
         }
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
@@ -453,22 +456,7 @@ class RolloutCollector:
         if self.crowd is not None:
             self.crowd.world.restore(saved["crowd"])
         self.snapshots.snapshots.extend(saved["snapshots"])
-        self.not_restarted = saved["fresh"]
         if self.guide is not None:
             self.guide.restore(saved["guide"], saved["observation"])
-        for name in (
-            "observation",
-            "directed",
-            "state",
-            "age",
-            "standstill",
-            "stand",
-            "is_init",
-            "frames",
-            "begins",
-            "decision",
-            "active",
-            "teacher_action",
-            "encoder_before",
-        ):
+        for name in SAVED:
             setattr(self, name, saved[name])

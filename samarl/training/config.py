@@ -9,7 +9,6 @@ from typing import Any
 
 from mrsan.fields import number, required, setting
 from samarl.training.curriculum import CurriculumStage
-from samarl.training.resume import RESUME_OVERRIDABLE
 
 MAX_SEEDS = 2**20
 
@@ -48,7 +47,7 @@ def run_configuration(
 ) -> dict[str, Any]:
     """Return the configuration of a run as it is saved, which a resumed run must have as well."""
     configuration = {
-        "trainer": {**asdict(config), **dict.fromkeys(RESUME_OVERRIDABLE)},
+        "trainer": asdict(config),
         "policy": dict(policy),
         "algorithm": dict(algorithm),
         "curriculum": {"stages": [asdict(stage) for stage in stages]},

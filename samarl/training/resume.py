@@ -38,10 +38,12 @@ def check_same_run(
         )
     saved_configuration = progress["configuration"]
     steps = configuration["trainer"]["steps"]
-    saved_steps = saved_configuration["trainer"]["steps"]
-    same_steps = {**configuration, "trainer": {**configuration["trainer"], "steps": saved_steps}}
+    saved_trainer = saved_configuration["trainer"]
+    saved_steps = saved_trainer["steps"]
+    may_change = {name: saved_trainer.get(name) for name in ("steps", *RESUME_OVERRIDABLE)}
+    compared = {**configuration, "trainer": {**configuration["trainer"], **may_change}}
     advice = f"choose another run_dir, or resume the run with its own settings: resume={folder}"
-    for name, saved_value, value in _differences(saved_configuration, same_steps):
+    for name, saved_value, value in _differences(saved_configuration, compared):
         raise ConfigurationError(
             f"{name} is {value!r:.60}; the run in {folder} has {saved_value!r:.60} ({advice})"
         )

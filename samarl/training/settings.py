@@ -27,7 +27,6 @@ from samarl.policies.card import find_policy
 from samarl.registry import checked_fields
 from samarl.training.config import TrainerConfig, run_configuration
 from samarl.training.curriculum import CurriculumStage, check_stages, single_stage
-from samarl.training.resume import RESUME_OVERRIDABLE
 
 
 @dataclass
@@ -243,8 +242,7 @@ def resumed_settings(
 
     Args:
         folder: of the run.
-        trainer: changes of its `trainer`: `RESUME_OVERRIDABLE`, which are not saved and otherwise
-            those of `conf/`, and `steps`.
+        trainer: changes of its `trainer`: `RESUME_OVERRIDABLE` and `steps`.
         plugins: imported modules.
 
     Raises:
@@ -253,11 +251,7 @@ def resumed_settings(
     from samarl.training.run_dir import read_progress  # imports torch, which --help does not need
 
     saved = read_progress(folder)["configuration"]
-    register_schemas(train_schema=train_schema())
-    with hydra_tree():
-        defaults = composed("train", []).trainer
-    not_saved = {name: defaults[name] for name in RESUME_OVERRIDABLE}
-    trainer = {**saved["trainer"], **not_saved, **trainer}
+    trainer = {**saved["trainer"], **trainer}
     return settings_from({**saved, "trainer": trainer}, folder, plugins=plugins)
 
 
