@@ -3,11 +3,11 @@
 from dataclasses import replace
 from pathlib import Path
 
+import learning
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-import learning
 from mrsan import Scenario, World
 from mrsan.sensors.team import MESSAGE_FEATURES
 from samarl import load_agent
