@@ -6,7 +6,7 @@ are added where that costs little, so that one pass of the networks serves them 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import torch
@@ -46,15 +46,16 @@ class TrainingData(NamedTuple):
             self.sequence[rows],
         )
 
-    def minibatches(self, number: int) -> list[TrainingData]:
-        """Shuffle the sequences into minibatches; some may be empty."""
+    def minibatches(self, number: int) -> Iterator[TrainingData]:
+        """Shuffle the sequences into minibatches, copied one at a time; some may be empty."""
         sequences = int(self.sequence[-1]) + 1
         order = torch.randperm(sequences)
         minibatch = torch.empty(sequences, dtype=torch.long)
         for index, part in enumerate(order.tensor_split(number)):
             minibatch[part] = index
         of_row = minibatch.to(self.sequence.device)[self.sequence]
-        return [self.of((of_row == index).nonzero().squeeze(1)) for index in range(number)]
+        for index in range(number):
+            yield self.of((of_row == index).nonzero().squeeze(1))
 
 
 def merge(parts: Sequence[TrainingData]) -> list[TrainingData]:

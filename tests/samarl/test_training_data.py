@@ -52,7 +52,7 @@ def test_minibatches_are_whole_teams_and_cover_everything_once() -> None:
     learner = algorithm(model)
     rollouts = [collector(model, 5, 6, scenario).collect() for scenario in (SCENARIO, SIMILAR)]
     (data,) = learner.prepare(rollouts, defaultdict(list))
-    parts: list[TrainingData] = data.minibatches(3)
+    parts: list[TrainingData] = list(data.minibatches(3))
     assert sorted(torch.cat([part.sequence for part in parts]).tolist()) == data.sequence.tolist()
     for part in parts:
         for sequence in part.sequence.unique():
