@@ -13,6 +13,7 @@ T steps, N robots, B = S N rows, P selected steps, Q decisions of a level in the
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -31,7 +32,7 @@ from samarl.algorithms.action_limits import action_limits, excess
 from samarl.algorithms.advantages import macro_advantages, step_advantages, streams
 from samarl.algorithms.algorithm import ALGORITHMS, Algorithm
 from samarl.algorithms.critics import CriticEncoder, PopArtHead
-from samarl.algorithms.training_data import TrainingData, merge
+from samarl.algorithms.training_data import MAX_PADDING, TrainingData, minibatches
 from samarl.distributed import all_gather_cat, all_gather_object, average_gradients
 from samarl.observations.features import state_sizes
 from samarl.observations.frames import FeatureSizes, Frames, slice_time, split
@@ -225,7 +226,7 @@ class PPO(Algorithm):
 
     @torch.no_grad()
     def prepare(self, rollouts: list[Rollout], statistics: Statistics) -> list[TrainingData]:
-        """Return what the losses read: all rollouts, in as few parts as `merge` allows.
+        """Return what the losses read of each rollout.
 
         Each level has a TensorDict [B, T] with its `action` and `sample_log_prob`, its `advantage`,
         `value_target` and `state_value` (before the update), all three normalised, and the masks
@@ -255,7 +256,7 @@ class PPO(Algorithm):
                     row // rollout.robots,
                 )
             )
-        return merge(parts)
+        return parts
 
     def _critic_features(self, rollout: Rollout) -> Tensor:
         """Return the critics' view of all steps, [S, T + 1, N, F]."""
@@ -358,16 +359,15 @@ class PPO(Algorithm):
             The mean KL divergence of the last epoch from the policy that collected.
         """
         c, mean = self.config, 0.0
+        skips_empty = all(networks.encoder.skips_empty_slots for networks in self.policy.networks)
+        max_padding = math.inf if skips_empty else MAX_PADDING
         for epoch in range(1, c.epochs + 1):
             statistics["losses/epochs"] = [float(epoch)]  # the last one that was run
             divergence: list[float] = []
-            minibatches = [part.minibatches(c.minibatches) for part in data]
-            for minibatch in zip(*minibatches, strict=True):
+            for minibatch in minibatches(data, c.minibatches, max_padding):
                 self.optimiser.zero_grad(set_to_none=True)
                 rows = sum(len(part.robot) for part in minibatch)
                 for part in minibatch:
-                    if len(part.robot) == 0:
-                        continue
                     policy_loss = self._policy_loss(part, statistics, divergence)
                     loss = policy_loss + self._value_loss(part, statistics)
                     if loss.requires_grad:  # otherwise no sample counts

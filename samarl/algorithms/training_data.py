@@ -1,7 +1,8 @@
-"""What the losses of PPO read: the robots of all rollouts together.
+"""What the losses of PPO read: the robots of all rollouts, in minibatches.
 
-Rollouts of different scenarios have different numbers of slots for people and robots. Empty slots
-are added where that costs little, so that one pass of the networks serves them all.
+Rollouts of different scenarios have different numbers of slots for people and robots. In a
+minibatch, empty slots are added where that costs little, so that one pass of the networks serves
+them all.
 """
 
 from __future__ import annotations
@@ -17,11 +18,11 @@ from torch.utils._pytree import tree_leaves, tree_map
 from samarl.observations.frames import Frames, concatenate
 from samarl.policies.stochastic import Sequences
 
-MAX_PADDING = 2.5  # rollouts are merged if that multiplies the number of slots by at most this
+MAX_PADDING = 1.3  # of encoders that compute empty slots as well
 
 
 class TrainingData(NamedTuple):
-    """T steps of B robots, from one or several rollouts."""
+    """T steps of B robots, from a rollout, or of a minibatch from several ones."""
 
     sequences: Sequences  # [B, h + T + 1, ...] what the actors observed
     critic_frames: Frames  # [B, T + 1, ...] what the critics observe
@@ -46,23 +47,36 @@ class TrainingData(NamedTuple):
             self.sequence[rows],
         )
 
-    def minibatches(self, number: int) -> Iterator[TrainingData]:
-        """Shuffle the sequences into minibatches, copied one at a time; some may be empty."""
+    def shuffled(self, number: int) -> Tensor:
+        """Draw the minibatch of each row [B]: whole sequences are shuffled."""
         sequences = int(self.sequence[-1]) + 1
-        order = torch.randperm(sequences)
+        parts = torch.randperm(sequences).tensor_split(number)
         minibatch = torch.empty(sequences, dtype=torch.long)
-        for index, part in enumerate(order.tensor_split(number)):
+        # In random order, as the first parts may be larger.
+        for index, part in zip(torch.randperm(number).tolist(), parts, strict=True):
             minibatch[part] = index
-        of_row = minibatch.to(self.sequence.device)[self.sequence]
-        for index in range(number):
-            yield self.of((of_row == index).nonzero().squeeze(1))
+        return minibatch.to(self.sequence.device)[self.sequence]
 
 
-def merge(parts: Sequence[TrainingData]) -> list[TrainingData]:
-    """Merge the data of several rollouts as far as padding costs little, see `MAX_PADDING`."""
+def minibatches(
+    data: Sequence[TrainingData], number: int, max_padding: float = MAX_PADDING
+) -> Iterator[list[TrainingData]]:
+    """Shuffle the sequences of all rollouts into minibatches, which are copied one at a time.
+
+    Each is in as few parts as `merge` allows, and may be empty.
+    """
+    minibatch = [part.shuffled(number) for part in data]
+    for index in range(number):
+        rows = [(of_row == index).nonzero().squeeze(1) for of_row in minibatch]
+        pairs = zip(data, rows, strict=True)
+        yield merge([part.of(of_part) for part, of_part in pairs if len(of_part)], max_padding)
+
+
+def merge(parts: Sequence[TrainingData], max_padding: float = MAX_PADDING) -> list[TrainingData]:
+    """Merge rollouts if that multiplies their number of slots by at most `max_padding`."""
     merged: list[list[TrainingData]] = []
     for part in sorted(parts, key=_slots):
-        if merged and _can_merge([*merged[-1], part]):
+        if merged and _can_merge([*merged[-1], part], max_padding):
             merged[-1].append(part)
         else:
             merged.append([part])
@@ -74,7 +88,7 @@ def _slots(data: TrainingData) -> int:
     return sum(group.mask.shape[2] for group in data.sequences.features.entities.values())
 
 
-def _can_merge(parts: list[TrainingData]) -> bool:
+def _can_merge(parts: list[TrainingData], max_padding: float) -> bool:
     rows = sum(len(part.robot) for part in parts)
     slots = sum(len(part.robot) * _slots(part) for part in parts)
     # The memory of recurrent encoders has one entry for each agent, in the encoder's own order.
@@ -86,7 +100,7 @@ def _can_merge(parts: list[TrainingData]) -> bool:
         max(part.sequences.features.entities[group].mask.shape[2] for part in parts)
         for group in parts[0].sequences.features.entities
     )
-    return len(shapes) == 1 and rows * padded <= MAX_PADDING * slots
+    return len(shapes) == 1 and rows * padded <= max_padding * slots
 
 
 def _concatenate(parts: list[TrainingData]) -> TrainingData:

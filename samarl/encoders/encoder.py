@@ -31,6 +31,7 @@ class Encoder(nn.Module, ABC):
 
     history = 0  # number of frames before the first that `observe` needs, h
     features: int  # length of Y
+    skips_empty_slots = False  # slots of groups in which nobody is known cost next to nothing
 
     def __init__(self, config: object, sizes: FeatureSizes) -> None:
         """Create the layers.

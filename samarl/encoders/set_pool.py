@@ -74,6 +74,8 @@ class SetPoolEncoder(Encoder):
     The ranges of a lidar, if there is one, are encoded by circular convolutions.
     """
 
+    skips_empty_slots = True
+
     def __init__(self, config: SetPoolConfig, sizes: FeatureSizes) -> None:
         """See `Encoder`."""
         super().__init__(config, sizes)

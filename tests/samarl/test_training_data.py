@@ -1,17 +1,18 @@
 """Rollouts of different scenarios, merged into one pass of the networks."""
 
+import math
 from collections import defaultdict
 from dataclasses import replace
 
 import pytest
 import torch
 
-from samarl.algorithms.training_data import TrainingData
+from samarl.algorithms.training_data import TrainingData, minibatches
 from samarl.policies.policy import LOCAL
 from tests.learning import SCENARIO, algorithm, collector, policy
 
 SIMILAR = replace(SCENARIO, humans=5, robots=3)
-CROWDED = replace(SCENARIO, humans=50)
+CROWDED = replace(SCENARIO, humans=20)
 
 
 @pytest.mark.parametrize("encoder", ["spatio_temporal", "gru", "structural_rnn", "set_pool"])
@@ -20,7 +21,7 @@ def test_the_networks_compute_the_same_for_merged_rollouts(encoder: str) -> None
     learner = algorithm(model)
     rollouts = [collector(model, 4, 6, scenario).collect() for scenario in (SCENARIO, SIMILAR)]
     statistics: dict[str, list[float]] = defaultdict(list)
-    data = learner.prepare(rollouts, statistics)
+    (data,) = minibatches(learner.prepare(rollouts, statistics), 1)
     recurrent_edges = encoder == "structural_rnn"  # whose memory has an entry for each agent
     assert len(data) == 1 + recurrent_edges
     assert sum(len(part.robot) for part in data) == 4 * 2 + 4 * 3
@@ -37,24 +38,36 @@ def test_the_networks_compute_the_same_for_merged_rollouts(encoder: str) -> None
     assert max(map(abs, statistics["losses/local_approx_kl"])) < 1e-5
 
 
-def test_rollouts_with_very_different_numbers_of_agents_are_not_padded() -> None:
+@pytest.mark.parametrize(("max_padding", "expected"), [(1.3, [5, 20]), (math.inf, [20])])
+def test_rollouts_are_merged_as_far_as_padding_allows(
+    max_padding: float, expected: list[int]
+) -> None:
     model = policy("flat", "set_pool")
     rollouts = [
         collector(model, 4, 6, scenario).collect() for scenario in (SCENARIO, CROWDED, SIMILAR)
     ]
     data = algorithm(model).prepare(rollouts, defaultdict(list))
-    slots = [part.sequences.features.humans.shape[2] for part in data]
-    assert sorted(slots) == [5, 50]
+    (parts,) = minibatches(data, 1, max_padding)
+    slots = [part.sequences.features.humans.shape[2] for part in parts]
+    assert sorted(slots) == expected
 
 
 def test_minibatches_are_whole_teams_and_cover_everything_once() -> None:
     model = policy("flat", "set_pool")
     learner = algorithm(model)
     rollouts = [collector(model, 5, 6, scenario).collect() for scenario in (SCENARIO, SIMILAR)]
-    (data,) = learner.prepare(rollouts, defaultdict(list))
-    parts: list[TrainingData] = list(data.minibatches(3))
-    assert sorted(torch.cat([part.sequence for part in parts]).tolist()) == data.sequence.tolist()
-    for part in parts:
-        for sequence in part.sequence.unique():
-            team = part.robot[part.sequence == sequence].tolist()
-            assert team == list(range(2 if sequence < 5 else 3))
+    data = learner.prepare(rollouts, defaultdict(list))
+    assert [part.sequence.unique().tolist() for part in data] == [list(range(5))] * 2
+    for part, robots in zip(data, (2, 3), strict=True):
+        part.levels[LOCAL]["name"] = part.sequence[:, None] + torch.full((1, 6), 100 * robots)
+    seen: list[int] = []
+    for minibatch in minibatches(data, 3):
+        merged: TrainingData
+        (merged,) = minibatch
+        names = merged.levels[LOCAL]["name"][:, 0]
+        for name in names.unique():
+            assert merged.robot[names == name].tolist() == list(range(int(name) // 100))
+            assert len(merged.sequence[names == name].unique()) == 1
+        assert len(names.unique()) == len(merged.sequence.unique())
+        seen += names.unique().tolist()
+    assert sorted(seen) == [*range(200, 205), *range(300, 305)]
