@@ -32,7 +32,7 @@ from samarl.algorithms.action_limits import action_limits, excess
 from samarl.algorithms.advantages import macro_advantages, step_advantages, streams
 from samarl.algorithms.algorithm import ALGORITHMS, Algorithm
 from samarl.algorithms.critics import CriticEncoder, PopArtHead
-from samarl.algorithms.training_data import MAX_PADDING, TrainingData, minibatches
+from samarl.algorithms.training_data import MAX_PADDING, TrainingData, merge, minibatches
 from samarl.distributed import all_gather_cat, all_gather_object, average_gradients
 from samarl.observations.features import state_sizes
 from samarl.observations.frames import FeatureSizes, Frames, slice_time, split
@@ -226,7 +226,7 @@ class PPO(Algorithm):
 
     @torch.no_grad()
     def prepare(self, rollouts: list[Rollout], statistics: Statistics) -> list[TrainingData]:
-        """Return what the losses read of each rollout.
+        """Return what the losses read: all rollouts, in as few parts as `merge` allows.
 
         Each level has a TensorDict [B, T] with its `action` and `sample_log_prob`, its `advantage`,
         `value_target` and `state_value` (before the update), all three normalised, and the masks
@@ -256,7 +256,7 @@ class PPO(Algorithm):
                     row // rollout.robots,
                 )
             )
-        return parts
+        return merge(parts)
 
     def _critic_features(self, rollout: Rollout) -> Tensor:
         """Return the critics' view of all steps, [S, T + 1, N, F]."""

@@ -54,20 +54,25 @@ def test_rollouts_are_merged_as_far_as_padding_allows(
 
 def test_minibatches_are_whole_teams_and_cover_everything_once() -> None:
     model = policy("flat", "set_pool")
-    learner = algorithm(model)
-    rollouts = [collector(model, 5, 6, scenario).collect() for scenario in (SCENARIO, SIMILAR)]
-    data = learner.prepare(rollouts, defaultdict(list))
-    assert [part.sequence.unique().tolist() for part in data] == [list(range(5))] * 2
-    for part, robots in zip(data, (2, 3), strict=True):
-        part.levels[LOCAL]["name"] = part.sequence[:, None] + torch.full((1, 6), 100 * robots)
+    rollouts = [
+        collector(model, 5, 6, scenario).collect() for scenario in (SCENARIO, SIMILAR, CROWDED)
+    ]
+    data = algorithm(model).prepare(rollouts, defaultdict(list))
+    assert [len(part.sequence.unique()) for part in data] == [10, 5]
+    teams: dict[int, list[int]] = {}
+    for number, part in enumerate(data):
+        name = 100 * number + part.sequence
+        teams |= {int(n): part.robot[name == n].tolist() for n in name.unique()}
+        part.levels[LOCAL]["name"] = name[:, None].expand(-1, 6)
+    assert sorted(map(len, teams.values())) == [2] * 10 + [3] * 5
     seen: list[int] = []
-    for minibatch in minibatches(data, 3):
+    for minibatch in minibatches(data, 3, math.inf):
         merged: TrainingData
         (merged,) = minibatch
-        names = merged.levels[LOCAL]["name"][:, 0]
-        for name in names.unique():
-            assert merged.robot[names == name].tolist() == list(range(int(name) // 100))
-            assert len(merged.sequence[names == name].unique()) == 1
-        assert len(names.unique()) == len(merged.sequence.unique())
-        seen += names.unique().tolist()
-    assert sorted(seen) == [*range(200, 205), *range(300, 305)]
+        name = merged.levels[LOCAL]["name"][:, 0]
+        assert len(merged.sequence.unique()) == len(name.unique()) == 5
+        for n in name.unique().tolist():
+            assert merged.robot[name == n].tolist() == teams[n]
+            assert len(merged.sequence[name == n].unique()) == 1
+            seen.append(n)
+    assert sorted(seen) == sorted(teams)
