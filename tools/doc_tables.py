@@ -189,7 +189,6 @@ def passages() -> str:
     methods = (
         *("samarl", "samarl right_of_way=rule", "samarl right_of_way=null"),
         *(first_half, f"{first_half} right_of_way=rule", "samarl_flat"),
-        "samarl_waypoints checkpoint=samarl_waypoints_and_rule right_of_way=rule",
         "right_of_way",
         *(f"right_of_way macro_level={name}" for name in ("right_of_way_macro", "random", "enter")),
     )
@@ -197,7 +196,8 @@ def passages() -> str:
     for row in result_rows("passages"):
         width = re.findall(r"width_max=([\d.]+)", row["changes"])
         heading = f"{row['layout']} {width[0] if width else '2.0'} m"
-        rates.setdefault(row["method"], {}).setdefault(heading, []).append(row["success_rate"])
+        if row["method"] in rates:
+            rates[row["method"]].setdefault(heading, []).append(row["success_rate"])
     headings = list(dict.fromkeys(heading for cells in rates.values() for heading in cells))
     lines = [
         [label_of(method), *(f"{fmean(cells[heading]):.1f}" for heading in headings)]
