@@ -29,6 +29,7 @@ from mrsan.features import (
     TIME,
     VELOCITY,
 )
+from mrsan.kernels.team import MACRO_ACTION
 from mrsan.plugin_values import PluginError, check_shape
 from mrsan.se2 import rotate, untransform
 from mrsan.sensors.suite import SensorSuite
@@ -363,7 +364,8 @@ def _message_features(messages: Tensor, scenario: Scenario) -> Tensor:
 
     They are the numbers of the agent that tells them, and mean nothing to another one.
     """
-    return torch.cat([messages[..., OTHER_POSITION] / LENGTH_SCALE, messages[..., 2:6]], -1)
+    position, rest = messages[..., OTHER_POSITION], messages[..., 2:MACRO_ACTION]
+    return torch.cat([position / LENGTH_SCALE, rest], -1)
 
 
 @register_features("passages")

@@ -304,21 +304,20 @@ class Policy(nn.Module, ABC):
         that was trained with them sees none where there are none, and its route is its goal.
         Where robots tell each other nothing, one that was trained with messages gets none.
         """
-        entities, sensors = dict(tracks.entities), dict(tracks.sensors)
+        ego, entities, sensors = tracks.ego, dict(tracks.entities), dict(tracks.sensors)
         if "route" in sensors and not self.observes_route:
-            return tracks._replace(ego=heading_for_route(tracks))
-        if "route" not in sensors and self.observes_route:
+            ego = heading_for_route(tracks)
+            del sensors["route"]
+        elif "route" not in sensors and self.observes_route:
             sensors["route"] = next_point(tracks)
-        if "walls" in self.sizes.entities and "walls" not in entities:
-            shape = (*tracks.ego.shape[:2], 1)
-            features = np.zeros((*shape, len(WALL_FEATURES)), np.float32)
-            entities["walls"] = Entities(features, np.zeros(shape, np.bool_))
-        if self.observes_messages and "messages" not in entities:
-            shape = (*tracks.ego.shape[:2], 1)
-            features = np.zeros((*shape, len(MESSAGE_FEATURES)), np.float32)
-            entities["messages"] = Entities(features, np.zeros(shape, np.bool_))
+        shape = (*ego.shape[:2], 1)
+        for name, features in (("walls", WALL_FEATURES), ("messages", MESSAGE_FEATURES)):
+            if name in self.sizes.entities and name not in entities:
+                nothing = np.zeros((*shape, len(features)), np.float32)
+                entities[name] = Entities(nothing, np.zeros(shape, np.bool_))
+        if self.observes_messages and "priority" not in sensors:
             sensors["priority"] = np.zeros(shape, np.float32)
-        return tracks._replace(entities=entities, sensors=sensors)
+        return tracks._replace(ego=ego, entities=entities, sensors=sensors)
 
     def empty_frames(self, scenario: Scenario, rows: int) -> Frames:
         """Return frames [B, 1, ...] like those of `extract_features` in which nothing is known."""

@@ -67,8 +67,13 @@ def test_messages_are_for_the_guide_where_there_is_one() -> None:
         assert stage.driver_scenario.team_messages == is_told
 
 
-def test_an_open_floor_with_messages_has_no_routes() -> None:
-    assert not learning.policy("flat", scenario=Scenario(team_messages=True)).observes_route
+def test_a_policy_of_an_open_floor_observes_its_priority_among_walls() -> None:
+    policy = learning.policy("flat", "set_pool", scenario=Scenario(robots=4, team_messages=True))
+    assert not policy.observes_route
+    for scenario in (TELLING, SILENT):
+        observation, decision = decide(policy, scenario)
+        priority = observation.sensors.get("priority", np.zeros((1, 4, 1)))
+        assert_allclose(decision.features.ego[:, 0, -1], priority[0, :, 0])
 
 
 @pytest.mark.parametrize("scenario", [TELLING, SILENT])
