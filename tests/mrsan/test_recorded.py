@@ -103,10 +103,33 @@ def test_people_in_the_world_walk_as_recorded() -> None:
             stayed = there[had[e, there]]
             moved = (state.human_position - before)[e, stayed] / 0.25
             np.testing.assert_allclose(state.human_velocity[e, stayed], moved, atol=1e-4)
-            # Everybody who is there has a slot.
-            assert len(there) == ((ways.first < now[e]) & (ways.last >= now[e])).sum()
             came += len(there) - len(stayed)
     assert came > 50
+
+
+def test_nobody_appears_next_to_a_driving_robot() -> None:
+    """Who would appear within 3 m of one enters later; who is there from the start, at once."""
+    world = World(recorded(terminate_on_collision=False), len(CASES))
+    world.reset(CASES)
+    ways, state = load_recording(None, 0.04, 0.25), world.state
+    held_back, came_later = 0, 0
+    for _ in range(150):
+        had, tracks = state.human_present.copy(), state.human_track.copy()
+        robots = state.robot_position.copy()
+        world.step(rest(world))
+        for e in range(len(CASES)):
+            now = state.record_step[e] + state.clock[e]
+            for q in np.flatnonzero((ways.first < now) & (ways.last > now)):
+                place = ways.position[ways.row[q] + now - 1 - ways.first[q]]  # before the step
+                distance = np.linalg.norm(robots[e] - place, axis=-1).min()
+                is_there = q in state.human_track[e][state.human_present[e]]
+                was_there = q in tracks[e][had[e]]
+                assert is_there or distance < 3.0
+                assert was_there or not is_there or distance >= 3.0
+                held_back += not is_there
+                came_later += is_there and not was_there and ways.first[q] < now - 1
+    assert held_back > 20
+    assert came_later > 5
 
 
 def test_with_few_slots_the_nearest_are_kept() -> None:

@@ -11,6 +11,7 @@ NOT_ASSIGNED = -1
 _ZERO = np.float32(0.0)
 _FAR = np.float32(np.inf)
 _STANDS = np.float32(1.0)  # a person displaced by less during the episode stands, m
+_ENTRY_DISTANCE = np.float32(3.0)  # m; nobody appears nearer to a driving robot than this
 _TRIES = 64  # attempts after which the required clearance is reduced
 _DIRECT = 1024  # attempts after which the length of a route is drawn before its ends
 _LEAST_ROOM = 10  # reductions until no clearance is required
@@ -101,7 +102,12 @@ def recorded_velocity(state, e, j, recording, p):
 
 @function
 def _nearest(state, e, now, recording):
-    """Return the present person without a slot who is nearest to a robot, or `NOT_ASSIGNED`."""
+    """Return the person without a slot who is nearest to a robot and may enter, or `NOT_ASSIGNED`.
+
+    Tracks begin anywhere, because annotators follow people only within the image. After the first
+    step people enter once no driving robot is within 3 m.
+    """
+    entry_distance = _ENTRY_DISTANCE if state.clock[e] > 0 else _ZERO
     nearest, least = NOT_ASSIGNED, _FAR
     for q in range(recording.first.shape[0]):
         if recording.first[q] > now:
@@ -109,11 +115,14 @@ def _nearest(state, e, now, recording):
         if recording.last[q] <= now or _has_a_slot(state, e, q):
             continue
         x, y = _place(recording, q, now)
+        enters, squared = True, _FAR
         for i in range(state.robot_heading.shape[1]):
             dx, dy = state.robot_position[e, i, 0] - x, state.robot_position[e, i, 1] - y
-            squared = dx * dx + dy * dy
-            if squared < least:
-                nearest, least = q, squared
+            distance = dx * dx + dy * dy
+            squared = min(squared, distance)
+            enters &= state.arrived[e, i] or distance >= entry_distance * entry_distance
+        if enters and squared < least:
+            nearest, least = q, squared
     return nearest
 
 
