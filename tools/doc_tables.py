@@ -100,7 +100,8 @@ def beside_the_paper() -> str:
 def seeds() -> str:
     """Return success over training seeds in the columns of Table I."""
     lines = []
-    policies = [f"samarl_{name}" for name in ("waypoints", "ppo", "transformer", "circle")]
+    names = ("waypoints", "ppo", "transformer", "circle")
+    policies = ["samarl", *(f"samarl_{name}" for name in names)]
     for method in [
         *(name for policy in policies for name in (f"{policy} shield=false", policy)),
         *("samarl_general", "samarl_planned"),
