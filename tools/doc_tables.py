@@ -100,8 +100,7 @@ def beside_the_paper() -> str:
 def seeds() -> str:
     """Return success over training seeds in the columns of Table I."""
     lines = []
-    names = ("waypoints", "ppo", "transformer", "circle")
-    policies = ["samarl", *(f"samarl_{name}" for name in names)]
+    policies = ["samarl", "samarl_waypoints", "samarl_ppo", "samarl_transformer", "samarl_circle"]
     for method in [
         *(name for policy in policies for name in (f"{policy} shield=false", policy)),
         *("samarl_general", "samarl_planned"),

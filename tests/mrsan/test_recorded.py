@@ -112,6 +112,8 @@ def test_nobody_appears_next_to_a_driving_robot() -> None:
     world = World(recorded(terminate_on_collision=False), len(CASES))
     world.reset(CASES)
     ways, state = load_recording(None, 0.04, 0.25), world.state
+    is_there = (ways.first <= state.record_step[:, None]) & (ways.last > state.record_step[:, None])
+    np.testing.assert_array_equal(state.human_present.sum(1), is_there.sum(1))
     held_back, came_later = 0, 0
     for _ in range(150):
         had, tracks = state.human_present.copy(), state.human_track.copy()

@@ -107,7 +107,7 @@ def _nearest(state, e, now, recording):
     Tracks begin anywhere, because annotators follow people only within the image. After the first
     step people enter once no driving robot is within 3 m.
     """
-    entry_distance = _ENTRY_DISTANCE if state.clock[e] > 0 else _ZERO
+    entry_squared = _ENTRY_DISTANCE * _ENTRY_DISTANCE if state.clock[e] > 0 else _ZERO
     nearest, least = NOT_ASSIGNED, _FAR
     for q in range(recording.first.shape[0]):
         if recording.first[q] > now:
@@ -115,14 +115,14 @@ def _nearest(state, e, now, recording):
         if recording.last[q] <= now or _has_a_slot(state, e, q):
             continue
         x, y = _place(recording, q, now)
-        enters, squared = True, _FAR
+        enters, nearest_squared = True, _FAR
         for i in range(state.robot_heading.shape[1]):
             dx, dy = state.robot_position[e, i, 0] - x, state.robot_position[e, i, 1] - y
-            distance = dx * dx + dy * dy
-            squared = min(squared, distance)
-            enters &= state.arrived[e, i] or distance >= entry_distance * entry_distance
-        if enters and squared < least:
-            nearest, least = q, squared
+            squared = dx * dx + dy * dy
+            nearest_squared = min(nearest_squared, squared)
+            enters &= state.arrived[e, i] or squared >= entry_squared
+        if enters and nearest_squared < least:
+            nearest, least = q, nearest_squared
     return nearest
 
 
