@@ -130,8 +130,14 @@ else:
 
 
 def kernel_parameters(scenario: Scenario) -> Parameters:
-    """Return the numbers of a scenario as a named tuple, the form that Numba takes."""
-    return Parameters(**_numbers(scenario))
+    """Return the numbers of a scenario as a named tuple, the form that Numba takes.
+
+    They are computed once: the fields of a scenario do not change.
+    """
+    kept = vars(scenario)
+    if "_kernel_parameters" not in kept:
+        kept["_kernel_parameters"] = Parameters(**_numbers(scenario))
+    return kept["_kernel_parameters"]
 
 
 class SensorParameters(NamedTuple):

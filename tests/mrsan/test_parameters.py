@@ -1,5 +1,8 @@
 """The numbers of a scenario in the form that kernels take."""
 
+import pickle
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -39,3 +42,15 @@ def test_all_scenarios_have_parameters_of_the_same_types() -> None:
         )
     )
     assert [type(value) for value in plain] == [type(value) for value in other]
+
+
+def test_the_numbers_are_computed_once_for_a_scenario() -> None:
+    scenario = Scenario(robot_radius=0.2)
+    kept = kernel_parameters(scenario)
+    assert kernel_parameters(scenario) is kept
+    assert scenario == Scenario(robot_radius=0.2)
+    changed = replace(scenario, robot_radius=0.25)
+    assert kernel_parameters(changed).robot_radius == np.float32(0.25)
+    restored = pickle.loads(pickle.dumps(scenario))
+    assert restored == scenario
+    assert kernel_parameters(restored) == kept
