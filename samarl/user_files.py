@@ -13,6 +13,7 @@ from hydra.plugins.config_source import ConfigResult, ConfigSource
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from mrsan import ConfigurationError
+from samarl.evaluation.methods import split_method
 from samarl.files import find_folder
 from samarl.policies.card import BEST, LAST, find_policy, is_policy, read_card
 
@@ -31,7 +32,8 @@ class PathChoices(ConfigSource):
 
     `agent=PATH` and `scenario=PATH` accept a YAML file in the form of the group's own files, and
     `agent=NAME` accepts a policy, as `samarl.policies.card.find_policy` does. A policy drives like
-    the included agent with a policy of its kind, which for SAMARL's kinds has a shield.
+    the included agent with a policy of its kind, which for SAMARL's kinds has a shield, and with
+    the right of way of its training.
     """
 
     @staticmethod
@@ -137,13 +139,17 @@ def _agent_of_policy(name: str) -> dict[str, Any]:
         ConfigurationError: there is none for policies of its kind.
     """
     checkpoint = find_policy(name, "agent")
-    kind = read_card(checkpoint).policy
+    card = read_card(checkpoint)
+    kind = card.policy
     if kind not in AGENT_OF_POLICY:
         raise ConfigurationError(
             f"agent is {name!r}, a {kind} policy; it must be a policy of the kinds "
             f"{', '.join(AGENT_OF_POLICY)}, or a YAML file of an agent with this checkpoint"
         )
-    return {
+    config = {
         "defaults": [f"/agent/{AGENT_OF_POLICY[kind]}@_here_"],
         "checkpoint": name if name == checkpoint.stem else str(checkpoint),
     }
+    if guides := list(filter(None, card.values_in_training("guide"))):
+        config["right_of_way"] = split_method(str(guides[0]))[1].get("macro_level") or "rule"
+    return config

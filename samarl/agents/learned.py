@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -150,8 +148,7 @@ class Learned(Agent):
         self.policy, self.card = load_policy(find_policy(self.checkpoint))
         kinematics = self.scenario.kinematics.name
         trained = {
-            str(name).rpartition(".")[2]
-            for name in _values(self.card.provenance.get("configuration"), "kinematics")
+            str(name).rpartition(".")[2] for name in self.card.values_in_training("kinematics")
         }
         self._policy_scenario = self.scenario
         if trained and kinematics not in trained:
@@ -191,14 +188,16 @@ class Learned(Agent):
         It names numbers outside their training range, or a recording that the policy was trained
         on; recordings are recognised by their file name.
         """
-        configuration = self.card.provenance.get("configuration")
-        recording = Path(self.scenario.recording or "").name
-        training_files = {Path(str(file)).name for file in _values(configuration, "recording")}
+        recording, in_training = (
+            Path(self.scenario.recording or "").name,
+            self.card.values_in_training,
+        )
+        training_files = {Path(str(file)).name for file in in_training("recording")}
         if recording and recording in training_files:
             return f"{self.checkpoint} was trained among the people of {recording}"
         trained, actual = [], []
         for name, (label, unit) in _SCOPE.items():
-            numbers = [v for v in _values(configuration, name) if isinstance(v, int | float)]
+            numbers = [v for v in in_training(name) if isinstance(v, int | float)]
             value = getattr(self.scenario, name)
             if numbers and not min(numbers) <= value <= max(numbers):
                 limits = " to ".join(f"{v:g}" for v in sorted({min(numbers), max(numbers)}))
@@ -234,16 +233,3 @@ class Learned(Agent):
     def explain(self) -> Explanation | None:
         """Return its waypoints, its attention, and whose turn it is."""
         return self._deployed.explain()
-
-
-def _values(tree: Any, key: str) -> Iterator[Any]:
-    """Yield all values under `key` in a nested structure of a card."""
-    if isinstance(tree, dict):
-        for name, value in tree.items():
-            if name == key:
-                yield value
-            else:
-                yield from _values(value, key)
-    elif isinstance(tree, list):
-        for value in tree:
-            yield from _values(value, key)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,23 @@ class PolicyCard:
     sha256: str  # digest of the weights file
     # Fields of `FeatureSizes`; empty in older files, whose policies observe people and robots.
     sizes: dict[str, Any] = field(default_factory=dict)
+
+    def values_in_training(self, name: str) -> list[Any]:
+        """Return the values of a setting in the training, such as `fov_degrees` in all stages."""
+        return list(_values(self.provenance.get("configuration"), name))
+
+
+def _values(tree: Any, key: str) -> Iterator[Any]:
+    """Yield all values under `key` in a nested structure."""
+    if isinstance(tree, dict):
+        for name, value in tree.items():
+            if name == key:
+                yield value
+            else:
+                yield from _values(value, key)
+    elif isinstance(tree, list):
+        for value in tree:
+            yield from _values(value, key)
 
 
 _CARD_TYPES = {

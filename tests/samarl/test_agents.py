@@ -193,3 +193,21 @@ def test_a_policy_warns_about_recordings_it_was_trained_on(tmp_path: Path) -> No
         scenario = Scenario(crowd=Crowd.recorded, recording=recording)
         warning = build_agent(fields, scenario).scope_warning()
         assert (warning or "").endswith("was trained among the people of walk.txt") == known
+
+
+@pytest.mark.parametrize(
+    ("guide", "right_of_way"),
+    [
+        (None, None),
+        ("right_of_way", "rule"),
+        ("right_of_way macro_level=right_of_way_macro", "right_of_way_macro"),
+    ],
+)
+def test_a_policy_drives_with_the_right_of_way_of_its_training(
+    tmp_path: Path, guide: str | None, right_of_way: str | None
+) -> None:
+    policy, card = load_policy(find_policy("samarl_flat"))
+    stages = [{"guide": None}, {"guide": guide}]
+    provenance = {"configuration": {"curriculum": {"stages": stages}}}
+    save_policy(tmp_path / "mine.safetensors", policy, card.policy, provenance)
+    assert load_agent_config(str(tmp_path / "mine.safetensors"))["right_of_way"] == right_of_way
