@@ -2,9 +2,7 @@
 
 PYTHON ?= python3
 PICTURE_CASE := 28
-NARROW_DOOR := scenario.layout=doorway scenario.robots=4 scenario.humans=4 \
-	scenario.crowd_reaction=reciprocal scenario.team_messages=true \
-	scenario.place.door_width_min=1.0 scenario.place.door_width_max=1.3
+NARROW_DOOR := scenario=narrow_doorway scenario.team_messages=true
 BIN := .venv/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input -qq install --no-compile
 PARALLEL := -n auto --maxprocesses 8 --dist worksteal --durations 20
