@@ -188,7 +188,8 @@ def passages() -> str:
     first_half = "samarl checkpoint=samarl_first_half"
     methods = (
         *("samarl", "samarl right_of_way=rule", "samarl right_of_way=null"),
-        *(first_half, f"{first_half} right_of_way=rule", "samarl_flat"),
+        *(first_half, f"{first_half} right_of_way=rule"),
+        *("samarl_flat", "samarl_flat checkpoint=samarl_flat_first_half"),
         "right_of_way",
         *(f"right_of_way macro_level={name}" for name in ("right_of_way_macro", "random", "enter")),
     )
@@ -201,9 +202,10 @@ def passages() -> str:
     headings = list(dict.fromkeys(heading for cells in rates.values() for heading in cells))
     lines = [
         [label_of(method), *(f"{fmean(cells[heading]):.1f}" for heading in headings)]
+        + [f"{fmean(rate for heading in headings for rate in cells[heading]):.1f}"]
         for method, cells in rates.items()
     ]
-    return markdown_table(["success %", *headings], lines)
+    return markdown_table(["success %", *headings, "all"], lines)
 
 
 @table

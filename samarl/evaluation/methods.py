@@ -42,6 +42,7 @@ _LABELS = {
     "samarl_10p3r": "SAMARL-10p3r, shielded",
     "samarl_circle": "One level, circle, shielded",
     "samarl_flat": "One level, shielded",
+    "samarl_flat checkpoint=samarl_flat_first_half": "One level, first half, shielded",
     "samarl_general": "SAMARL-General, shielded",
     "samarl_places": "SAMARL-Places, shielded",
     "samarl_places right_of_way=right_of_way_macro": (
