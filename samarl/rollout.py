@@ -30,7 +30,7 @@ class Rollout:
 
     `steps` is a TensorDict [S, T + 1] with TorchRL's names. Its last step was decided but not yet
     taken: values are bootstrapped from states in which something was decided, with what was decided
-    there. It is the first step of the next rollout, so that step was decided before the last update.
+    there. It is the first step of the next rollout, which was thus decided before the last update.
     Keys:
 
     - `mask` [S, T + 1, 1], False: padding; `is_init` [S, T + 1, 1];

@@ -200,11 +200,11 @@ def passages() -> str:
         if row["method"] in rates:
             rates[row["method"]].setdefault(heading, []).append(row["success_rate"])
     headings = list(dict.fromkeys(heading for cells in rates.values() for heading in cells))
-    lines = [
-        [label_of(method), *(f"{fmean(cells[heading]):.1f}" for heading in headings)]
-        + [f"{fmean(rate for heading in headings for rate in cells[heading]):.1f}"]
-        for method, cells in rates.items()
-    ]
+    lines = []
+    for method, cells in rates.items():
+        means = [fmean(cells[heading]) for heading in headings]
+        every = fmean(rate for heading in headings for rate in cells[heading])
+        lines.append([label_of(method), *(f"{mean:.1f}" for mean in (*means, every))])
     return markdown_table(["success %", *headings, "all"], lines)
 
 
