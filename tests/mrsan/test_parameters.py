@@ -57,4 +57,4 @@ def test_the_numbers_are_forgotten_with_their_scenario() -> None:
     count = len(_KEPT)
     for radius in (0.2, 0.25, 0.3):  # objects that may get the same address one after the other
         assert kernel_parameters(Scenario(robot_radius=radius)).robot_radius == np.float32(radius)
-    assert len(_KEPT) == count
+    assert len(_KEPT) <= count
