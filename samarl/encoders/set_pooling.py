@@ -18,7 +18,6 @@ from torch.nn import functional
 
 from samarl.encoders.operators import Operator, compiled, on_cpu
 
-FEW = 64  # agents, of whom torch's operations take less time than calling kernels
 PARTS = 8  # of the rows, whose gradients are summed in this order whatever the number of threads
 
 
@@ -39,7 +38,7 @@ def set_pooling(
     """
     if features.shape[1] == 0:
         return torch.zeros_like(own)
-    if on_cpu(own) and known.numel() > FEW and not features.requires_grad:
+    if on_cpu(own) and not features.requires_grad:
         # The known agents [K, F] of all rows, and where those of each row end among them [P].
         agents = features.flatten(0, 1)[known.flatten()]
         end = known.sum(1).cumsum(0)

@@ -22,9 +22,7 @@ from numba.core import cgutils
 from numba.core.typing.templates import AttributeTemplate
 from numba.extending import infer_getattr, lower_getattr_generic, models, register_model
 
-_EMPTY = types.Tuple(())
 _TYPES = {
-    tuple: _EMPTY,  # settings that there are not
     bool: types.boolean,
     np.bool_: types.boolean,
     int: types.int64,
@@ -35,6 +33,7 @@ _TYPES = {
 }
 # Formats of module `struct`: every number, pointer and length has a word of its own.
 _FORMATS = {types.boolean: "?7x", types.int64: "q", types.float64: "d", types.float32: "f4x"}
+_EMPTY = types.Tuple(())
 _WORD = ir.IntType(64)
 _BYTE_POINTER = ir.IntType(8).as_pointer()
 
@@ -95,16 +94,11 @@ def by_reference(values: tuple[Any, ...]) -> Struct | tuple[()]:
 
 
 def _words_of(value: Any) -> tuple[Any, ...]:
-    """Return the kind of a value, followed by its numbers in memory.
-
-    The kind determines the type of the field: a type of Numba for structs, of Python for numbers,
-    and `(dtype, dimensions, writeable)` for arrays. All but the first are hashed fast.
-    """
-    kind = type(value)
-    if kind is np.ndarray:
+    """Return what determines the type of a value, followed by its numbers in memory."""
+    if type(value) is np.ndarray:
         flags = value.flags
         if flags.carray and value.size:
-            pointer = ctypes.addressof(ctypes.c_char.from_buffer(value))
+            pointer = ctypes.addressof(ctypes.c_char.from_buffer(value))  # type: ignore[arg-type]
         elif flags.c_contiguous and flags.aligned:
             pointer = value.ctypes.data
         else:
@@ -113,13 +107,13 @@ def _words_of(value: Any) -> tuple[Any, ...]:
                 "C-contiguous (numpy.ascontiguousarray)"
             )
         return (value.dtype, value.ndim, flags.writeable), pointer, *value.shape
-    if kind is Struct:
+    if isinstance(value, Struct):
         return value.type, value.address
-    if kind is tuple:
-        return (kind,)
-    if kind not in _TYPES:
-        raise TypeError(f"{value!r:.60} is a {kind.__name__}, which kernels do not take")
-    return kind, value
+    if isinstance(value, tuple):
+        return (_EMPTY,)
+    if type(value) not in _TYPES:
+        raise TypeError(f"{value!r:.60} is a {type(value).__name__}, which kernels do not take")
+    return _TYPES[type(value)], value
 
 
 @cache
@@ -129,12 +123,11 @@ def _layout(names: tuple[str, ...], kinds: tuple[Any, ...]) -> tuple[StructType,
     for name, kind in zip(names, kinds, strict=True):
         if isinstance(kind, tuple):
             dtype, ndim, writeable = kind
-            field = types.Array(numba.from_dtype(dtype), ndim, "C", readonly=not writeable)
+            kind = types.Array(numba.from_dtype(dtype), ndim, "C", readonly=not writeable)
             layout += "q" * (1 + ndim)
-        else:
-            field = _TYPES.get(kind, kind)
-            layout += "" if field == _EMPTY else _FORMATS.get(field, "q")
-        fields[name] = field
+        elif kind != _EMPTY:
+            layout += _FORMATS.get(kind, "q")
+        fields[name] = kind
     return StructType(fields), struct.Struct(layout)
 
 
