@@ -15,7 +15,7 @@ from omegaconf import DictConfig, ListConfig, OmegaConf
 from mrsan import ConfigurationError
 from samarl.evaluation.methods import split_method
 from samarl.files import find_folder
-from samarl.policies.card import BEST, LAST, find_policy, is_policy, read_card
+from samarl.policies.card import BEST, LAST, RULE, find_policy, is_policy, read_card
 
 AGENT_OF_POLICY = {  # the included agent that uses each kind of policy
     "flat": "samarl_flat",
@@ -151,5 +151,5 @@ def _agent_of_policy(name: str) -> dict[str, Any]:
         "checkpoint": name if name == checkpoint.stem else str(checkpoint),
     }
     if guides := list(filter(None, card.values_in_training("guide"))):
-        config["right_of_way"] = split_method(str(guides[0]))[1].get("macro_level") or "rule"
+        config["right_of_way"] = split_method(str(guides[0]))[1].get("macro_level") or RULE
     return config

@@ -15,7 +15,7 @@ from mrsan.parameters import kernel_parameters
 from samarl.agents.agent import Agent
 from samarl.agents.planners.right_of_way import RightOfWay
 from samarl.planning.velocity_control import retarget_actions
-from samarl.policies.card import find_policy
+from samarl.policies.card import RULE, find_policy
 from samarl.policies.checkpoint import load_policy
 from samarl.policies.explanation import Explanation
 from samarl.policies.hierarchical import HierarchicalPolicy
@@ -30,9 +30,6 @@ _SCOPE = {
     "robot_speed": ("robot speed", "m/s"),
     "robot_radius": ("robot radius", "m"),
 }
-
-
-RULE = "rule"  # of `Learned.right_of_way`: the rule of the planner
 
 
 class DeployedPolicy:
@@ -188,10 +185,8 @@ class Learned(Agent):
         It names numbers outside their training range, or a recording that the policy was trained
         on; recordings are recognised by their file name.
         """
-        recording, in_training = (
-            Path(self.scenario.recording or "").name,
-            self.card.values_in_training,
-        )
+        in_training = self.card.values_in_training
+        recording = Path(self.scenario.recording or "").name
         training_files = {Path(str(file)).name for file in in_training("recording")}
         if recording and recording in training_files:
             return f"{self.checkpoint} was trained among the people of {recording}"

@@ -13,6 +13,7 @@ from samarl.files import find_folder, read_json
 
 FORMAT = 3
 BEST, LAST = "best.safetensors", "last.safetensors"  # policies in the folder of a training run
+RULE = "rule"  # of the setting `right_of_way` of policies: the rule of the planner
 
 
 @dataclass
