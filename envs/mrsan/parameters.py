@@ -8,6 +8,7 @@ form is computed in `_derived`.
 from __future__ import annotations
 
 import math
+import weakref
 from collections import namedtuple
 from collections.abc import Callable
 from dataclasses import fields
@@ -129,9 +130,19 @@ else:
         """The numbers of a scenario by their names."""
 
 
+_KEPT: dict[int, Parameters] = {}  # by the id of their scenario, while it exists
+
+
 def kernel_parameters(scenario: Scenario) -> Parameters:
-    """Return the numbers of a scenario as a named tuple, the form that Numba takes."""
-    return Parameters(**_numbers(scenario))
+    """Return the numbers of a scenario as a named tuple, the form that Numba takes.
+
+    They are computed once: the fields of a scenario do not change.
+    """
+    key = id(scenario)
+    if key not in _KEPT:
+        _KEPT[key] = Parameters(**_numbers(scenario))
+        weakref.finalize(scenario, _KEPT.pop, key).atexit = False
+    return _KEPT[key]
 
 
 class SensorParameters(NamedTuple):

@@ -6,11 +6,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrsan.kernels.routes import GOAL
-from mrsan.kernels.walls import CORNERS
-from mrsan.rendering import walls_of
+from mrsan.kernels.walls import CORNERS, WALLS
 from mrsan.state import State
 
 _ROUNDING = 1e-4  # m
+
+
+def walls_of(state: State, world: int) -> NDArray[np.float32]:
+    """Return the wall segments of one world, [W, 4]: x and y of their starts and ends, m."""
+    count = int(state.place[world, WALLS]) if state.place.shape[1] else 0
+    return state.walls[world, :4, :count].T
 
 
 def polygons_of(state: State, world: int) -> list[NDArray[np.float64]]:

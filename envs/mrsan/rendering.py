@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 from mrsan.fields import ConfigurationError
-from mrsan.kernels.walls import WALLS
 from mrsan.passages import find_passages, open_width
+from mrsan.place_shapes import walls_of
 from mrsan.scenario import Scenario
 from mrsan.state import State
 from mrsan.world import World
@@ -162,12 +162,6 @@ class _Drawing:
 
     def _line(self, a: NDArray[Any], b: NDArray[Any], colour: str, width: int = 2) -> None:
         self.draw.line([self._pixel(a), self._pixel(b)], fill=colour, width=width * _OVERSAMPLING)
-
-
-def walls_of(state: State, index: int) -> NDArray[np.float32]:
-    """Return the wall segments of one world, [W, 4]: x and y of their starts and ends, m."""
-    count = int(state.place[index, WALLS]) if state.place.shape[1] else 0
-    return state.walls[index, :4, :count].T
 
 
 def _has_screen() -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numba
@@ -18,12 +19,17 @@ Tensors = tuple[Tensor, ...]
 # Sums may be reordered here (vector units), unlike in the simulator; the result is still the same
 # every time on one machine, whatever the number of threads.
 FASTMATH = {"reassoc", "contract", "nsz"}
-_parallel = numba.njit(parallel=True, error_model="numpy", fastmath=FASTMATH)
+_njit = partial(numba.njit, error_model="numpy", fastmath=FASTMATH)
 
 
 def compiled(source: Callable[..., Any]) -> Any:
     """Return a kernel: compiled on first use, cached, its `prange` loops on several threads."""
-    return cached(_parallel(source))
+    return cached(_njit(parallel=True)(source))
+
+
+def serial(source: Callable[..., Any]) -> Any:
+    """Return a kernel on one thread: to start others can take longer than a decision's work."""
+    return cached(_njit()(source))
 
 
 def on_cpu(tensor: Tensor) -> bool:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
-from samarl.encoders.operators import Operator, compiled, on_cpu
+from samarl.encoders.operators import Operator, compiled, on_cpu, serial
 
 PARTS = 8  # of the rows, whose gradients are summed in this order whatever the number of threads
 
@@ -49,10 +49,10 @@ def set_pooling(
     return torch.relu(torch.where(known.unsqueeze(-1), values, 0.0).amax(1))
 
 
-@compiled
+@serial
 def _first_layer(own, end, hidden):
     """Add `own` [P, D] of an agent's robot to `hidden` [K, D] and rectify it."""
-    for p in prange(len(end)):
+    for p in range(len(end)):
         robot = own[p]
         for k in range(end[p - 1] if p else 0, end[p]):
             h = hidden[k]
@@ -60,10 +60,10 @@ def _first_layer(own, end, hidden):
                 h[d] = max(h[d] + robot[d], np.float32(0.0))
 
 
-@compiled
+@serial
 def _largest(values, end, pooled, winner):
     """Write the maximum of each feature and which agent has it, -1 where the maximum is 0."""
-    for p in prange(len(pooled)):
+    for p in range(len(pooled)):
         largest, agent = pooled[p], winner[p]
         for d in range(len(largest)):
             largest[d], agent[d] = np.float32(0.0), np.int32(-1)

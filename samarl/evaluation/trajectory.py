@@ -12,7 +12,7 @@ from mrsan import CrowdReaction, Episodes, Observation, Reaction, Scenario, Stat
 from mrsan.kernels.social_state import GROUP, REACTION
 from mrsan.metrics import episodes_of
 from mrsan.passages import Passages, find_passages, open_width
-from mrsan.rendering import walls_of
+from mrsan.place_shapes import walls_of
 from samarl.agents import Agent, Explanation
 from samarl.agents.agent import act_and_tell
 

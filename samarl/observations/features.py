@@ -14,6 +14,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
+from torch.linalg import vector_norm
 
 from mrsan import Entities, Observation, Scenario, World
 from mrsan.features import (
@@ -249,7 +250,7 @@ def _ego_features(tracks: Observation, scenario: Scenario) -> Tensor:
 
 def features_of_target(target: Tensor) -> Tensor:
     """Return the features [..., 5] of a place in the body frame [..., 2], m."""
-    distance = target.norm(dim=-1, keepdim=True)
+    distance = vector_norm(target, dim=-1, keepdim=True)
     direction = target / distance.clamp_min(1e-3)
     return torch.cat([target / LENGTH_SCALE, direction, torch.exp(-distance)], -1)
 
@@ -264,10 +265,10 @@ def _agent_features(
     """
     position, velocity = others[..., OTHER_POSITION], others[..., OTHER_VELOCITY]
     radii = others[..., OTHER_RADIUS : OTHER_RADIUS + 1] + scenario.robot_radius
-    gap = position.norm(dim=-1, keepdim=True) - radii
+    gap = vector_norm(position, dim=-1, keepdim=True) - radii
     closing = -(position * velocity).sum(-1, keepdim=True)
     time = (closing / velocity.square().sum(-1, keepdim=True).clamp_min(1e-3)).clamp(0.0, 5.0)
-    miss = (position + time * velocity).norm(dim=-1, keepdim=True) - radii
+    miss = vector_norm(position + time * velocity, dim=-1, keepdim=True) - radii
     soon, near = torch.exp(-0.5 * time), torch.exp(-2.0 * miss.clamp_min(0.0))
     features = torch.cat(
         [
@@ -348,7 +349,7 @@ def _wall_features(segments: Tensor, scenario: Scenario) -> Tensor:
     start, along = segments[..., :2], segments[..., 2:] - segments[..., :2]
     squared_length = along.square().sum(-1, keepdim=True).clamp_min(1e-6)
     nearest = start + ((-start * along).sum(-1, keepdim=True) / squared_length).clamp(0, 1) * along
-    gap = (nearest.norm(dim=-1, keepdim=True) - scenario.robot_radius).clamp_min(0.0)
+    gap = (vector_norm(nearest, dim=-1, keepdim=True) - scenario.robot_radius).clamp_min(0.0)
     return torch.cat([segments / LENGTH_SCALE, nearest / LENGTH_SCALE, torch.exp(-2.0 * gap)], -1)
 
 

@@ -78,29 +78,22 @@ class Tracker:
         """
         dt = self.time_step if elapsed is None else np.float32(elapsed)
         memory.human_age[is_init], memory.robot_age[is_init] = -1, -1
-        entities = dict(observation.entities)
-        for name, tracks, age in (
-            ("humans", memory.humans, memory.human_age),
-            ("robots", memory.robots, memory.robot_age),
-        ):
-            observed, visible = observation.entities[name]
-            features = np.empty((*observed.shape[:3], len(TRACK_FEATURES)), np.float32)
-            known = np.empty(visible.shape, np.bool_)
-            _track(
-                len(observation.ego),
-                observation.ego,
-                observed,
-                visible,
-                self.steps,
-                dt,
-                dt / self.time_step,
-                tracks,
-                age,
-                features,
-                known,
-            )
-            entities[name] = Entities(features, known)
-        return Observation(observation.ego, entities, observation.sensors)
+        known = {}
+        for name in ("humans", "robots"):
+            visible = observation.entities[name].mask
+            features = np.empty((*visible.shape, len(TRACK_FEATURES)), np.float32)
+            known[name] = Entities(features, np.empty(visible.shape, np.bool_))
+        _track(
+            len(observation.ego),
+            *observation.agents,
+            self.steps,
+            dt,
+            dt / self.time_step,
+            *memory,
+            *known["humans"],
+            *known["robots"],
+        )
+        return Observation(observation.ego, {**observation.entities, **known}, observation.sensors)
 
 
 class EpisodeTracks:
@@ -135,13 +128,37 @@ def _no_tracks(shape: tuple[int, ...]) -> tuple[NDArray[np.float32], NDArray[np.
 
 
 @kernel
-def _track(first, last, ego, observed, visible, steps, dt, dt_steps, tracks, age, out, known):
+def _track(
+    first,
+    last,
+    ego,
+    humans,
+    humans_visible,
+    robots,
+    robots_visible,
+    steps,
+    dt,
+    dt_steps,
+    human_tracks,
+    human_age,
+    robot_tracks,
+    robot_age,
+    humans_out,
+    humans_known,
+    robots_out,
+    robots_known,
+):
     for e in range(first, last):
         for i in range(ego.shape[1]):
+            own, people, mates = ego[e, i], human_tracks[e, i], robot_tracks[e, i]
             _update_tracks(
-                ego[e, i], observed[e, i], visible[e, i], dt, dt_steps, tracks[e, i], age[e, i]
+                own, humans[e, i], humans_visible[e, i], dt, dt_steps, people, human_age[e, i]
             )
-            _write_tracks(ego[e, i], steps, tracks[e, i], age[e, i], out[e, i], known[e, i])
+            _write_tracks(own, steps, people, human_age[e, i], humans_out[e, i], humans_known[e, i])
+            _update_tracks(
+                own, robots[e, i], robots_visible[e, i], dt, dt_steps, mates, robot_age[e, i]
+            )
+            _write_tracks(own, steps, mates, robot_age[e, i], robots_out[e, i], robots_known[e, i])
 
 
 @function

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrsan import Scenario
-from mrsan.rendering import ROBOT_COLOURS, walls_of
+from mrsan.place_shapes import walls_of
+from mrsan.rendering import ROBOT_COLOURS
 from mrsan.state import State
 from samarl.physics.drives import Drive, Wheel
 from samarl.physics.engine import MujocoEngine

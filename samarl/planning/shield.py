@@ -22,7 +22,7 @@ from mrsan.fields import check_numbers, number
 from mrsan.kernels import function, kernel
 from mrsan.kernels.contact import closest_approach
 from mrsan.kernels.walls import WALL_ROWS, way_distance
-from mrsan.parameters import Parameters, kernel_parameters
+from mrsan.parameters import kernel_parameters
 from samarl.observations.route import next_point
 from samarl.planning.detour import remaining_path_length
 from samarl.planning.velocity_control import (
@@ -79,7 +79,6 @@ def apply_shield(
     action: NDArray[np.float32],
     scenario: Scenario,
     shield: Shield,
-    parameters: Parameters | None = None,
 ) -> NDArray[np.float32]:
     """Return the actions [E, N, A], with unsafe ones replaced.
 
@@ -88,7 +87,6 @@ def apply_shield(
         action: [E, N, A] in [-1, 1].
         scenario: the dynamics.
         shield: its parameters.
-        parameters: those of the scenario, where they are at hand.
     """
     checked = np.array(action, np.float32)
     settings = _Settings(
@@ -102,7 +100,7 @@ def apply_shield(
         *tracks.agents,
         *seen_walls(tracks),
         np.ascontiguousarray(next_point(tracks)),
-        kernel_parameters(scenario) if parameters is None else parameters,
+        kernel_parameters(scenario),
         settings,
         checked,
     )

@@ -10,6 +10,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 from torch.jit import is_tracing  # type: ignore[attr-defined]
+from torch.linalg import vector_norm
 
 from mrsan import Scenario
 from samarl.encoders import Encoder
@@ -117,7 +118,7 @@ class HierarchicalPolicy(StochasticPolicy):
         steps_left = torch.where(is_init, 0, state["steps_left"])
         due = steps_left <= 0
         if self.waypoint_source is not Waypoints.first:
-            due = due | (to_body(state["waypoint"], pose).norm(dim=-1) < REACHED)
+            due = due | (vector_norm(to_body(state["waypoint"], pose), dim=-1) < REACHED)
         macro = self._macro_step(scene, ego, rows, due, noise)
         chosen = to_world(waypoint_of(self.config, route, self._ablated(macro)), pose)
         waypoint = torch.where(due.unsqueeze(-1), chosen, state["waypoint"])

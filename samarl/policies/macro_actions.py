@@ -7,6 +7,7 @@ from enum import Enum
 
 import torch
 from torch import Tensor
+from torch.linalg import vector_norm
 
 from mrsan.fields import required
 from samarl.observations.features import EGO_PLACE, EGO_TARGET, EGO_TIME
@@ -60,7 +61,7 @@ def waypoint_of(config: HierarchicalConfig, route: Tensor, macro: Tensor) -> Ten
         macro: [B, 2] before clipping.
     """
     c = config
-    distance = route.norm(dim=-1, keepdim=True).clamp(min=1e-6)
+    distance = vector_norm(route, dim=-1, keepdim=True).clamp(min=1e-6)
     reach = c.waypoint_range
     if not c.local_goal:
         reach = reach * (distance / c.waypoint_ahead).clamp(max=1.0)
@@ -70,7 +71,7 @@ def waypoint_of(config: HierarchicalConfig, route: Tensor, macro: Tensor) -> Ten
 
 def encode_waypoint(waypoint: Tensor) -> Tensor:
     """Return the features [..., 3] of a waypoint in the body frame [..., 2], m."""
-    return torch.cat([waypoint / 2.0, torch.exp(-waypoint.norm(dim=-1, keepdim=True))], -1)
+    return torch.cat([waypoint / 2.0, torch.exp(-vector_norm(waypoint, dim=-1, keepdim=True))], -1)
 
 
 def decode_waypoint(features: Tensor) -> Tensor:

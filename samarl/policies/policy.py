@@ -133,6 +133,7 @@ class Policy(nn.Module, ABC):
     levels: tuple[str, ...] = (LOCAL,)
     networks: Sequence[Networks]
     config: PolicyConfig
+    _device: Tensor
 
     def __init__(
         self, config: PolicyConfig, action_size: int, sizes: FeatureSizes | None = None
@@ -153,6 +154,8 @@ class Policy(nn.Module, ABC):
             self._make_networks(entry.cls(encoder_config, self.sizes))
             for _ in range(config.num_parameter_sets)
         )
+        # It moves with the networks; to find a parameter of theirs takes longer.
+        self.register_buffer("_device", torch.empty(0), persistent=False)
 
     @abstractmethod
     def _make_networks(self, encoder: Encoder) -> Networks:
@@ -210,7 +213,7 @@ class Policy(nn.Module, ABC):
     @property
     def device(self) -> torch.device:
         """Where the networks are."""
-        return next(self.parameters()).device
+        return self._device.device
 
     @property
     def history(self) -> int:
@@ -295,7 +298,8 @@ class Policy(nn.Module, ABC):
         """Return the features [B, 1, ...] of the groups and sensors that this policy observes."""
         tracks = self.as_trained(tracks)
         frames = self.sizes.select(frames_of(tracks, scenario, self.config.observe_map_position))
-        return frames.apply(lambda tensor: tensor.to(self.device, non_blocking=True))
+        device = self.device
+        return frames.apply(lambda tensor: tensor.to(device, non_blocking=True))
 
     def as_trained(self, tracks: Observation) -> Observation:
         """Return the tracks with the parts that this policy was trained with.

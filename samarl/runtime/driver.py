@@ -56,7 +56,7 @@ class Driver:
         self._observes_walls = network.walls > 0 or network.looks_ahead
         self._parameters = kernel_parameters(self.scenario)
         shield = self.description.make_shield()
-        self._shield = shield and RobotShield(shield, self.scenario, self._parameters)
+        self._shield = shield and RobotShield(shield, self.scenario)
         policy = self.description.policy
         if network.looks_ahead:
             sizes = Commands(**{f.name: policy[f.name] for f in fields(Commands)})

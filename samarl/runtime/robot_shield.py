@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from mrsan import Entities, Observation, Scenario
 from mrsan.features import OTHER_RADIUS, OTHER_X, OTHER_Y
-from mrsan.parameters import Parameters
+from mrsan.parameters import kernel_parameters
 from samarl.observations.tracker import AGE
 from samarl.planning.shield import SUFFICIENT_GAP, Shield, apply_shield
 from samarl.planning.velocity_control import turning_action
@@ -49,9 +49,9 @@ class _Walls(NamedTuple):
 class RobotShield:
     """The shield of one robot, with its own memory: it knows more agents than the policy."""
 
-    def __init__(self, shield: Shield, scenario: Scenario, parameters: Parameters) -> None:
-        """Start without memory; `parameters` are those of the scenario."""
-        self._shield, self._scenario, self._parameters = shield, scenario, parameters
+    def __init__(self, shield: Shield, scenario: Scenario) -> None:
+        """Start without memory."""
+        self._shield, self._scenario = shield, scenario
         self.reset()
 
     def reset(self) -> None:
@@ -88,9 +88,7 @@ class RobotShield:
         tracks = self._agents.update(observation._replace(entities=entities), elapsed)
 
         def checked(tracks: Observation) -> NDArray[np.float32]:
-            return apply_shield(
-                tracks, action, self._scenario, self._shield, parameters=self._parameters
-            )
+            return apply_shield(tracks, action, self._scenario, self._shield)
 
         safe_action = checked(tracks)
         if (safe_action == action).all():
@@ -101,7 +99,7 @@ class RobotShield:
 
         reason = _reason(tracks, known, rejects)
         if reason is ShieldReason.unseen and (turn := self._clear.turn_to_see(own)):
-            return turning_action(turn, self._parameters), reason
+            return turning_action(turn, kernel_parameters(self._scenario)), reason
         return safe_action, reason
 
     def _known_walls(

@@ -1,10 +1,12 @@
 """The numbers of a scenario in the form that kernels take."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from mrsan import Kinematics, Layout, Reward, Scenario
-from mrsan.parameters import kernel_parameters
+from mrsan.parameters import _KEPT, kernel_parameters
 
 
 def test_durations_angles_and_absent_limits_are_converted() -> None:
@@ -39,3 +41,20 @@ def test_all_scenarios_have_parameters_of_the_same_types() -> None:
         )
     )
     assert [type(value) for value in plain] == [type(value) for value in other]
+
+
+def test_the_numbers_are_computed_once_for_a_scenario() -> None:
+    scenario = Scenario(robot_radius=0.2)
+    kept = kernel_parameters(scenario)
+    assert kernel_parameters(scenario) is kept
+    assert Scenario(**vars(scenario)) == scenario
+    changed = replace(scenario, robot_radius=0.25)
+    assert kernel_parameters(changed).robot_radius == np.float32(0.25)
+    assert kernel_parameters(scenario) == kept
+
+
+def test_the_numbers_are_forgotten_with_their_scenario() -> None:
+    count = len(_KEPT)
+    for radius in (0.2, 0.25, 0.3):  # objects that may get the same address one after the other
+        assert kernel_parameters(Scenario(robot_radius=radius)).robot_radius == np.float32(radius)
+    assert len(_KEPT) <= count

@@ -7,7 +7,7 @@ import pytest
 
 from mrsan import Outcome, Scenario, World
 from mrsan.features import GOAL, HEADING_COS, HEADING_SIN, ORIGIN
-from mrsan.rendering import walls_of
+from mrsan.place_shapes import walls_of
 from samarl.agents import build_agent
 from samarl.configuration import load_agent_config
 from samarl.evaluation.runner import run_cases

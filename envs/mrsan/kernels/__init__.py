@@ -154,7 +154,7 @@ class Version:
         """Run over `rows` rows."""
         run = self.load()
         lock = None if rows == 1 else parallel_kernels()
-        if lock is None:
+        if lock is None or kernel_threads() == 1:
             run(0, rows, arguments.address)
             return
         with lock:

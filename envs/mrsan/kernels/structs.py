@@ -22,7 +22,9 @@ from numba.core import cgutils
 from numba.core.typing.templates import AttributeTemplate
 from numba.extending import infer_getattr, lower_getattr_generic, models, register_model
 
+_EMPTY = types.Tuple(())
 _TYPES = {
+    tuple: _EMPTY,  # settings that there are not
     bool: types.boolean,
     np.bool_: types.boolean,
     int: types.int64,
@@ -33,7 +35,7 @@ _TYPES = {
 }
 # Formats of module `struct`: every number, pointer and length has a word of its own.
 _FORMATS = {types.boolean: "?7x", types.int64: "q", types.float64: "d", types.float32: "f4x"}
-_EMPTY = types.Tuple(())
+_address, _buffer = ctypes.addressof, ctypes.c_char.from_buffer
 _WORD = ir.IntType(64)
 _BYTE_POINTER = ir.IntType(8).as_pointer()
 
@@ -65,7 +67,7 @@ class Struct:
         self.type, layout = _layout(tuple(names), tuple(kinds))
         self._content = content  # keeps alive what the memory points to
         self._memory = ctypes.create_string_buffer(layout.pack(*words))
-        self.address = ctypes.addressof(self._memory)
+        self.address = _address(self._memory)
 
 
 class KeepsStruct:
@@ -94,11 +96,16 @@ def by_reference(values: tuple[Any, ...]) -> Struct | tuple[()]:
 
 
 def _words_of(value: Any) -> tuple[Any, ...]:
-    """Return what determines the type of a value, followed by its numbers in memory."""
-    if type(value) is np.ndarray:
+    """Return the kind of a value, followed by its numbers in memory.
+
+    The kind determines the type of the field: a type of Numba for structs, of Python for numbers,
+    and `(dtype, dimensions, writeable)` for arrays. All but the first are hashed fast.
+    """
+    kind = type(value)
+    if kind is np.ndarray:
         flags = value.flags
         if flags.carray and value.size:
-            pointer = ctypes.addressof(ctypes.c_char.from_buffer(value))  # type: ignore[arg-type]
+            pointer = _address(_buffer(value))
         elif flags.c_contiguous and flags.aligned:
             pointer = value.ctypes.data
         else:
@@ -107,13 +114,13 @@ def _words_of(value: Any) -> tuple[Any, ...]:
                 "C-contiguous (numpy.ascontiguousarray)"
             )
         return (value.dtype, value.ndim, flags.writeable), pointer, *value.shape
-    if isinstance(value, Struct):
+    if kind is Struct:
         return value.type, value.address
-    if isinstance(value, tuple):
-        return (_EMPTY,)
-    if type(value) not in _TYPES:
-        raise TypeError(f"{value!r:.60} is a {type(value).__name__}, which kernels do not take")
-    return _TYPES[type(value)], value
+    if kind is tuple:
+        return (kind,)
+    if kind not in _TYPES:
+        raise TypeError(f"{value!r:.60} is a {kind.__name__}, which kernels do not take")
+    return kind, value
 
 
 @cache
@@ -123,11 +130,12 @@ def _layout(names: tuple[str, ...], kinds: tuple[Any, ...]) -> tuple[StructType,
     for name, kind in zip(names, kinds, strict=True):
         if isinstance(kind, tuple):
             dtype, ndim, writeable = kind
-            kind = types.Array(numba.from_dtype(dtype), ndim, "C", readonly=not writeable)
+            field = types.Array(numba.from_dtype(dtype), ndim, "C", readonly=not writeable)
             layout += "q" * (1 + ndim)
-        elif kind != _EMPTY:
-            layout += _FORMATS.get(kind, "q")
-        fields[name] = kind
+        else:
+            field = _TYPES.get(kind, kind)
+            layout += "" if field == _EMPTY else _FORMATS.get(field, "q")
+        fields[name] = field
     return StructType(fields), struct.Struct(layout)
 
 
