@@ -23,7 +23,7 @@ import torch
 from tensordict import TensorDict
 from tensordict.nn import TensorDictModule
 from torch import Tensor, nn
-from torchrl.objectives import ClipPPOLoss
+from torchrl.objectives import PPOLoss
 from torchrl.objectives.multiagent import IPPOLoss, MAPPOLoss
 
 from mrsan import ConfigurationError
@@ -130,7 +130,7 @@ class PPO(Algorithm):
     policy: StochasticPolicy
     config: PPOConfig
     critics: Mapping[str, PopArtHead]  # of each level; their input is that of `critic_encoder`
-    loss_class: type[ClipPPOLoss] = MAPPOLoss
+    loss_class: type[PPOLoss] = MAPPOLoss
     supports_data_parallel = True
 
     def __init__(self, policy: Policy, config: PPOConfig) -> None:
@@ -173,7 +173,11 @@ class PPO(Algorithm):
         assert rollout.state is not None
         return rollout.state
 
-    def _make_loss(self, level: str) -> ClipPPOLoss:
+    def _loss_settings(self) -> dict[str, Any]:
+        """Return the arguments that only this `loss_class` takes."""
+        return {"clip_epsilon": self.config.clip_epsilon}
+
+    def _make_loss(self, level: str) -> PPOLoss:
         """Return TorchRL's loss of a level.
 
         `loss(decisions)` is the policy's part. The critic's part is `loss.loss_critic(samples)`,
@@ -185,7 +189,7 @@ class PPO(Algorithm):
         return self.loss_class(
             self.policy.actor(level),
             TensorDictModule(self.critics[level], in_keys=in_keys, out_keys=["state_value"]),
-            clip_epsilon=c.clip_epsilon,
+            **self._loss_settings(),
             entropy_coeff=c.macro_entropy_coefficient if level == MACRO else c.entropy_coefficient,
             critic_coeff=0.0,
             clip_value=c.clip_epsilon,
