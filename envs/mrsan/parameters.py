@@ -130,19 +130,23 @@ else:
         """The numbers of a scenario by their names."""
 
 
-_KEPT: dict[int, Parameters] = {}  # by the id of their scenario, while it exists
+_COMPUTED: dict[int, tuple[list[dict[str, Any]], Parameters]] = {}
+"""The fields of a scenario, and its numbers, by the scenario's id, while it exists."""
 
 
 def kernel_parameters(scenario: Scenario) -> Parameters:
     """Return the numbers of a scenario as a named tuple, the form that Numba takes.
 
-    They are computed once: the fields of a scenario do not change.
+    They are computed once, and again if a field of the scenario was changed.
     """
-    key = id(scenario)
-    if key not in _KEPT:
-        _KEPT[key] = Parameters(**_numbers(scenario))
-        weakref.finalize(scenario, _KEPT.pop, key).atexit = False
-    return _KEPT[key]
+    key, values = id(scenario), [vars(scenario).copy(), vars(scenario.reward).copy()]
+    if key not in _COMPUTED:
+        weakref.finalize(scenario, _COMPUTED.pop, key).atexit = False
+    elif _COMPUTED[key][0] == values:
+        return _COMPUTED[key][1]
+    parameters = Parameters(**_numbers(scenario))
+    _COMPUTED[key] = values, parameters
+    return parameters
 
 
 class SensorParameters(NamedTuple):

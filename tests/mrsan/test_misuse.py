@@ -54,7 +54,8 @@ def test_a_crowd_that_is_pushed_hard_stays_finite() -> None:
 def test_a_reward_weight_does_not_change_the_metrics() -> None:
     shares = []
     for distance in (0.0, 2.0):
-        scenario = Scenario(reward={"discomfort_distance": distance})
+        scenario = Scenario()
+        scenario.reward.discomfort_distance = distance
         world = World(scenario, 8)
         world.reset(np.arange(8))
         forward = np.tile(np.float32([0.5, 0, 0]), (8, 3, 1))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mrsan import Kinematics, Layout, Reward, Scenario
-from mrsan.parameters import _KEPT, kernel_parameters
+from mrsan.parameters import _COMPUTED, kernel_parameters
 
 
 def test_durations_angles_and_absent_limits_are_converted() -> None:
@@ -43,18 +43,20 @@ def test_all_scenarios_have_parameters_of_the_same_types() -> None:
     assert [type(value) for value in plain] == [type(value) for value in other]
 
 
-def test_the_numbers_are_computed_once_for_a_scenario() -> None:
+def test_the_numbers_are_computed_again_only_if_a_field_was_changed() -> None:
     scenario = Scenario(robot_radius=0.2)
-    kept = kernel_parameters(scenario)
-    assert kernel_parameters(scenario) is kept
-    assert Scenario(**vars(scenario)) == scenario
-    changed = replace(scenario, robot_radius=0.25)
-    assert kernel_parameters(changed).robot_radius == np.float32(0.25)
-    assert kernel_parameters(scenario) == kept
+    numbers = kernel_parameters(scenario)
+    assert kernel_parameters(scenario) is numbers
+    assert kernel_parameters(replace(scenario, robot_radius=0.25)).robot_radius == np.float32(0.25)
+    assert kernel_parameters(scenario) is numbers
+    scenario.robot_radius = 0.3
+    assert kernel_parameters(scenario).robot_radius == np.float32(0.3)
+    scenario.reward.discomfort_distance = 2.0
+    assert kernel_parameters(scenario).reward_discomfort_distance == 2.0
 
 
 def test_the_numbers_are_forgotten_with_their_scenario() -> None:
-    count = len(_KEPT)
+    count = len(_COMPUTED)
     for radius in (0.2, 0.25, 0.3):  # objects that may get the same address one after the other
         assert kernel_parameters(Scenario(robot_radius=radius)).robot_radius == np.float32(radius)
-    assert len(_KEPT) <= count
+    assert len(_COMPUTED) <= count
